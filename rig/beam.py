@@ -1,0 +1,108 @@
+"""Uniform Bernoulli-Euler beams with analytic modes (the assumed modes of equations 13 to 16 of the paper)."""
+
+from functools import lru_cache
+from typing import Literal
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import brentq
+
+from rig.errors import RigError
+
+MAX_MODES = 40
+
+
+class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="beam"):
+    """A uniform beam that bends in one plane; its left end is at position 0.
+
+    Modes are mass-normalised: the integral of rho A phi_i phi_k over the length is 1 for i = k and 0 otherwise.
+    A free-free beam has two rigid modes, translation then rotation, as modes 1 and 2 (frequency and damping 0).
+    """
+
+    name: str
+    ends: Literal["clamped-free", "free-free"]
+    length_m: float
+    width_m: float
+    thickness_m: float
+    youngs_modulus_pa: float = 210e9
+    density_kg_per_m3: float = 7850.0
+    damping_ratio: float = 0.01
+
+    def __post_init__(self) -> None:
+        for field in ("length_m", "width_m", "thickness_m", "youngs_modulus_pa", "density_kg_per_m3"):
+            value = getattr(self, field)
+            if not (np.isfinite(value) and value > 0):
+                raise RigError(f"beam {self.name!r}: {field} is {value}; give a finite value above zero")
+        if not 0 <= self.damping_ratio < 1:
+            raise RigError(f"beam {self.name!r}: damping_ratio is {self.damping_ratio}; give a value from 0 to below 1")
+
+    @property
+    def mass_per_length_kg_per_m(self) -> float:
+        return self.density_kg_per_m3 * self.width_m * self.thickness_m
+
+    @property
+    def mass_kg(self) -> float:
+        return self.mass_per_length_kg_per_m * self.length_m
+
+    @property
+    def bending_stiffness_n_m2(self) -> float:
+        """E I for bending over the thickness."""
+        return self.youngs_modulus_pa * self.width_m * self.thickness_m**3 / 12
+
+    @property
+    def rigid_modes(self) -> int:
+        return 2 if self.ends == "free-free" else 0
+
+    def frequencies_hz(self, modes: int) -> Float[np.ndarray, " modes"]:
+        """Natural frequencies beta_i^2 sqrt(E I / rho A) / 2 pi; zero for rigid modes."""
+        beta = self._wavenumbers(modes) / self.length_m
+        return beta**2 * np.sqrt(self.bending_stiffness_n_m2 / self.mass_per_length_kg_per_m) / (2 * np.pi)
+
+    def damping_ratios(self, modes: int) -> Float[np.ndarray, " modes"]:
+        """The same modal damping ratio for every elastic mode, none for rigid ones."""
+        return np.where(np.arange(modes) < self.rigid_modes, 0.0, self.damping_ratio)
+
+    def shapes(self, positions_m: Float[np.ndarray, " stations"], modes: int) -> Float[np.ndarray, "stations modes"]:
+        """Mass-normalised mode shapes phi_i(x), in 1/sqrt(kg), for positions 0 <= x <= length.
+
+        cosh and sinh are never formed: the shapes are written with decaying exponentials, so they stay exact to
+        rounding up to mode 40 (Gonçalves, Brennan and Elliott, J. Sound Vib. 301, 2007, treat the problem).
+        """
+        self._check_modes(modes)
+        relative = np.asarray(positions_m, dtype=float)[:, None] / self.length_m
+        rigid = np.concatenate([np.ones_like(relative), np.sqrt(12) * (relative - 0.5)], axis=1)[:, : self.rigid_modes]
+        beta = self._wavenumbers(modes)[self.rigid_modes :]
+        sign = -1.0 if self.ends == "clamped-free" else 1.0  # of the trigonometric part
+        decay, sine, cosine = np.exp(-beta), np.sin(beta), np.cos(beta)
+        denominator = 1 - decay**2 - sign * 2 * sine * decay  # 2 e^-b (sinh b -+ sin b)
+        growing = sign * (cosine - sine) - decay  # (1 - sigma)(sinh b -+ sin b)
+        sigma = (1 + decay**2 - sign * 2 * cosine * decay) / denominator
+        argument = beta * relative
+        elastic = (
+            growing / denominator * np.exp(beta * (relative - 1))
+            + (1 + sigma) / 2 * np.exp(-argument)
+            + sign * (np.cos(argument) - sigma * np.sin(argument))
+        )
+        return np.concatenate([rigid, elastic], axis=1)[:, :modes] / np.sqrt(self.mass_kg)
+
+    def _wavenumbers(self, modes: int) -> Float[np.ndarray, " modes"]:
+        self._check_modes(modes)
+        return np.array(_roots(self.ends)[:modes])
+
+    def _check_modes(self, modes: int) -> None:
+        if not 1 <= modes <= MAX_MODES:
+            raise RigError(f"beam {self.name!r}: {modes} modes asked for; a beam has 1 to {MAX_MODES} here")
+
+
+@lru_cache
+def _roots(ends: str) -> tuple[float, ...]:
+    """Roots beta l of cos(b) cosh(b) = -1 (clamped-free) or +1 (free-free, after two zeros)."""
+    sign, first = (1.0, 0.5) if ends == "clamped-free" else (-1.0, 1.5)
+
+    def characteristic(beta: float) -> float:
+        return float(np.cos(beta) + sign / np.cosh(beta))
+
+    centres = (first + np.arange(MAX_MODES)) * np.pi
+    elastic = [brentq(characteristic, c - 0.4, c + 0.4, xtol=1e-14, rtol=1e-15) for c in centres]
+    return tuple(([] if ends == "clamped-free" else [0.0, 0.0]) + elastic)

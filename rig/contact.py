@@ -1,0 +1,53 @@
+"""The contact law: a dead zone (figures 2 and 11 of the paper)."""
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+
+from rig.errors import RigError
+
+
+class DeadZone(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A gap with a stop on either side; inside the gap no force passes.
+
+    With the relative displacement eta and its rate::
+
+        f = k (eta - upper) + c rate   for eta > upper
+        f = k (eta + lower) + c rate   for eta < -lower
+        f = 0                          between
+
+    The force f acts against eta: -f on the body that eta is counted for, +f on the other.
+    """
+
+    lower_clearance_m: float
+    upper_clearance_m: float
+    stiffness_n_per_m: float
+    damping_n_s_per_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in ("lower_clearance_m", "upper_clearance_m", "stiffness_n_per_m", "damping_n_s_per_m"):
+            value = getattr(self, field)
+            if not (np.isfinite(value) and value >= 0):
+                raise RigError(f"contact law: {field} is {value}; give a finite value, zero or above")
+
+    @property
+    def clearance_m(self) -> float:
+        """Half the total play: the paper's d where both sides are equal."""
+        return (self.lower_clearance_m + self.upper_clearance_m) / 2
+
+    def penetration_m(self, eta_m: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+        """Signed depth beyond the stops: the paper's dead-zone function of the relative displacement."""
+        return dead_zone(eta_m, self.lower_clearance_m, self.upper_clearance_m)
+
+    def force_n(
+        self, eta_m: Float[np.ndarray, "*shape"], rate_m_per_s: Float[np.ndarray, "*shape"]
+    ) -> Float[np.ndarray, "*shape"]:
+        depth = self.penetration_m(eta_m)
+        return self.stiffness_n_per_m * depth + np.where(depth != 0, self.damping_n_s_per_m * rate_m_per_s, 0.0)
+
+
+def dead_zone(
+    eta_m: Float[np.ndarray, "*shape"], lower_m: float, upper_m: float
+) -> Float[np.ndarray, "*shape"]:
+    """eta - upper above the upper stop, eta + lower below the lower one, zero between; metres."""
+    return eta_m - np.clip(eta_m, -lower_m, upper_m)

@@ -1,0 +1,133 @@
+"""A rig as a value: bodies, contacts, the exciting force and the sensors. It travels in every recording as rig.json."""
+
+from collections.abc import Iterable
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from rig.beam import Beam
+from rig.contact import DeadZone
+from rig.errors import RigError
+from rig.oscillator import Oscillator
+
+Quantity = Literal["displacement", "velocity", "acceleration"]
+Body = Beam | Oscillator
+UNITS: dict[str, str] = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N"}
+
+
+class Station(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A place on a body, metres from its left end."""
+
+    body: str
+    position_m: float = 0.0
+
+
+class Contact(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A dead zone between two stations; the relative displacement is `at` minus `against` (None: the ground)."""
+
+    name: str
+    at: Station
+    against: Station | None
+    law: DeadZone
+
+
+class Sensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A transverse motion sensor and its chain: delivers gain times the motion of delay_s ago, plus noise.
+
+    noise_density is one-sided, in the quantity's unit per sqrt(Hz). measuring_range clips at plus and minus that value;
+    bits divides twice the range into 2^bits steps. None leaves either out.
+    """
+
+    name: str
+    station: Station
+    quantity: Quantity
+    gain: float = 1.0
+    delay_s: float = 0.0
+    noise_density: float = 0.0
+    measuring_range: float | None = None
+    bits: int | None = None
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.gain) and self.gain != 0):
+            raise RigError(f"sensor {self.name!r}: gain is {self.gain}; give a finite value other than zero")
+        if not np.isfinite(self.delay_s):
+            raise RigError(f"sensor {self.name!r}: delay_s is {self.delay_s}; give a finite value")
+        if not (np.isfinite(self.noise_density) and self.noise_density >= 0):
+            raise RigError(f"sensor {self.name!r}: noise_density is {self.noise_density}; give zero or above")
+        if self.measuring_range is not None and not self.measuring_range > 0:
+            raise RigError(f"sensor {self.name!r}: measuring_range is {self.measuring_range}; give a value above zero")
+        if self.bits is not None and (self.measuring_range is None or not 2 <= self.bits <= 32):
+            raise RigError(f"sensor {self.name!r}: bits is {self.bits}; give 2 to 32, together with a measuring_range")
+
+
+class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Everything that the experimenter believes about the machine and its instruments."""
+
+    name: str
+    bodies: tuple[Body, ...]
+    contacts: tuple[Contact, ...]
+    force_at: Station
+    sensors: tuple[Sensor, ...]
+    sample_rate_hz: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.sample_rate_hz) and self.sample_rate_hz > 0):
+            raise RigError(f"rig {self.name!r}: sample_rate_hz is {self.sample_rate_hz}; give a value above zero")
+        for kind, names in (
+            ("body", [b.name for b in self.bodies]),
+            ("contact", [c.name for c in self.contacts]),
+            ("sensor", [s.name for s in self.sensors]),
+        ):
+            if twice := sorted({n for n in names if names.count(n) > 1}):
+                raise RigError(f"rig {self.name!r}: more than one {kind} is named {twice[0]!r}; names must differ")
+        self._check_station("the force", self.force_at)
+        for sensor in self.sensors:
+            self._check_station(f"sensor {sensor.name!r}", sensor.station)
+        for contact in self.contacts:
+            for station in contact_stations(contact):
+                self._check_station(f"contact {contact.name!r}", station)
+
+    def body(self, name: str) -> Body:
+        for body in self.bodies:
+            if body.name == name:
+                return body
+        raise RigError(f"rig {self.name!r} has no body {name!r}; it has {', '.join(b.name for b in self.bodies)}")
+
+    def contact(self, name: str) -> Contact:
+        return next(c for c in self.contacts if c.name == name)
+
+    def _check_station(self, what: str, station: Station) -> None:
+        body = self.body(station.body)
+        if not 0 <= station.position_m <= body.length_m:
+            raise RigError(
+                f"{what} stands at {station.position_m} m, off {body.name!r}; give 0 to {body.length_m} m"
+            )
+
+
+def contact_stations(contact: Contact) -> tuple[Station, ...]:
+    return (contact.at,) if contact.against is None else (contact.at, contact.against)
+
+
+def stations_of(rig: Rig) -> tuple[Station, ...]:
+    """Every distinct station with a sensor or a contact, body by body from left to right."""
+    wanted: Iterable[Station] = {s.station for s in rig.sensors} | {
+        station for contact in rig.contacts for station in contact_stations(contact)
+    }
+    order = [b.name for b in rig.bodies]
+    return tuple(sorted(wanted, key=lambda s: (order.index(s.body), s.position_m)))
+
+
+def to_json(rig: Rig) -> bytes:
+    return msgspec.json.format(msgspec.json.encode(rig), indent=2)
+
+
+def from_json(text: bytes, source: str) -> Rig:
+    """The rig described by a JSON text; `source` names it in the error.
+
+    Raises RigError with the place and the reason if the text is no valid rig.
+    """
+    try:
+        return msgspec.json.decode(text, type=Rig)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise RigError(f"{source}: not a rig description: {error}; see the README on rig.json") from error

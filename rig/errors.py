@@ -1,0 +1,5 @@
+"""The one error that a user sees: a sentence saying what is wrong, with which value, and what to do."""
+
+
+class RigError(ValueError):
+    """Input that cannot be used. Its text is one sentence for the user; the commands print it and exit with 1."""

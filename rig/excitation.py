@@ -1,0 +1,134 @@
+"""Exciting forces: each a frozen description that gives the same force at any time step."""
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+from scipy.signal import chirp
+
+from rig.errors import RigError
+
+QUIET_S = 1.0
+"""Every recording begins with a second without force: what is heard there is not the force's doing."""
+
+
+class _Band(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A band and a root mean square value, which is taken over the excited part of the record."""
+
+    rms_n: float
+    low_hz: float
+    high_hz: float
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.rms_n) and self.rms_n >= 0):
+            raise RigError(f"excitation: rms_n is {self.rms_n}; give a finite value, zero or above")
+        if not 0 <= self.low_hz < self.high_hz < np.inf:
+            raise RigError(f"excitation: the band {self.low_hz} to {self.high_hz} Hz is empty; give 0 <= low < high")
+        if self.seed < 0:
+            raise RigError(f"excitation: seed is {self.seed}; give zero or above")
+
+
+class BandLimitedGaussian(_Band, tag="gaussian"):
+    """Gaussian noise with a flat spectrum in the band and none outside: the paper's excitation.
+
+    Drawn line by line in the frequency domain, so the force does not depend on the step at which it is asked for.
+    """
+
+    def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+        return _scaled(_noise(samples, step_s, self), self.rms_n)
+
+
+class BurstRandom(_Band, tag="burst"):
+    """The band-limited Gaussian force, on for `on_fraction` of each period and off for the rest."""
+
+    period_s: float = 4.0
+    on_fraction: float = 0.6
+
+    def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+        noise = _noise(samples, step_s, self)
+        phase = np.mod(np.arange(samples) * step_s, self.period_s) / (self.period_s * self.on_fraction)
+        edge = np.clip(np.minimum(phase, 1 - phase) * 20, 0, 1)  # smooth edges over a twentieth of the burst
+        return _scaled(noise * np.sin(np.pi / 2 * edge) ** 2, self.rms_n)
+
+
+class Sweep(_Band, tag="sweep"):
+    """A linear sine sweep from the lower to the upper end of the band over the whole record."""
+
+    def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+        time_s = np.arange(samples) * step_s
+        return _scaled(chirp(time_s, self.low_hz, max(time_s[-1], step_s), self.high_hz, phi=-90), self.rms_n)
+
+
+class Multisine(_Band, tag="multisine"):
+    """A periodic sum of sines of equal amplitude and random phase on every line of 1/period in the band."""
+
+    period_s: float = 8.0
+
+    def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+        lines = np.arange(np.ceil(self.low_hz * self.period_s), np.floor(self.high_hz * self.period_s) + 1)
+        lines = lines[lines > 0]
+        phases = np.random.default_rng(self.seed).uniform(0, 2 * np.pi, len(lines))
+        time_s = np.arange(samples) * step_s
+        total = np.zeros(samples)
+        for line, phase in zip(lines, phases, strict=True):
+            total += np.cos(2 * np.pi * line / self.period_s * time_s + phase)
+        return total * self.rms_n * np.sqrt(2 / max(len(lines), 1))
+
+
+class FreeDecay(_Band, tag="free_decay"):
+    """One half-sine blow of length 1/(2 high_hz) and peak rms_n * sqrt(2), then nothing: the rig decays freely."""
+
+    def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+        time_s = np.arange(samples) * step_s
+        blow = np.sin(2 * np.pi * self.high_hz * time_s)
+        return np.where(time_s < 0.5 / self.high_hz, blow, 0.0) * self.rms_n * np.sqrt(2)
+
+
+Excitation = BandLimitedGaussian | BurstRandom | Sweep | Multisine | FreeDecay
+_KINDS: dict[str, type[Excitation]] = {
+    "gaussian": BandLimitedGaussian,
+    "burst": BurstRandom,
+    "sweep": Sweep,
+    "multisine": Multisine,
+    "free_decay": FreeDecay,
+}
+
+
+def excitation_of(kind: str, *, rms_n: float, low_hz: float, high_hz: float, seed: int = 1) -> Excitation:
+    """The excitation named `kind`; raises RigError if there is none."""
+    if kind not in _KINDS:
+        raise RigError(f"no excitation {kind!r}; there are {', '.join(_KINDS)}")
+    return _KINDS[kind](rms_n=rms_n, low_hz=low_hz, high_hz=high_hz, seed=seed)
+
+
+def force_history(
+    excitation: Excitation, duration_s: float, step_s: float
+) -> Float[np.ndarray, " samples"]:
+    """The force in newtons at 0, step, 2 step, ... below the duration: a quiet second, then the excitation.
+
+    Raises RigError if the record is not longer than the quiet second or the band reaches beyond half the step rate.
+    """
+    if not duration_s > QUIET_S:
+        raise RigError(f"duration is {duration_s} s; give more than {QUIET_S} s, the quiet start of every recording")
+    if not step_s > 0 or excitation.high_hz * step_s > 0.25:
+        raise RigError(f"step is {step_s} s; {excitation.high_hz} Hz needs a step above 0 and at most 1/(4 high_hz)")
+    quiet = round(QUIET_S / step_s)
+    samples = round(duration_s / step_s)
+    return np.concatenate([np.zeros(quiet), excitation.excited(samples - quiet, step_s)])
+
+
+def _noise(samples: int, step_s: float, band: _Band) -> Float[np.ndarray, " samples"]:
+    """Independent Gaussian lines at every multiple of 1/duration in the band, so that the step does not matter."""
+    period_s = samples * step_s
+    first, last = max(int(np.ceil(band.low_hz * period_s)), 1), int(np.floor(band.high_hz * period_s))
+    if last < first:
+        raise RigError(f"excitation: no line of {band.low_hz} to {band.high_hz} Hz fits {period_s:.3g} s; record longer")
+    lines = np.random.default_rng(band.seed).standard_normal((last - first + 1, 2))
+    spectrum = np.zeros(samples // 2 + 1, dtype=complex)
+    spectrum[first : last + 1] = lines[:, 0] + 1j * lines[:, 1]
+    return np.fft.irfft(spectrum, samples)
+
+
+def _scaled(force: Float[np.ndarray, " samples"], rms_n: float) -> Float[np.ndarray, " samples"]:
+    rms = np.sqrt(np.mean(force**2))
+    return force * (rms_n / rms) if rms > 0 else force

@@ -1,0 +1,110 @@
+"""The two message types of a recording: a protobuf block of samples, and a preview that any viewer plots."""
+
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
+from jaxtyping import Float
+
+BLOCK_NAME = "rig.Block"
+PREVIEW_NAME = "std_msgs/msg/Float64MultiArray"
+PREVIEW_SCHEMA = b"""std_msgs/MultiArrayLayout layout
+float64[] data
+================================================================================
+MSG: std_msgs/MultiArrayLayout
+std_msgs/MultiArrayDimension[] dim
+uint32 data_offset
+================================================================================
+MSG: std_msgs/MultiArrayDimension
+string label
+uint32 size
+uint32 stride
+"""
+
+
+@dataclass(frozen=True)
+class Block:
+    """Consecutive samples of all channels of a group, from `first_sample` on."""
+
+    time_ns: int
+    first_sample: int
+    sample_rate_hz: float
+    values: Float[np.ndarray, "channels samples"]
+
+
+def encode_block(time_ns: int, first_sample: int, sample_rate_hz: float, values: Float[np.ndarray, "channels samples"]) -> bytes:
+    message = _Block(first_sample=first_sample, sample_rate_hz=sample_rate_hz, channels=values.shape[0])
+    message.timestamp.FromNanoseconds(time_ns)
+    # a packed double field is its tag, its length in bytes and the little-endian doubles: appended whole, since
+    # protobuf would take them one by one
+    data = np.ascontiguousarray(values, dtype="<f8").tobytes()
+    return bytes(message.SerializeToString()) + _VALUES_TAG + _varint(len(data)) + data
+
+
+def decode_block(data: bytes) -> Block:
+    """The block in a message; raises ValueError if it is none."""
+    message = _Block()
+    try:
+        message.ParseFromString(data)
+    except Exception as error:  # protobuf's own error type differs between its implementations
+        raise ValueError(f"a block cannot be decoded: {error}") from error
+    values = np.array(message.values, dtype=float)
+    if message.channels == 0 or values.size % message.channels:
+        raise ValueError(f"a block of {values.size} values for {message.channels} channels")
+    return Block(
+        message.timestamp.ToNanoseconds(),
+        message.first_sample,
+        message.sample_rate_hz,
+        values.reshape(message.channels, -1),
+    )
+
+
+def encode_preview(values: Float[np.ndarray, " channels"]) -> bytes:
+    """A Float64MultiArray in CDR: no dimensions, no offset, the count, four bytes of alignment, the values."""
+    return _CDR_EMPTY_LAYOUT + struct.pack("<II", values.size, 0) + values.astype("<f8").tobytes()
+
+
+_CDR_EMPTY_LAYOUT = bytes([0, 1, 0, 0]) + struct.pack("<II", 0, 0)  # encapsulation, dim[0], data_offset
+
+
+def _varint(value: int) -> bytes:
+    out = bytearray()
+    while value > 0x7F:
+        out.append(value & 0x7F | 0x80)
+        value >>= 7
+    return bytes([*out, value])
+
+
+def _block_type() -> tuple[Any, bytes]:
+    """The message class and its schema (a FileDescriptorSet), from a description in code."""
+    field = descriptor_pb2.FieldDescriptorProto
+    file = descriptor_pb2.FileDescriptorProto(
+        name="rig/block.proto", package="rig", syntax="proto3", dependency=["google/protobuf/timestamp.proto"]
+    )
+    message = file.message_type.add(name="Block")
+    for number, (name, kind, label) in enumerate(
+        [
+            ("timestamp", field.TYPE_MESSAGE, field.LABEL_OPTIONAL),
+            ("first_sample", field.TYPE_UINT64, field.LABEL_OPTIONAL),
+            ("sample_rate_hz", field.TYPE_DOUBLE, field.LABEL_OPTIONAL),
+            ("channels", field.TYPE_UINT32, field.LABEL_OPTIONAL),
+            ("values", field.TYPE_DOUBLE, field.LABEL_REPEATED),
+        ],
+        start=1,
+    ):
+        added = message.field.add(name=name, number=number, type=kind, label=label)
+        if kind == field.TYPE_MESSAGE:
+            added.type_name = ".google.protobuf.Timestamp"
+    stamp = descriptor_pb2.FileDescriptorProto()
+    timestamp_pb2.DESCRIPTOR.CopyToProto(stamp)
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(stamp)
+    pool.Add(file)
+    schema = descriptor_pb2.FileDescriptorSet(file=[stamp, file]).SerializeToString()
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName("rig.Block")), schema
+
+
+_Block, BLOCK_SCHEMA = _block_type()
+_VALUES_TAG = bytes([5 << 3 | 2])

@@ -1,0 +1,48 @@
+"""What a plant delivers: the true motion of a rig, block by block."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from rig.description import Rig
+
+Progress = Callable[[float], None]
+"""Called with the fraction of the work that is done, 0 to 1."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """True motion over a stretch of time, sampled at the plant's own step.
+
+    sensed has one row per sensor of the rig, in the sensor's quantity, before any instrument; displacement one row per
+    station of `stations_of(rig)`; eta (relative displacement) and contact_force one row per contact.
+    """
+
+    start_s: float
+    step_s: float
+    force_n: Float[np.ndarray, " samples"]
+    sensed: Float[np.ndarray, "sensors samples"]
+    displacement_m: Float[np.ndarray, "stations samples"]
+    eta_m: Float[np.ndarray, "contacts samples"]
+    contact_force_n: Float[np.ndarray, "contacts samples"]
+
+
+class Plant(Protocol):
+    """How a rig is simulated: from rest, under a force given at multiples of the step."""
+
+    def __call__(
+        self, rig: Rig, force_n: Float[np.ndarray, " samples"], step_s: float, progress: Progress
+    ) -> Iterator[Motion]: ...
+
+
+def joined(blocks: Iterator[Motion]) -> Motion:
+    """All blocks of a run as one."""
+    parts = list(blocks)
+    rows = {
+        name: np.concatenate([getattr(part, name) for part in parts], axis=-1)
+        for name in ("force_n", "sensed", "displacement_m", "eta_m", "contact_force_n")
+    }
+    return Motion(start_s=parts[0].start_s, step_s=parts[0].step_s, **rows)

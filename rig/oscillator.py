@@ -1,0 +1,56 @@
+"""One mass on a linear spring to the ground: the body of the one-mass rig (figure 1 of the paper)."""
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+
+from rig.errors import RigError
+
+
+class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="oscillator"):
+    """A mass with a natural frequency and a damping ratio; seen as a body, it has one mode, 1/sqrt(mass) everywhere."""
+
+    name: str
+    mass_kg: float
+    frequency_hz: float
+    damping_ratio: float
+
+    def __post_init__(self) -> None:
+        for field in ("mass_kg", "frequency_hz"):
+            value = getattr(self, field)
+            if not (np.isfinite(value) and value > 0):
+                raise RigError(f"oscillator {self.name!r}: {field} is {value}; give a finite value above zero")
+        if not 0 <= self.damping_ratio < 1:
+            raise RigError(
+                f"oscillator {self.name!r}: damping_ratio is {self.damping_ratio}; give a value from 0 to below 1"
+            )
+
+    @property
+    def length_m(self) -> float:
+        return 0.0
+
+    @property
+    def rigid_modes(self) -> int:
+        return 0
+
+    @property
+    def stiffness_n_per_m(self) -> float:
+        return self.mass_kg * (2 * np.pi * self.frequency_hz) ** 2
+
+    @property
+    def damping_n_s_per_m(self) -> float:
+        return 2 * self.damping_ratio * self.mass_kg * 2 * np.pi * self.frequency_hz
+
+    def frequencies_hz(self, modes: int) -> Float[np.ndarray, " modes"]:
+        return np.full(self._one(modes), self.frequency_hz)
+
+    def damping_ratios(self, modes: int) -> Float[np.ndarray, " modes"]:
+        return np.full(self._one(modes), self.damping_ratio)
+
+    def shapes(self, positions_m: Float[np.ndarray, " stations"], modes: int) -> Float[np.ndarray, "stations modes"]:
+        return np.full((len(positions_m), self._one(modes)), 1 / np.sqrt(self.mass_kg))
+
+    def _one(self, modes: int) -> int:
+        if modes != 1:
+            raise RigError(f"oscillator {self.name!r}: {modes} modes asked for; it has exactly one")
+        return modes

@@ -1,0 +1,296 @@
+"""The reference plant: Exudyn, beams of ANCF cable elements, dead-zone connectors. The only import of exudyn."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import eigh
+
+from rig.beam import Beam
+from rig.contact import DeadZone
+from rig.description import Body, Rig, Station, contact_stations, stations_of
+from rig.errors import RigError
+from rig.motion import Motion, Progress
+
+ELEMENTS = 20
+BLOCK_STEPS = 4096
+AXIAL_FACTOR = 1e-2
+"""On the axial stiffness, whose waves would otherwise set the step; bending frequencies move by less than 1e-6."""
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A body in Exudyn: its nodes, where they stand, and which coordinates of a node are transverse (value, slope)."""
+
+    body: Body
+    positions_m: Float[np.ndarray, " nodes"]
+    nodes: tuple[int, ...]
+
+    def node_at(self, position_m: float) -> int:
+        return self.nodes[int(np.argmin(np.abs(self.positions_m - position_m)))]
+
+    def row(self, position_m: float) -> Float[np.ndarray, " transverse"]:
+        """Weights of (value, slope) of every node in the transverse motion at a position: cubic Hermite shapes."""
+        if not isinstance(self.body, Beam):
+            return np.ones(1)
+        x = self.positions_m
+        i = int(np.clip(np.searchsorted(x, position_m, side="right") - 1, 0, len(x) - 2))
+        h = x[i + 1] - x[i]
+        s = (position_m - x[i]) / h
+        weights = np.zeros(2 * len(x))
+        weights[2 * i : 2 * i + 4] = (
+            1 - 3 * s**2 + 2 * s**3,
+            h * (s - 2 * s**2 + s**3),
+            3 * s**2 - 2 * s**3,
+            h * (s**3 - s**2),
+        )
+        return weights
+
+    @property
+    def transverse(self) -> list[int]:
+        """Of a node's coordinates (x, y, slope x, slope y), those of the transverse motion."""
+        return [1, 3] if isinstance(self.body, Beam) else [0]
+
+
+def simulate(
+    rig: Rig, force_n: Float[np.ndarray, " samples"], step_s: float, progress: Progress, elements: int = ELEMENTS
+) -> Iterator[Motion]:
+    """The motion from rest, with about `elements` elements a beam and a node at every contact and at the force.
+
+    Generalized-alpha (spectral radius 0.9) at a fixed step; use a dyadic one, so that time adds up exactly. Each beam
+    has the damping matrix M Phi diag(2 zeta omega) Phi' M of its finite elements, hence the same damping ratio in
+    every elastic mode and none in the rigid ones. The solver runs in stretches of 4096 steps, each continued from the
+    coordinates, velocities and accelerations of the one before.
+
+    Yields one Motion a stretch. Raises RigError if the solver fails or the motion is not finite.
+    """
+    import exudyn as exu
+
+    exu.config.printToConsole = False
+    exu.config.suppressWarnings = True
+    container = exu.SystemContainer()
+    try:
+        mbs = container.AddSystem()
+        meshes, connectors, load = _build(exu, mbs, rig, float(force_n[0]), elements)
+        kinds = ["displacement", *sorted({s.quantity for s in rig.sensors} - {"displacement"})]
+        readers = {kind: _read_nodes(exu, mbs, meshes, kind) for kind in kinds}
+        force_readers = [
+            mbs.AddSensor(_item("SensorObject")(objectNumber=c, storeInternal=True, outputVariableType=exu.OutputVariableType.Force))
+            for c in connectors
+        ]
+
+        def apply_force(system: Any, time_s: float) -> bool:
+            system.SetLoadParameter(load, "load", float(force_n[round(time_s / step_s)]))
+            return True
+
+        mbs.SetPreStepUserFunction(apply_force)
+        mbs.Assemble()
+        settings = _settings(exu, step_s)
+        rows = {s: _row(meshes, s) for s in {*stations_of(rig), *(sensor.station for sensor in rig.sensors)}}
+        for first in range(0, len(force_n) - 1, BLOCK_STEPS):
+            last = min(first + BLOCK_STEPS, len(force_n) - 1)
+            _advance(exu, mbs, settings, first, last, step_s)
+            keep = slice(0 if first == 0 else 1, None)
+            moved = {kind: read()[:, keep] for kind, read in readers.items()}
+            if not all(np.isfinite(m).all() for m in moved.values()):
+                raise RigError(f"the ancf plant diverged before {last * step_s:.3f} s at step {step_s} s; use a smaller step")
+            displaced = {s: row @ moved["displacement"] for s, row in rows.items()}
+            count = moved["displacement"].shape[1]
+            yield Motion(
+                start_s=(first + (0 if first == 0 else 1)) * step_s,
+                step_s=step_s,
+                force_n=force_n[last + 1 - count : last + 1],
+                sensed=_stack([rows[s.station] @ moved[s.quantity] for s in rig.sensors], count),
+                displacement_m=_stack([displaced[s] for s in stations_of(rig)], count),
+                eta_m=_stack([displaced[c.at] - (displaced[c.against] if c.against else 0) for c in rig.contacts], count),
+                contact_force_n=_stack([mbs.GetSensorStoredData(s)[keep, 1] for s in force_readers], count),
+            )
+            progress(last / (len(force_n) - 1))
+    finally:
+        container.Reset()
+
+
+def _build(exu: Any, mbs: Any, rig: Rig, first_force_n: float, elements: int) -> tuple[list[Mesh], list[int], int]:
+    """Bodies, damping, contacts and the load; returns the meshes, the contact connectors and the load's number."""
+    ground = mbs.AddMarker(
+        _item("MarkerNodeCoordinate")(nodeNumber=mbs.AddNode(_item("NodePointGround")()), coordinate=0)
+    )
+    meshes = [_add_body(mbs, rig, body, ground, elements) for body in rig.bodies]
+    _add_damping(mbs, meshes)
+
+    def marker(station: Station | None) -> int:
+        if station is None:
+            return ground
+        mesh = next(m for m in meshes if m.body.name == station.body)
+        return int(
+            mbs.AddMarker(
+                _item("MarkerNodeCoordinate")(
+                    nodeNumber=mesh.node_at(station.position_m), coordinate=mesh.transverse[0]
+                )
+            )
+        )
+
+    connectors = [_add_contact(exu, mbs, marker(c.against), marker(c.at), c.law) for c in rig.contacts]
+    load = mbs.AddLoad(_item("LoadCoordinate")(markerNumber=marker(rig.force_at), load=first_force_n))
+    return meshes, connectors, load
+
+
+def _add_body(mbs: Any, rig: Rig, body: Body, ground: int, elements: int) -> Mesh:
+    def fix(node: int, coordinates: tuple[int, ...]) -> None:
+        for coordinate in coordinates:
+            marker = mbs.AddMarker(_item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=coordinate))
+            mbs.AddObject(_item("CoordinateConstraint")(markerNumbers=[ground, marker]))
+
+    if not isinstance(body, Beam):
+        node = mbs.AddNode(_item("Node1D")(referenceCoordinates=[0.0]))
+        mbs.AddObject(_item("Mass1D")(nodeNumber=node, physicsMass=body.mass_kg))
+        marker = mbs.AddMarker(_item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=0))
+        mbs.AddObject(
+            _item("CoordinateSpringDamper")(
+                markerNumbers=[ground, marker], stiffness=body.stiffness_n_per_m, damping=body.damping_n_s_per_m
+            )
+        )
+        return Mesh(body, np.zeros(1), (node,))
+    positions = _mesh_positions(rig, body, elements)
+    nodes = tuple(mbs.AddNode(_item("NodePoint2DSlope1")(referenceCoordinates=[x, 0, 1, 0])) for x in positions)
+    for (left, right), length in zip(pairwise(nodes), np.diff(positions), strict=True):
+        mbs.AddObject(
+            _item("ObjectANCFCable2D")(
+                nodeNumbers=[left, right],
+                physicsLength=length,
+                physicsMassPerLength=body.mass_per_length_kg_per_m,
+                physicsBendingStiffness=body.bending_stiffness_n_m2,
+                physicsAxialStiffness=AXIAL_FACTOR * body.youngs_modulus_pa * body.width_m * body.thickness_m,
+            )
+        )
+    fix(nodes[0], (0, 1, 3) if body.ends == "clamped-free" else (0,))
+    return Mesh(body, positions, nodes)
+
+
+def _mesh_positions(rig: Rig, beam: Beam, elements: int) -> Float[np.ndarray, " nodes"]:
+    places = [s.position_m for c in rig.contacts for s in contact_stations(c) if s.body == beam.name]
+    if rig.force_at.body == beam.name:
+        places.append(rig.force_at.position_m)
+    corners = np.unique([0.0, beam.length_m, *places])
+    largest = beam.length_m / elements * (1 + 1e-9)
+    pieces = [np.linspace(a, b, int(np.ceil((b - a) / largest)) + 1)[:-1] for a, b in pairwise(corners)]
+    return np.append(np.concatenate(pieces), beam.length_m)
+
+
+def _add_damping(mbs: Any, meshes: list[Mesh]) -> None:
+    """The same damping ratio for every elastic mode of the finite elements, as a damping matrix on the beam's nodes."""
+    mbs.Assemble()
+    mass, stiffness, _ = mbs.ComputeLinearizedSystem()
+    first = 0
+    for mesh in meshes:
+        size = 4 * len(mesh.nodes) if isinstance(mesh.body, Beam) else 1
+        if isinstance(mesh.body, Beam):
+            transverse = np.array([4 * i + c for i in range(len(mesh.nodes)) for c in mesh.transverse])
+            free = transverse[2:] if mesh.body.ends == "clamped-free" else transverse
+            inside = np.ix_(first + free, first + free)
+            squares, shapes = eigh(stiffness[inside], mass[inside])
+            rate = 2 * mesh.body.damping_ratio * np.sqrt(np.maximum(squares, 0))
+            rate[: mesh.body.rigid_modes] = 0
+            momentum = mass[inside] @ shapes
+            damping = np.zeros((size, size))
+            damping[np.ix_(free, free)] = (momentum * rate) @ momentum.T
+            mbs.AddObject(_item("ObjectGenericODE2")(nodeNumbers=list(mesh.nodes), dampingMatrix=damping))
+        first += size
+
+
+def _add_contact(exu: Any, mbs: Any, against: int, at: int, law: DeadZone) -> int:
+    """A connector whose force is the dead zone, as a symbolic user function that runs in C++."""
+    from exudyn.advancedUtilities import CreateSymbolicUserFunction
+
+    connector = mbs.AddObject(
+        _item("CoordinateSpringDamper")(
+            markerNumbers=[against, at], stiffness=law.stiffness_n_per_m, damping=law.damping_n_s_per_m
+        )
+    )
+    symbolic = exu.symbolic
+
+    def dead_zone(system, t, number, eta, rate, stiffness, damping, offset):  # type: ignore[no-untyped-def]  # noqa: ARG001
+        above = stiffness * (eta - law.upper_clearance_m) + damping * rate
+        below = stiffness * (eta + law.lower_clearance_m) + damping * rate
+        inside = symbolic.IfThenElse(eta < -law.lower_clearance_m, below, symbolic.Real(0.0))
+        return symbolic.IfThenElse(eta > law.upper_clearance_m, above, inside)
+
+    function = CreateSymbolicUserFunction(mbs, dead_zone, "springForceUserFunction", connector)
+    mbs.SetObjectParameter(connector, "springForceUserFunction", function)
+    mbs.variables[f"law of connector {connector}"] = function  # Exudyn does not keep it alive
+    return int(connector)
+
+
+def _read_nodes(exu: Any, mbs: Any, meshes: list[Mesh], kind: str) -> Callable[[], Float[np.ndarray, "rows samples"]]:
+    """Sensors on every node for one kind of motion; the returned function gives all transverse coordinates."""
+    suffix = {"displacement": "", "velocity": "_t", "acceleration": "_tt"}[kind]
+    output = getattr(exu.OutputVariableType, "Coordinates" + suffix)
+    sensors = [
+        (mbs.AddSensor(_item("SensorNode")(nodeNumber=node, storeInternal=True, outputVariableType=output)), mesh)
+        for mesh in meshes
+        for node in mesh.nodes
+    ]
+
+    def read() -> Float[np.ndarray, "rows samples"]:
+        stored = [np.asarray(mbs.GetSensorStoredData(s))[:, [1 + c for c in mesh.transverse]].T for s, mesh in sensors]
+        return np.concatenate(stored)
+
+    return read
+
+
+def _row(meshes: list[Mesh], station: Station) -> Float[np.ndarray, " rows"]:
+    return np.concatenate(
+        [
+            mesh.row(station.position_m if mesh.body.name == station.body else 0.0)
+            * (mesh.body.name == station.body)
+            for mesh in meshes
+        ]
+    )
+
+
+def _settings(exu: Any, step_s: float) -> Any:
+    settings = exu.SimulationSettings()
+    integration = settings.timeIntegration
+    integration.generalizedAlpha.spectralRadius = 0.9
+    integration.newton.useModifiedNewton = True
+    integration.newton.relativeTolerance = 1e-5
+    integration.newton.absoluteTolerance = 1e-6  # newtons; rounding alone leaves 2e-8
+    integration.adaptiveStep = False
+    integration.verboseMode = 0
+    settings.linearSolverType = exu.LinearSolverType.EigenSparse
+    settings.solutionSettings.writeSolutionToFile = False
+    settings.solutionSettings.sensorsWritePeriod = step_s
+    return settings
+
+
+def _advance(exu: Any, mbs: Any, settings: Any, first: int, last: int, step_s: float) -> None:
+    integration = settings.timeIntegration
+    integration.startTime = first * step_s
+    integration.endTime = last * step_s
+    integration.numberOfSteps = last - first
+    integration.generalizedAlpha.computeInitialAccelerations = first == 0
+    integration.generalizedAlpha.resetAccelerations = first == 0
+    try:
+        solved = mbs.SolveDynamic(settings, updateInitialValues=True)
+    except exu.SolverError as error:
+        solved, reason = False, str(error).strip().splitlines()[-1]
+    else:
+        reason = "no reason given"
+    if not solved:
+        raise RigError(
+            f"the ancf plant failed between {first * step_s:.3f} and {last * step_s:.3f} s at step {step_s} s "
+            f"({reason}); use a smaller step or a softer contact"
+        )
+
+
+def _item(name: str) -> Any:
+    from exudyn import itemInterface
+
+    return getattr(itemInterface, name)
+
+
+def _stack(rows: list[Float[np.ndarray, " samples"]], samples: int) -> Float[np.ndarray, "rows samples"]:
+    return np.stack(rows) if rows else np.zeros((0, samples))

@@ -1,0 +1,148 @@
+"""From true motion to what a channel delivers: anti-aliasing, delay, gain, noise, range, quantisation."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.signal import upfirdn
+from scipy.signal.windows import kaiser
+
+from rig.description import Quantity, Rig, Sensor
+from rig.errors import RigError
+from rig.motion import Motion
+
+HALF_WIDTH = 16
+"""Half the anti-aliasing filter's length, in samples of the recording."""
+PASSBAND = 0.4
+"""The chain is flat within 1e-5 up to this fraction of the sampling rate (and down by 100 dB at 1 - PASSBAND)."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """A stretch of a recording: the force and, per quantity, one row per sensor of that quantity; and the truth."""
+
+    force_n: Float[np.ndarray, " samples"]
+    sensed: dict[Quantity, Float[np.ndarray, "sensors samples"]]
+    truth: dict[str, Float[np.ndarray, "rows samples"]]
+
+
+def sensors_of(rig: Rig, quantity: Quantity) -> tuple[Sensor, ...]:
+    return tuple(s for s in rig.sensors if s.quantity == quantity)
+
+
+def quantities_of(rig: Rig) -> tuple[Quantity, ...]:
+    return tuple(dict.fromkeys(s.quantity for s in rig.sensors))
+
+
+def needed_duration_s(rig: Rig, duration_s: float) -> float:
+    """How long a plant must run so that the filter can deliver `duration_s` of samples."""
+    return duration_s + (HALF_WIDTH + _longest_delay(rig) + 1) / rig.sample_rate_hz
+
+
+def digitised(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> Iterator[Samples]:
+    """Samples every channel of the rig at its sampling rate, block by block.
+
+    Each channel is filtered before sampling by a windowed sinc, symmetric about its own delay, so a channel without
+    delay shows the motion of its own instant: linear phase, taken out. The truth is sampled as it is.
+
+    Raises RigError unless the plant's rate is a multiple of the sampling rate.
+    """
+    taps: list[Float[np.ndarray, " taps"]] = []
+    queue = np.zeros((0, 0))
+    reach = 0
+    for block in blocks:
+        if not taps:
+            factor = _factor(rig, block.step_s)
+            reach = (HALF_WIDTH + _longest_delay(rig)) * factor
+            delays = [0.0, *(s.delay_s for s in rig.sensors)]
+            taps = [_taps(factor, reach, delay * rig.sample_rate_hz) for delay in delays]
+            queue = np.zeros((1 + len(rig.sensors) + _truth_rows(block), reach))  # at rest before the record
+        queue = np.concatenate([queue, _stacked(block)], axis=1)
+        ready = (queue.shape[1] - 2 * reach - 1) // factor + 1
+        if ready > 0:
+            yield _sampled(rig, block, queue, taps, factor, reach, ready, rng)
+            queue = queue[:, ready * factor :]
+
+
+def _sampled(
+    rig: Rig,
+    block: Motion,
+    queue: Float[np.ndarray, "rows steps"],
+    taps: list[Float[np.ndarray, " taps"]],
+    factor: int,
+    reach: int,
+    ready: int,
+    rng: np.random.Generator,
+) -> Samples:
+    first = 2 * reach // factor
+    filtered = [upfirdn(tap, row, down=factor)[first : first + ready] for tap, row in zip(taps, queue, strict=False)]
+    sensed = {
+        quantity: np.stack(
+            [
+                _delivered(sensor, row, rig.sample_rate_hz, rng)
+                for sensor, row in zip(rig.sensors, filtered[1:], strict=True)
+                if sensor.quantity == quantity
+            ]
+        )
+        for quantity in quantities_of(rig)
+    }
+    truth = queue[len(taps) :, reach : reach + ready * factor : factor]
+    ends = np.cumsum([len(block.displacement_m), len(block.eta_m)])
+    displacement, eta, contact_force = np.split(truth, ends)
+    return Samples(
+        force_n=filtered[0],
+        sensed=sensed,
+        truth={"displacement": displacement, "relative_displacement": eta, "contact_force": contact_force},
+    )
+
+
+def _delivered(
+    sensor: Sensor, motion: Float[np.ndarray, " samples"], sample_rate_hz: float, rng: np.random.Generator
+) -> Float[np.ndarray, " samples"]:
+    noise = sensor.noise_density * np.sqrt(sample_rate_hz / 2)
+    values = sensor.gain * motion + (noise * rng.standard_normal(motion.size) if noise else 0.0)
+    if sensor.measuring_range is not None:
+        values = np.clip(values, -sensor.measuring_range, sensor.measuring_range)
+        if sensor.bits is not None:
+            step = 2 * sensor.measuring_range / 2**sensor.bits
+            values = np.round(values / step) * step
+    return values
+
+
+def _taps(factor: int, reach: int, delay_samples: float) -> Float[np.ndarray, " taps"]:
+    """Windowed sinc at the plant's rate, cut off at half the sampling rate, centred `delay_samples` late."""
+    time = np.arange(-reach, reach + 1) / factor - delay_samples
+    half = HALF_WIDTH + 0.5 / factor
+    inside = np.abs(time) < half
+    window = np.zeros(time.size)
+    grid = np.linspace(-half, half, 4096)
+    window[inside] = np.interp(time[inside], grid, kaiser(grid.size, 10.0))
+    taps = window * np.sinc(time)
+    if factor == 1 and delay_samples == 0:
+        return (time == 0).astype(float)
+    return taps / taps.sum()
+
+
+def _factor(rig: Rig, step_s: float) -> int:
+    factor = round(1 / (step_s * rig.sample_rate_hz))
+    if factor < 1 or abs(factor * step_s * rig.sample_rate_hz - 1) > 1e-9:
+        raise RigError(
+            f"sample_rate_hz is {rig.sample_rate_hz} and the plant's step {step_s} s; "
+            "1/step must be a whole multiple of the sampling rate"
+        )
+    return factor
+
+
+def _longest_delay(rig: Rig) -> int:
+    return int(np.ceil(max((abs(s.delay_s) for s in rig.sensors), default=0.0) * rig.sample_rate_hz))
+
+
+def _stacked(block: Motion) -> Float[np.ndarray, "rows steps"]:
+    return np.concatenate(
+        [block.force_n[None, :], block.sensed, block.displacement_m, block.eta_m, block.contact_force_n]
+    )
+
+
+def _truth_rows(block: Motion) -> int:
+    return len(block.displacement_m) + len(block.eta_m) + len(block.contact_force_n)
