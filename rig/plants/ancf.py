@@ -166,7 +166,10 @@ def _add_body(mbs: Any, rig: Rig, body: Body, ground: int, elements: int) -> Mes
                 physicsAxialStiffness=AXIAL_FACTOR * body.youngs_modulus_pa * body.width_m * body.thickness_m,
             )
         )
-    fix(nodes[0], (0, 1, 3) if body.ends == "clamped-free" else (0,))
+    if body.ends == "clamped-free":
+        fix(nodes[0], (0, 1, 3))
+    else:  # hold the middle lengthwise: there the axial reaction has no lever about the beam's centre
+        fix(nodes[int(np.argmin(np.abs(positions - body.length_m / 2)))], (0,))
     return Mesh(body, positions, nodes)
 
 
