@@ -46,8 +46,6 @@ class DeadZone(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         return self.stiffness_n_per_m * depth + np.where(depth != 0, self.damping_n_s_per_m * rate_m_per_s, 0.0)
 
 
-def dead_zone(
-    eta_m: Float[np.ndarray, "*shape"], lower_m: float, upper_m: float
-) -> Float[np.ndarray, "*shape"]:
+def dead_zone(eta_m: Float[np.ndarray, "*shape"], lower_m: float, upper_m: float) -> Float[np.ndarray, "*shape"]:
     """eta - upper above the upper stop, eta + lower below the lower one, zero between; metres."""
     return eta_m - np.clip(eta_m, -lower_m, upper_m)

@@ -55,8 +55,10 @@ class Sensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
             raise RigError(f"sensor {self.name!r}: delay_s is {self.delay_s}; give a finite value")
         if not (np.isfinite(self.noise_density) and self.noise_density >= 0):
             raise RigError(f"sensor {self.name!r}: noise_density is {self.noise_density}; give zero or above")
-        if self.measuring_range is not None and not self.measuring_range > 0:
-            raise RigError(f"sensor {self.name!r}: measuring_range is {self.measuring_range}; give a value above zero")
+        if self.measuring_range is not None and not 0 < self.measuring_range < np.inf:
+            raise RigError(
+                f"sensor {self.name!r}: measuring_range is {self.measuring_range}; give a finite value above zero"
+            )
         if self.bits is not None and (self.measuring_range is None or not 2 <= self.bits <= 32):
             raise RigError(f"sensor {self.name!r}: bits is {self.bits}; give 2 to 32, together with a measuring_range")
 
@@ -100,9 +102,7 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     def _check_station(self, what: str, station: Station) -> None:
         body = self.body(station.body)
         if not 0 <= station.position_m <= body.length_m:
-            raise RigError(
-                f"{what} stands at {station.position_m} m, off {body.name!r}; give 0 to {body.length_m} m"
-            )
+            raise RigError(f"{what} stands at {station.position_m} m, off {body.name!r}; give 0 to {body.length_m} m")
 
 
 def contact_stations(contact: Contact) -> tuple[Station, ...]:

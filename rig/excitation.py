@@ -9,6 +9,8 @@ from rig.errors import RigError
 
 QUIET_S = 1.0
 """Every recording begins with a second without force: what is heard there is not the force's doing."""
+RISE_S = 1 / 32
+"""Over which noise and multisine set in: a jump would make the motion depend on the step that it happens in."""
 
 
 class _Band(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -28,17 +30,17 @@ class _Band(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
             raise RigError(f"excitation: seed is {self.seed}; give zero or above")
 
 
-class BandLimitedGaussian(_Band, tag="gaussian"):
+class BandLimitedGaussian(_Band, frozen=True, tag="gaussian"):
     """Gaussian noise with a flat spectrum in the band and none outside: the paper's excitation.
 
     Drawn line by line in the frequency domain, so the force does not depend on the step at which it is asked for.
     """
 
     def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
-        return _scaled(_noise(samples, step_s, self), self.rms_n)
+        return _scaled(_noise(samples, step_s, self) * _rise(samples, step_s), self.rms_n)
 
 
-class BurstRandom(_Band, tag="burst"):
+class BurstRandom(_Band, frozen=True, tag="burst"):
     """The band-limited Gaussian force, on for `on_fraction` of each period and off for the rest."""
 
     period_s: float = 4.0
@@ -51,15 +53,15 @@ class BurstRandom(_Band, tag="burst"):
         return _scaled(noise * np.sin(np.pi / 2 * edge) ** 2, self.rms_n)
 
 
-class Sweep(_Band, tag="sweep"):
+class Sweep(_Band, frozen=True, tag="sweep"):
     """A linear sine sweep from the lower to the upper end of the band over the whole record."""
 
     def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
         time_s = np.arange(samples) * step_s
-        return _scaled(chirp(time_s, self.low_hz, max(time_s[-1], step_s), self.high_hz, phi=-90), self.rms_n)
+        return _scaled(chirp(time_s, self.low_hz, samples * step_s, self.high_hz, phi=-90), self.rms_n)
 
 
-class Multisine(_Band, tag="multisine"):
+class Multisine(_Band, frozen=True, tag="multisine"):
     """A periodic sum of sines of equal amplitude and random phase on every line of 1/period in the band."""
 
     period_s: float = 8.0
@@ -72,10 +74,10 @@ class Multisine(_Band, tag="multisine"):
         total = np.zeros(samples)
         for line, phase in zip(lines, phases, strict=True):
             total += np.cos(2 * np.pi * line / self.period_s * time_s + phase)
-        return total * self.rms_n * np.sqrt(2 / max(len(lines), 1))
+        return total * _rise(samples, step_s) * self.rms_n * np.sqrt(2 / max(len(lines), 1))
 
 
-class FreeDecay(_Band, tag="free_decay"):
+class FreeDecay(_Band, frozen=True, tag="free_decay"):
     """One half-sine blow of length 1/(2 high_hz) and peak rms_n * sqrt(2), then nothing: the rig decays freely."""
 
     def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
@@ -101,9 +103,7 @@ def excitation_of(kind: str, *, rms_n: float, low_hz: float, high_hz: float, see
     return _KINDS[kind](rms_n=rms_n, low_hz=low_hz, high_hz=high_hz, seed=seed)
 
 
-def force_history(
-    excitation: Excitation, duration_s: float, step_s: float
-) -> Float[np.ndarray, " samples"]:
+def force_history(excitation: Excitation, duration_s: float, step_s: float) -> Float[np.ndarray, " samples"]:
     """The force in newtons at 0, step, 2 step, ... below the duration: a quiet second, then the excitation.
 
     Raises RigError if the record is not longer than the quiet second or the band reaches beyond half the step rate.
@@ -122,11 +122,17 @@ def _noise(samples: int, step_s: float, band: _Band) -> Float[np.ndarray, " samp
     period_s = samples * step_s
     first, last = max(int(np.ceil(band.low_hz * period_s)), 1), int(np.floor(band.high_hz * period_s))
     if last < first:
-        raise RigError(f"excitation: no line of {band.low_hz} to {band.high_hz} Hz fits {period_s:.3g} s; record longer")
+        raise RigError(
+            f"excitation: no line of {band.low_hz} to {band.high_hz} Hz fits {period_s:.3g} s; record longer"
+        )
     lines = np.random.default_rng(band.seed).standard_normal((last - first + 1, 2))
     spectrum = np.zeros(samples // 2 + 1, dtype=complex)
     spectrum[first : last + 1] = lines[:, 0] + 1j * lines[:, 1]
     return np.fft.irfft(spectrum, samples)
+
+
+def _rise(samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+    return np.sin(np.pi / 2 * np.clip(np.arange(samples) * step_s / RISE_S, 0, 1)) ** 2
 
 
 def _scaled(force: Float[np.ndarray, " samples"], rms_n: float) -> Float[np.ndarray, " samples"]:

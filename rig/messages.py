@@ -34,7 +34,9 @@ class Block:
     values: Float[np.ndarray, "channels samples"]
 
 
-def encode_block(time_ns: int, first_sample: int, sample_rate_hz: float, values: Float[np.ndarray, "channels samples"]) -> bytes:
+def encode_block(
+    time_ns: int, first_sample: int, sample_rate_hz: float, values: Float[np.ndarray, "channels samples"]
+) -> bytes:
     message = _Block(first_sample=first_sample, sample_rate_hz=sample_rate_hz, channels=values.shape[0])
     message.timestamp.FromNanoseconds(time_ns)
     # a packed double field is its tag, its length in bytes and the little-endian doubles: appended whole, since

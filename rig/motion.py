@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -30,6 +30,7 @@ class Motion:
     contact_force_n: Float[np.ndarray, "contacts samples"]
 
 
+@runtime_checkable
 class Plant(Protocol):
     """How a rig is simulated: from rest, under a force given at multiples of the step."""
 

@@ -24,11 +24,12 @@ def record(
 ) -> None:
     """Simulates the rig and writes the recording to `path` and what only a simulator knows to the truth file beside.
 
-    The plant runs a little longer than duration_s, as the anti-aliasing filter needs samples on both sides. The sensors'
-    noise comes from the excitation's seed. Raises RigError where the rig cannot be simulated so or the file not written.
+    The plant runs a little longer than duration_s, as the anti-aliasing filter needs samples on both sides. The
+    sensors' noise comes from the excitation's seed. Raises RigError where the rig cannot be simulated so or the file
+    not written.
     """
     samples = round(duration_s * rig.sample_rate_hz)
-    force = force_history(excitation, needed_duration_s(rig, duration_s), step_s)
+    force = force_history(excitation, needed_duration_s(rig, samples / rig.sample_rate_hz), step_s)
     plant_name = getattr(plant, "__module__", "").rsplit(".", 1)[-1]
     provenance = {
         "made_by": "rig record",

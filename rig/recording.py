@@ -1,13 +1,12 @@
 """A recording and its MCAP file: the only thing that passes between rig and identify. Sole owner of the layout."""
 
-import io
 import json
 import struct
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -24,6 +23,7 @@ BLOCK = 1024
 CHUNK_BYTES = 128 * 1024
 PREVIEW_HZ = 100.0
 RIG_NAME = "rig.json"
+
 
 @dataclass(frozen=True)
 class Channels:
@@ -73,7 +73,9 @@ class Recording:
 class RecordingWriter:
     """Appends samples group by group and stores them as blocks of 1024 samples, with a decimated preview beside."""
 
-    def __init__(self, stream: io.BufferedIOBase, rig: Rig, groups: Mapping[str, Channels], provenance: Mapping[str, str]):
+    def __init__(
+        self, stream: IO[bytes], rig: Rig, groups: Mapping[str, Channels], provenance: Mapping[str, str]
+    ) -> None:
         self._writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
         self._writer.start(profile="", library="rig")
         text = to_json(rig)
@@ -237,7 +239,7 @@ def _scan(path: Path) -> tuple[_Header, dict[str, list[messages.Block]]]:
             if isinstance(error, RigError):
                 raise
             raise RigError(f"{path}: is damaged ({error}); restore it from a copy") from error
-        except (McapError, struct.error, EOFError, RuntimeError, KeyError, IndexError) as error:
+        except (McapError, struct.error, EOFError, OSError, RuntimeError, KeyError, IndexError) as error:
             reason = f"{type(error).__name__}: {error}".rstrip(": ")
             raise RigError(f"{path}: is cut off or damaged ({reason}); restore it from a copy") from error
 
@@ -268,7 +270,8 @@ def _assembled(path: Path, name: str, channels: Channels, blocks: list[messages.
     for block in blocks:
         if block.first_sample != expected:
             raise RigError(
-                f"{path}: group {name} has samples {expected} to {block.first_sample} missing or doubled; record it again"
+                f"{path}: group {name} has samples {expected} to {block.first_sample} missing or doubled; "
+                "record it again"
             )
         if block.values.shape[0] != len(channels.names) or block.sample_rate_hz != channels.sample_rate_hz:
             raise RigError(f"{path}: a block of group {name} does not fit its channel's metadata; see the README")
@@ -299,8 +302,8 @@ def _check_against(path: Path, recording: Recording) -> None:
         for channel, station in zip(signal.channels.names, signal.channels.stations, strict=True):
             if channel not in believed or believed[channel].station != station:
                 raise RigError(
-                    f"{path}: channel {channel!r} of group {name} is no sensor of {RIG_NAME}, or stands elsewhere there; "
-                    "make them agree"
+                    f"{path}: channel {channel!r} of group {name} is no sensor of {RIG_NAME}, or stands elsewhere "
+                    "there; make them agree"
                 )
     for sensor in rig.sensors:
         if sensor.quantity not in signals or sensor.name not in signals[sensor.quantity].channels.names:

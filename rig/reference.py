@@ -24,7 +24,7 @@ class Sdof(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     sensors: Literal["both", "displacement", "acceleration"] = "both"
     noise_density: float = 0.0
     sample_rate_hz: float = 512.0
-    step_s: float = 2.0**-11
+    step_s: float = 2.0**-13
     duration_s: float = 825.0
     excitation: str = "gaussian"
     rms_n: float = 1.0
@@ -33,7 +33,7 @@ class Sdof(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
     def rig(self) -> Rig:
         mass = Station("mass")
-        quantities: tuple[Quantity, ...] = ("displacement", "acceleration") if self.sensors == "both" else (self.sensors,)
+        quantities = _quantities(self.sensors)
         law = _equal_sides(self.clearance_m, self.stiffness_n_per_m, self.contact_damping_n_s_per_m)
         return Rig(
             name="sdof",
@@ -73,7 +73,7 @@ class BarrelCradle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     noise_density: float = 0.0
     """Of the accelerometers, m/s^2/sqrt(Hz)."""
     sample_rate_hz: float = 4096.0
-    step_s: float = 2.0**-13
+    step_s: float = 2.0**-14
     duration_s: float = 60.0
     excitation: str = "gaussian"
     rms_n: float = 14.0
@@ -105,7 +105,7 @@ class BarrelCradle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
                 ("contact_2", reach, self.length_m, self.clearance_2_m, self.stiffness_2_n_per_m),
             )
         )
-        quantities: tuple[Quantity, ...] = ("displacement", "acceleration") if self.sensors == "both" else (self.sensors,)
+        quantities = _quantities(self.sensors)
         return Rig(
             name="barrel_cradle",
             bodies=beams,
@@ -160,6 +160,10 @@ def reference(scenario: str, settings: dict[str, str]) -> Sdof | BarrelCradle:
         return msgspec.convert(settings, kind, strict=False)
     except msgspec.ValidationError as error:
         raise RigError(f"{scenario}: {error}; see `rig record --help` for the settings") from error
+
+
+def _quantities(sensors: Quantity | Literal["both"]) -> tuple[Quantity, ...]:
+    return ("displacement", "acceleration") if sensors == "both" else (sensors,)
 
 
 def _equal_sides(clearance_m: float, stiffness_n_per_m: float, damping_n_s_per_m: float) -> DeadZone:

@@ -15,7 +15,7 @@ from rig.motion import Motion
 HALF_WIDTH = 16
 """Half the anti-aliasing filter's length, in samples of the recording."""
 PASSBAND = 0.4
-"""The chain is flat within 1e-5 up to this fraction of the sampling rate (and down by 100 dB at 1 - PASSBAND)."""
+"""The chain is flat within 2e-5 up to this fraction of the sampling rate (and down by 100 dB at 1 - PASSBAND)."""
 
 
 @dataclass(frozen=True)
@@ -44,11 +44,13 @@ def digitised(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> I
     """Samples every channel of the rig at its sampling rate, block by block.
 
     Each channel is filtered before sampling by a windowed sinc, symmetric about its own delay, so a channel without
-    delay shows the motion of its own instant: linear phase, taken out. The truth is sampled as it is.
+    delay shows the motion of its own instant: linear phase, taken out. The truth is sampled as it is. Each sensor has
+    its own stream of noise, drawn from `rng`.
 
     Raises RigError unless the plant's rate is a multiple of the sampling rate.
     """
     taps: list[Float[np.ndarray, " taps"]] = []
+    streams = rng.spawn(len(rig.sensors))
     queue = np.zeros((0, 0))
     reach = 0
     for block in blocks:
@@ -61,7 +63,7 @@ def digitised(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> I
         queue = np.concatenate([queue, _stacked(block)], axis=1)
         ready = (queue.shape[1] - 2 * reach - 1) // factor + 1
         if ready > 0:
-            yield _sampled(rig, block, queue, taps, factor, reach, ready, rng)
+            yield _sampled(rig, block, queue, taps, factor, reach, ready, streams)
             queue = queue[:, ready * factor :]
 
 
@@ -73,15 +75,15 @@ def _sampled(
     factor: int,
     reach: int,
     ready: int,
-    rng: np.random.Generator,
+    streams: list[np.random.Generator],
 ) -> Samples:
     first = 2 * reach // factor
     filtered = [upfirdn(tap, row, down=factor)[first : first + ready] for tap, row in zip(taps, queue, strict=False)]
     sensed = {
         quantity: np.stack(
             [
-                _delivered(sensor, row, rig.sample_rate_hz, rng)
-                for sensor, row in zip(rig.sensors, filtered[1:], strict=True)
+                _delivered(sensor, row, rig.sample_rate_hz, stream)
+                for sensor, row, stream in zip(rig.sensors, filtered[1:], streams, strict=True)
                 if sensor.quantity == quantity
             ]
         )

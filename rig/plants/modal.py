@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from functools import cache
-from typing import Any
+from typing import Any, no_type_check
 
 import numpy as np
 from jaxtyping import Float
@@ -23,8 +23,8 @@ def simulate(
     """The motion from rest, with `modes` modes a beam (a mass has one).
 
     Every mode obeys q'' + 2 zeta omega q' + omega^2 q = p with the modal force
-    p = phi(x_F) F - sum_j b_j f_j(eta_j, eta_j'), eta_j = b_j . q. Over a step p is taken as linear in time and the mode
-    is advanced exactly; the contact forces at the end of the step are found by fixed-point iteration, so the only
+    p = phi(x_F) F - sum_j b_j f_j(eta_j, eta_j'), eta_j = b_j . q. Over a step p is taken as linear in time and the
+    mode is advanced exactly; the contact forces at the end of the step are found by fixed-point iteration, so the only
     error, second order in the step, is that p bends within a step.
 
     Yields blocks of at most 2^14 samples. Raises RigError if a contact is too stiff for the step or the result is not
@@ -38,16 +38,15 @@ def simulate(
         previous = force_n[first - 1] if first else 0.0
         coordinates, contact_force = _compiled()(state, contact_n, previous, force, *model["kernel"])
         if not np.all(np.isfinite(coordinates)):
-            raise RigError(f"the modal plant diverged near {first * step_s:.3f} s at step {step_s} s; use a smaller step")
+            raise RigError(
+                f"the modal plant diverged near {first * step_s:.3f} s at step {step_s} s; use a smaller step"
+            )
         progress(min(1.0, (first + len(force)) / len(force_n)))
         yield Motion(
             start_s=first * step_s,
             step_s=step_s,
             force_n=force,
-            sensed=np.stack(
-                [row @ coordinates[order] for row, order in model["sensors"]]
-                or np.zeros((0, len(force)))
-            ),
+            sensed=np.array([row @ coordinates[order] for row, order in model["sensors"]]).reshape(-1, len(force)),
             displacement_m=model["stations"] @ coordinates[0],
             eta_m=model["contacts"] @ coordinates[0],
             contact_force_n=contact_force,
@@ -74,10 +73,7 @@ def _model(rig: Rig, step_s: float, modes: int) -> dict[str, Any]:
     zeta = np.concatenate([b.damping_ratios(n) for b, n in zip(rig.bodies, counts, strict=True)])
     propagate, from_start, from_end = _propagator(omega, zeta, step_s)
     contacts = np.array(
-        [
-            shape_row(rig, c.at, modes) - (shape_row(rig, c.against, modes) if c.against else 0)
-            for c in rig.contacts
-        ]
+        [shape_row(rig, c.at, modes) - (shape_row(rig, c.against, modes) if c.against else 0) for c in rig.contacts]
     ).reshape(len(rig.contacts), omega.size)
     laws = np.array(
         [
@@ -106,9 +102,7 @@ def _model(rig: Rig, step_s: float, modes: int) -> dict[str, Any]:
 
 def _propagator(
     omega: Float[np.ndarray, " modes"], zeta: Float[np.ndarray, " modes"], step_s: float
-) -> tuple[
-    Float[np.ndarray, "2 2 modes"], Float[np.ndarray, "2 modes"], Float[np.ndarray, "2 modes"]
-]:
+) -> tuple[Float[np.ndarray, "2 2 modes"], Float[np.ndarray, "2 modes"], Float[np.ndarray, "2 modes"]]:
     """Exact step of q, q' under a force linear in time: x1 = A x0 + B0 p0 + B1 p1 (augmented matrix exponential)."""
     augmented = np.zeros((omega.size, 4, 4))
     augmented[:, 0, 1] = step_s
@@ -126,7 +120,8 @@ def _compiled() -> Any:
     import numba
 
     @numba.njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
-    def advance(  # type: ignore[no-untyped-def]
+    @no_type_check  # numba compiles the plain function only
+    def advance(  # noqa: PLR0912
         state, contact_n, previous_n, force, propagate, from_start, from_end, drive, contacts, laws, reach, omega, zeta
     ):
         samples, modes, count = force.size, omega.size, laws.shape[0]

@@ -1,0 +1,119 @@
+"""The command `identify`."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, get_args
+
+import msgspec
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from identify.contact import Identification, identify_contact
+from identify.kinematics import Use
+from identify.results import ContactReport, Estimate, write_json
+from identify.spectra import POWERS, Averaging
+from identify.tolerances import NAMED
+from rig.command_line import progress_bar, refuse_existing, run
+from rig.recording import read
+
+app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False)
+
+
+@app.callback()
+def _group() -> None:
+    """Finds clearances and contact stiffnesses in recordings made by `rig record` or by a laboratory."""
+
+
+@app.command()
+def contact(
+    file: Annotated[Path, typer.Argument(help="The recording, an .mcap file.")],
+    out: Annotated[Path | None, typer.Option(help="Folder for contact.json and the figures.")] = None,
+    use: Annotated[str, typer.Option(help=f"Which sensors: {', '.join(get_args(Use))}.")] = "auto",
+    equation: Annotated[str | None, typer.Option(help='Main modal equation, e.g. "barrel 3".')] = None,
+    averages: Annotated[int, typer.Option(help="How many blocks to average over.")] = 40,
+    block: Annotated[float | None, typer.Option(help="Length of a block, s; otherwise from the averages.")] = None,
+    overlap: Annotated[float, typer.Option(help="Overlap of the blocks, 0 to below 1.")] = 0.5,
+    window: Annotated[str, typer.Option(help=f"Window: {', '.join(POWERS)}.")] = "hann",
+    tolerances: Annotated[
+        str, typer.Option(help="How exactly rig.json is believed, for the standard errors: laboratory or exact.")
+    ] = "laboratory",
+    band: Annotated[tuple[float, float] | None, typer.Option(help="Band of NIFO, Hz; otherwise the force's.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print contact.json on standard output.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite results in the folder.")] = False,
+) -> None:
+    """Clearance and stiffness of every contact of a recording.
+
+    Example: identify contact barrel_cradle.mcap --use acceleration --out results
+    """
+    if use not in get_args(Use):
+        raise typer.BadParameter(f"{use!r} is none of {', '.join(get_args(Use))}", param_hint="--use")
+    if tolerances not in NAMED:
+        raise typer.BadParameter(f"{tolerances!r} is none of {', '.join(NAMED)}", param_hint="--tolerances")
+    averaging = Averaging(averages=averages, block_s=block, overlap=overlap, window=window, band_hz=band)
+    if out is not None:
+        refuse_existing(out / "contact.json", force)
+    recording = read(file)
+    with progress_bar(f"identifying {file.name}") as progress:
+        found = identify_contact(
+            recording,
+            use=msgspec.convert(use, Use),
+            averaging=averaging,
+            equation=equation,
+            tolerances=NAMED[tolerances],
+            progress=progress,
+        )
+    if out is not None:
+        write_results(found, out)
+    if as_json:
+        sys.stdout.buffer.write(msgspec.json.encode(found.report) + b"\n")
+    else:
+        print_report(found.report, Console())
+
+
+def write_results(found: Identification, out: Path) -> None:
+    """contact.json and the figures; the figures show the contact laws of rig.json for comparison."""
+    from identify.plots import write_figures
+
+    out.mkdir(parents=True, exist_ok=True)
+    marks = {c.name: (c.law.clearance_m, c.law.stiffness_n_per_m) for c in found.rig.contacts}
+    write_figures(found, out, marks, "rig.json")
+    write_json(found.report, out / "contact.json")
+
+
+def print_report(report: ContactReport, console: Console) -> None:
+    """The answer as tables: contacts, then NIFO by modal equation."""
+    table = Table(title=f"Contacts of {report.rig}, modal equation {report.main_equation} (value ± standard error)")
+    for heading in ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m"):
+        table.add_column(heading, justify="left" if heading == "contact" else "right")
+    for found in report.contacts:
+        table.add_row(
+            found.name, _shown(found.clearance_m, 1e3), _shown(found.stiffness_n_per_m), _shown(found.damping_n_s_per_m)
+        )
+    console.print(table)
+    for silent in report.unanswered:
+        console.print(f"{silent.name}: not told by this record: {silent.reason}")
+    spectra = Table(title="NIFO by modal equation: spectral mean ± standard error, rms spread over frequency")
+    for heading in ("equation", "contact", "stiffness, N/m", "spread, %", ""):
+        spectra.add_column(heading)
+    for each in report.nifo:
+        for stiffness in each.stiffness:
+            spectra.add_row(
+                each.equation,
+                stiffness.contact,
+                _shown(stiffness.mean_n_per_m),
+                f"{100 * stiffness.rms_spread_n_per_m / abs(stiffness.mean_n_per_m.value):.2g}",
+                "nearly invisible" if stiffness.contact in each.nearly_invisible else "",
+            )
+    console.print(spectra)
+
+
+def _shown(estimate: Estimate, scale: float = 1.0) -> str:
+    """Value and standard error, to two digits of the error."""
+    value, error = scale * estimate.value, scale * estimate.standard_error
+    digits = max(0, 1 - int(f"{error:.0e}".split("e")[1])) if error > 0 else 6
+    return f"{value:.{digits}f} ± {error:.{digits}f}"
+
+
+def main() -> None:
+    run(app, "identify")

@@ -1,0 +1,239 @@
+"""Clearances, stiffness and damping of one contact, and the slow drift of its relative displacement, together."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.signal import resample
+from scipy.sparse import csr_matrix, diags, hstack, vstack
+from scipy.sparse.linalg import splu, spsolve
+
+from identify.drift import Drift, Spline, spline
+from identify.spectra import decimated
+from rig.contact import dead_zone
+from rig.errors import RigError
+
+PARTS = 16
+STEPS = 30
+FINE_HZ = 4096.0
+"""The contact force is evaluated at this rate at least, so that its kinks do not alias."""
+CLEAR_SHARE = 0.1
+"""A contact counts as clearly closed where its force exceeds this share of the force's 99.5 % quantile."""
+LEAST_CLOSED = 2e-3
+"""A contact that is clearly closed for a smaller share of the record is not told by it."""
+
+Doubt = tuple[Float[np.ndarray, " fewer"], Float[np.ndarray, " samples"]]
+"""What one standard deviation of an uncertain thing would add to the force and to the relative displacement."""
+
+
+@dataclass(frozen=True)
+class Observed:
+    """One contact as seen: relative displacement and velocity (m, m/s) and the separated force (N).
+
+    The force has been low-passed and is that of every `factor`-th sample. drift is None where nothing was lost.
+    """
+
+    eta_m: Float[np.ndarray, " samples"]
+    velocity_m_per_s: Float[np.ndarray, " samples"]
+    sample_rate_hz: float
+    force_n: Float[np.ndarray, " fewer"]
+    factor: int
+    drift: Drift | None
+
+    @property
+    def spring_n_per_m(self) -> float:
+        return 0.0 if self.drift is None else self.drift.spring_n_per_m
+
+    @property
+    def sides_known(self) -> bool:
+        return self.drift is None or self.drift.spring_n_per_m > 0
+
+
+@dataclass(frozen=True)
+class Joint:
+    """The estimate: parameters are lower and upper clearance (m), stiffness (N/m), damping (N s/m), with covariance.
+
+    sides_known says whether lower and upper are told apart; drift_m and drift_m_per_s are what was added to the
+    relative displacement and velocity; fitted_n is the low-passed force of the law found.
+    """
+
+    parameters: Float[np.ndarray, "4"]
+    covariance: Float[np.ndarray, "4 4"]
+    sides_known: bool
+    drift_m: Float[np.ndarray, " samples"]
+    drift_m_per_s: Float[np.ndarray, " samples"]
+    fitted_n: Float[np.ndarray, " fewer"]
+
+    @property
+    def clearance_m(self) -> float:
+        return float(self.parameters[:2].mean())
+
+    @property
+    def clearance_error_m(self) -> float:
+        return float(np.sqrt(self.covariance[:2, :2].sum()) / 2)
+
+
+def fit_joint(seen: Observed, doubts: Sequence[Doubt] = ()) -> Joint:
+    """Gauss-Newton on the low-passed residual, with a cubic spline b(t) for the drift and a spring to the ground:
+
+        residual = force - spring b - low-pass[k dz(eta + b; lower, upper) + c (eta' + b') where out of the gap]
+
+    b'' is held to what the accelerometers saw of it, within their noise. Where nothing holds the zero of the relative
+    displacement, lower = upper = half the total play. The start is a linear regression of eta on the force over the
+    samples at which the contact is clearly closed.
+
+    The covariance is a sandwich estimate over sixteenths of the record (residuals may be coloured), plus the square of
+    what each doubt would do.
+
+    Raises RigError if the contact is hardly ever closed or the fit does not converge.
+    """
+    curve = spline(seen.eta_m.size, seen.sample_rate_hz, seen.drift)
+    free = [0, 1, 2, 3] if seen.sides_known else [0, 2, 3]
+    tie = np.eye(4)[:, free]
+    if not seen.sides_known:
+        tie[1, 0] = 1.0
+    law, knots = _start(seen, curve)
+    noise_n = 0.02 * float(np.std(seen.force_n))
+    state = _linearised(seen, curve, law, knots)
+    for _ in range(3):
+        state = _descended(seen, curve, state, tie, noise_n)
+        before, noise_n = noise_n, float(np.std(state.residual))
+        if abs(noise_n / before - 1) < 0.1:
+            break
+    scale = _scales(state, free)
+    hessian, _ = _normal(state, curve, tie * scale, noise_n)
+    chosen = np.zeros((hessian.shape[0], len(free)))
+    chosen[-len(free) :] = np.eye(len(free))
+    inverse = splu(hessian.tocsc()).solve(chosen)
+    influence = (_jacobian(state, curve, tie * scale) @ inverse) / noise_n**2  # of each residual on each parameter
+    parts = zip(np.array_split(influence, PARTS), np.array_split(state.residual, PARTS), strict=True)
+    scores = np.array([i.T @ r for i, r in parts])
+    for force, eta in doubts:
+        moved = force - state.by_eta * eta[:: seen.factor][: force.size]
+        scores = np.concatenate([scores, (influence.T @ moved)[None, :]])
+    spread = tie * scale
+    return Joint(
+        parameters=state.law,
+        covariance=spread @ (scores.T @ scores) @ spread.T,
+        sides_known=seen.sides_known,
+        drift_m=curve.value @ state.knots,
+        drift_m_per_s=curve.rate @ state.knots,
+        fitted_n=state.fitted,
+    )
+
+
+@dataclass(frozen=True)
+class _State:
+    law: Float[np.ndarray, "4"]
+    knots: Float[np.ndarray, " knots"]
+    fitted: Float[np.ndarray, " fewer"]
+    residual: Float[np.ndarray, " fewer"]
+    by_law: Float[np.ndarray, "fewer 4"]
+    by_eta: Float[np.ndarray, " fewer"]
+    at_force: csr_matrix
+
+
+def _start(seen: Observed, curve: Spline) -> tuple[Float[np.ndarray, "4"], Float[np.ndarray, " knots"]]:
+    """Where the contact is clearly closed, eta + b = +-clearance + force / k: linear in clearance, 1/k and b."""
+    size = np.abs(seen.force_n)
+    at_force = curve.value[:: seen.factor][: size.size]
+    force = seen.force_n
+    closed = size > CLEAR_SHARE * np.quantile(size, 0.995)
+    if seen.spring_n_per_m:  # the drift's own force is in the measured one: leave it to Gauss-Newton
+        at_force = csr_matrix(at_force.shape)
+    if closed.mean() < LEAST_CLOSED:
+        raise RigError("the contact is closed for less than 0.2 % of the record; excite the rig more strongly")
+    eta = seen.eta_m[:: seen.factor][: size.size][closed]
+    columns = csr_matrix(np.stack([np.sign(force[closed]), force[closed]], axis=1))
+    fuzz_m = 1e-2 * float(np.std(eta))
+    rows = vstack(
+        [hstack([-at_force[closed], columns]) / fuzz_m, hstack([curve.curvature, csr_matrix((curve.target.size, 2))])]
+    ).tocsc()
+    target = np.concatenate([eta / fuzz_m, curve.target])
+    ridge = diags(np.r_[np.full(curve.knots, 1e-12 * (rows.T @ rows).diagonal().max()), np.zeros(2)])
+    found = spsolve((rows.T @ rows + ridge).tocsc(), rows.T @ target)
+    clearance, softness = found[-2:]
+    if not (np.isfinite(clearance) and softness > 0):
+        raise RigError("the force of this contact does not grow with its relative displacement; check rig.json")
+    return np.array([max(clearance, 0.0), max(clearance, 0.0), 1 / softness, 0.0]), found[:-2]
+
+
+def _linearised(
+    seen: Observed, curve: Spline, law: Float[np.ndarray, "4"], knots: Float[np.ndarray, " knots"]
+) -> _State:
+    lower, upper, stiffness, damping = law
+    eta, velocity = seen.eta_m + curve.value @ knots, seen.velocity_m_per_s + curve.rate @ knots
+    above, below = eta > upper, eta < -lower
+    outside = (above | below).astype(float)
+    parts = np.stack(
+        [stiffness * below, -stiffness * above, dead_zone(eta, lower, upper), velocity * outside, stiffness * outside]
+    )
+    low_passed = decimated(parts, seen.factor)[:, : seen.force_n.size]
+    fine = max(1, round(FINE_HZ / seen.sample_rate_hz))
+    depth = low_passed[2]
+    if fine > 1:
+        finer = dead_zone(resample(eta, fine * eta.size), lower, upper)
+        depth = decimated(finer, fine * seen.factor)[: seen.force_n.size]
+    fitted = stiffness * depth + damping * low_passed[3]
+    at_force = curve.value[:: seen.factor][: seen.force_n.size]
+    residual = seen.force_n - fitted - seen.spring_n_per_m * (at_force @ knots)
+    return _State(law, knots, fitted, residual, low_passed[:4].T, low_passed[4] + seen.spring_n_per_m, at_force)
+
+
+def _descended(
+    seen: Observed, curve: Spline, state: _State, mapped: Float[np.ndarray, "4 free"], noise_n: float
+) -> _State:
+    """Gauss-Newton with step halving, until the cost stands."""
+    free = [int(np.argmax(column)) for column in mapped.T]
+    for _ in range(STEPS):
+        cost = _cost(state, curve, noise_n)
+        to_law = mapped * _scales(state, free)
+        hessian, gradient = _normal(state, curve, to_law, noise_n)
+        step = spsolve(hessian.tocsc(), gradient)
+        for halving in range(12):
+            law = state.law + to_law @ step[curve.knots :] / 2**halving
+            if law[2] > 0 and law[:2].min() >= 0:
+                trial = _linearised(seen, curve, law, state.knots + step[: curve.knots] / 2**halving)
+                if _cost(trial, curve, noise_n) < cost:
+                    break
+        else:
+            return state
+        state = trial
+        if cost - _cost(state, curve, noise_n) < 1e-7 * cost:
+            return state
+    return state
+
+
+def _scales(state: _State, free: Sequence[int]) -> Float[np.ndarray, " free"]:
+    """Sizes of the parameters, so that the normal equations are well conditioned."""
+    gap = max(float(state.law[:2].mean()), 1e-9)
+    return np.array([gap, gap, state.law[2], 1e-3 * state.law[2]])[list(free)]
+
+
+def _cost(state: _State, curve: Spline, noise_n: float) -> float:
+    prior = curve.curvature @ state.knots - curve.target
+    return float(np.sum(state.residual**2) / noise_n**2 + np.sum(prior**2))
+
+
+def _jacobian(state: _State, curve: Spline, to_law: Float[np.ndarray, "4 free"]) -> csr_matrix:
+    """Of the fitted force, by the drift's knots and then by the free parameters of the law.
+
+    The low-pass acts on the slope of the law; the drift is slow against it.
+    """
+    by_knots = diags(state.by_eta) @ state.at_force
+    return (
+        hstack([by_knots, csr_matrix(state.by_law @ to_law)]).tocsr()
+        if curve.knots
+        else csr_matrix(state.by_law @ to_law)
+    )
+
+
+def _normal(
+    state: _State, curve: Spline, to_law: Float[np.ndarray, "4 free"], noise_n: float
+) -> tuple[csr_matrix, Float[np.ndarray, " unknowns"]]:
+    jacobian = _jacobian(state, curve, to_law)
+    rest = csr_matrix((curve.target.size, to_law.shape[1]))
+    prior = hstack([curve.curvature, rest]).tocsr() if curve.knots else rest
+    gradient = jacobian.T @ state.residual / noise_n**2 + prior.T @ (curve.target - curve.curvature @ state.knots)
+    return jacobian.T @ jacobian / noise_n**2 + prior.T @ prior, gradient

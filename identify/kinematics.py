@@ -1,0 +1,156 @@
+"""From what was measured at a station to its displacement, velocity and acceleration."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from rig.description import Quantity, Rig, Sensor, Station
+from rig.errors import RigError
+from rig.recording import Recording
+from rig.sensors import PASSBAND
+
+TAPER_S = 0.5
+CORNER_HZ = 0.5
+"""Below this an integrated acceleration is drift; it is cut off smoothly between half of it and itself."""
+
+_ORDER: dict[Quantity, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
+Use = Literal["auto", "displacement", "velocity", "acceleration"]
+
+
+@dataclass(frozen=True)
+class Kinematics:
+    """Motion of every station on one clock, from the first sample on; the record's end is left out.
+
+    trusted_hz is the band in which every row is right. zero_known says whether a constant displacement is seen.
+    """
+
+    stations: tuple[Station, ...]
+    channels: tuple[str, ...]
+    sample_rate_hz: float
+    trusted_hz: tuple[float, float]
+    zero_known: bool
+    force_n: Float[np.ndarray, " samples"]
+    displacement_m: Float[np.ndarray, "stations samples"]
+    velocity_m_per_s: Float[np.ndarray, "stations samples"]
+    acceleration_m_per_s2: Float[np.ndarray, "stations samples"]
+
+    @property
+    def excited_from(self) -> int:
+        """The first sample at which the force has begun."""
+        return int(np.argmax(np.abs(self.force_n) > 1e-3 * np.abs(self.force_n).max()))
+
+    def row(self, station: Station) -> int | None:
+        return self.stations.index(station) if station in self.stations else None
+
+
+def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNER_HZ) -> Kinematics:
+    """Displacement, velocity and acceleration at every station with a sensor.
+
+    In the frequency domain, with the end of the record tapered off: each sensor's gain and delay are divided out, and
+    what was not measured is had by multiplication with powers of i omega. Integration is cut off smoothly below the
+    corner. Each motion comes from the sensor that measured it, else from the nearest one that needs no integration.
+    `use` takes the sensors of one quantity only.
+
+    Raises RigError if no such sensor is there, or the record is too short for its ends to be left out.
+    """
+    rig, rate = recording.rig, recording.rig.sample_rate_hz
+    sensors = [s for s in rig.sensors if use in ("auto", s.quantity)]
+    if not sensors:
+        raise RigError(f"the recording has no {use} sensors; it has {', '.join(sorted(recording.signals))}")
+    stations = tuple(dict.fromkeys(s.station for s in sensors))
+    chosen = {s: {sensor.quantity: sensor for sensor in sensors if sensor.station == s} for s in stations}
+    integrates = any("displacement" not in have for have in chosen.values())
+    left_out = TAPER_S + (2 / corner_hz if integrates else 0.1)
+    usable = recording.samples - round(left_out * rate)
+    if usable < recording.samples / 2:
+        raise RigError(
+            f"the record lasts {recording.duration_s:.3g} s, of which {left_out:.3g} s at its end cannot be used; "
+            "record longer or raise the corner frequency"
+        )
+    taper = _taper(recording.samples, round(TAPER_S * rate))
+    omega = 2 * np.pi * np.fft.rfftfreq(recording.samples, 1 / rate)
+    spectra: dict[str, Complex[np.ndarray, " lines"]] = {}
+    rows: dict[int, list[Float[np.ndarray, " samples"]]] = {0: [], 1: [], 2: []}
+    used: list[str] = []
+    for station in stations:
+        for order, motion in rows.items():
+            sensor = _nearest(chosen[station], order)
+            if sensor.name not in spectra:
+                spectra[sensor.name] = _undone(sensor, _channel(recording, sensor) * taper, omega)
+                used.append(sensor.name)
+            factor = _power(omega, order - _ORDER[sensor.quantity], corner_hz)
+            motion.append(np.fft.irfft(spectra[sensor.name] * factor, recording.samples)[:usable])
+    return Kinematics(
+        stations=stations,
+        channels=tuple(used),
+        sample_rate_hz=rate,
+        trusted_hz=(corner_hz if integrates else 0.0, PASSBAND * rate),
+        zero_known=not integrates,
+        force_n=recording.force_n[:usable],
+        displacement_m=np.stack(rows[0]),
+        velocity_m_per_s=np.stack(rows[1]),
+        acceleration_m_per_s2=np.stack(rows[2]),
+    )
+
+
+def slow_acceleration(motion: Kinematics, station: Station) -> Float[np.ndarray, " samples"]:
+    """The part of a station's acceleration that its integrated displacement lacks."""
+    row = motion.stations.index(station)
+    acceleration = motion.acceleration_m_per_s2[row]
+    omega = 2 * np.pi * np.fft.rfftfreq(acceleration.size, 1 / motion.sample_rate_hz)
+    slow = np.fft.rfft(acceleration) * (1 - _high_pass(omega, motion.trusted_hz[0]))
+    return np.asarray(np.fft.irfft(slow, acceleration.size))
+
+
+def acceleration_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stations"]:
+    """Standard deviation per sample of each station's acceleration noise, m/s^2.
+
+    From the quiet seconds before the force begins; from the description where there are none.
+    """
+    quiet = motion.excited_from - round(0.05 * motion.sample_rate_hz)
+    if quiet > 0.25 * motion.sample_rate_hz:
+        return motion.acceleration_m_per_s2[:, :quiet].std(axis=1)
+    densities = {s.station: s.noise_density for s in rig.sensors if s.quantity == "acceleration"}
+    return np.array([densities.get(s, 0.0) for s in motion.stations]) * np.sqrt(motion.sample_rate_hz / 2)
+
+
+def _nearest(have: dict[Quantity, Sensor], order: int) -> Sensor:
+    """The sensor of this derivative, else one that needs differentiating, else one that needs integrating."""
+
+    def cost(sensor: Sensor) -> int:
+        lacking = order - _ORDER[sensor.quantity]
+        return lacking if lacking >= 0 else 10 - lacking
+
+    return min(have.values(), key=cost)
+
+
+def _channel(recording: Recording, sensor: Sensor) -> Float[np.ndarray, " samples"]:
+    signals = recording.signals[sensor.quantity]
+    return signals.values[signals.channels.names.index(sensor.name)]
+
+
+def _undone(
+    sensor: Sensor, delivered: Float[np.ndarray, " samples"], omega: Float[np.ndarray, " lines"]
+) -> Complex[np.ndarray, " lines"]:
+    """The spectrum of the motion that made the sensor deliver this: gain and delay taken out."""
+    return np.asarray(np.fft.rfft(delivered) * np.exp(1j * omega * sensor.delay_s) / sensor.gain)
+
+
+def _power(omega: Float[np.ndarray, " lines"], power: int, corner_hz: float) -> Complex[np.ndarray, " lines"]:
+    """(i omega)^power; where that integrates, zero below half the corner and whole from the corner on."""
+    if power >= 0:
+        return np.asarray((1j * omega) ** power)
+    safe = np.where(omega > 0, omega, 1.0)
+    return np.asarray(_high_pass(omega, corner_hz) * (1j * safe) ** power)
+
+
+def _high_pass(omega: Float[np.ndarray, " lines"], corner_hz: float) -> Float[np.ndarray, " lines"]:
+    return np.sin(np.pi / 2 * np.clip(2 * omega / (2 * np.pi * corner_hz) - 1, 0, 1)) ** 2
+
+
+def _taper(samples: int, fall: int) -> Float[np.ndarray, " samples"]:
+    taper = np.ones(samples)
+    taper[samples - fall :] = 0.5 * (1 + np.cos(np.pi * (np.arange(fall) + 1) / fall))
+    return taper

@@ -1,0 +1,139 @@
+"""NIFO: the contact force as a further input, per frequency (equations 4, 5 and 23 to 28 of the paper)."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from identify.modal import ModalEquation
+from identify.spectra import Blocks
+from rig.errors import RigError
+
+Form = Literal["weak", "paper"]
+
+
+@dataclass(frozen=True)
+class Nifo:
+    """What NIFO finds in one modal equation.
+
+    frf is q over the modal force (s^2), stiffness the complex contact stiffness of each visible contact; contacts are
+    the indices of the visible contacts. stiffness_error is the standard error of the spectral means.
+    """
+
+    equation: ModalEquation
+    contacts: tuple[int, ...]
+    frequency_hz: Float[np.ndarray, " lines"]
+    frf: Complex[np.ndarray, " lines"]
+    stiffness_n_per_m: Complex[np.ndarray, "contacts lines"]
+    stiffness_error_n_per_m: Float[np.ndarray, " contacts"]
+    averages: int
+    resolution_hz: float
+
+    @property
+    def mean_n_per_m(self) -> Float[np.ndarray, " contacts"]:
+        """The spectral mean of the real part."""
+        return self.stiffness_n_per_m.real.mean(axis=1)
+
+    @property
+    def spread_n_per_m(self) -> Float[np.ndarray, " contacts"]:
+        """The rms over frequency of the deviation from the spectral mean."""
+        return np.sqrt(np.mean(np.abs(self.stiffness_n_per_m - self.mean_n_per_m[:, None]) ** 2, axis=1))
+
+    def true_frf(self) -> Complex[np.ndarray, " lines"]:
+        """The FRF that the rig's description believes in."""
+        return modal_frf(self.equation.frequency_hz, self.equation.damping_ratio, self.frequency_hz)
+
+
+def nifo(
+    equation: ModalEquation,
+    force_n: Float[np.ndarray, " samples"],
+    penetration_m: Float[np.ndarray, "contacts samples"],
+    blocks: Blocks,
+    form: Form = "weak",
+) -> Nifo:
+    """Regression of the modal coordinate on the modal force and the penetrations, line by line over the blocks.
+
+    The paper's form is Q = H (phi_F F - sum_j phi_j k_j P_j) with spectra under the window w; it leaks, as
+    the window's derivatives do not commute with the equation of motion. The weak form keeps them: with Q' and Q'' the
+    spectra of q under w' and w'' ::
+
+        Q = H (phi_F F - Q'' + 2 i omega Q' - sum_j phi_j k_j P_j) + 2 zeta omega_0 H Q'
+
+    which is exact for any motion, since w and w' vanish at a block's ends.
+
+    Contacts that the equation does not see, or that never close, take no part. Raises RigError if the blocks are fewer
+    than the unknowns.
+    """
+    seen = tuple(j for j, visible in enumerate(equation.visible) if visible and np.any(penetration_m[j]))
+    unknowns = 1 + len(seen) + (form == "weak")
+    if len(blocks.starts) <= unknowns:
+        raise RigError(
+            f"{len(blocks.starts)} blocks for {unknowns} unknowns a line; use shorter blocks or record longer"
+        )
+    omega = 2 * np.pi * blocks.frequency_hz
+    modal_force = equation.shape_at_force * blocks.spectra(force_n)
+    contact = [equation.shape_at_contacts[j] * blocks.spectra(penetration_m[j]) for j in seen]
+    response = blocks.spectra(equation.displacement)
+    if form == "weak":
+        once = blocks.spectra(equation.displacement, derivative=1)
+        twice = blocks.spectra(equation.displacement, derivative=2)
+        inputs = [modal_force - twice + 2j * omega * once, *contact, once]
+    else:
+        inputs = [modal_force, *contact]
+    weights, changes = _regression(np.stack(inputs, axis=2).transpose(1, 0, 2), response.T)
+    frf, shares = weights[:, 0], weights[:, 1 : 1 + len(seen)]
+    stiffness = -shares / frf[:, None]
+    # how each block moves the spectral mean: first order, summed with its neighbour, which shares samples with it
+    moved = (-(changes[:, :, 1 : 1 + len(seen)] + stiffness[:, None] * changes[:, :, :1]) / frf[:, None, None]).real
+    influence = moved.mean(axis=0)
+    variance = np.sum(influence**2, axis=0) + 2 * np.sum(influence[1:] * influence[:-1], axis=0)
+    return Nifo(
+        equation=equation,
+        contacts=seen,
+        frequency_hz=blocks.frequency_hz,
+        frf=frf,
+        stiffness_n_per_m=stiffness.T,
+        stiffness_error_n_per_m=np.sqrt(np.maximum(variance, np.sum(influence**2, axis=0) / 4)),
+        averages=len(blocks.starts),
+        resolution_hz=blocks.resolution_hz,
+    )
+
+
+def modal_frf(
+    frequency_hz: float, damping_ratio: float, at_hz: Float[np.ndarray, " lines"]
+) -> Complex[np.ndarray, " lines"]:
+    """1 / (omega_0^2 - omega^2 + 2 i zeta omega_0 omega), s^2; infinite nowhere but at zero of a rigid mode."""
+    natural, omega = 2 * np.pi * frequency_hz, 2 * np.pi * at_hz
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(1 / (natural**2 - omega**2 + 2j * damping_ratio * natural * omega))
+
+
+def fitted_mode(result: Nifo) -> tuple[float, float]:
+    """Natural frequency (Hz) and damping ratio of the FRF: 1/H = omega_0^2 - omega^2 + 2 i zeta omega_0 omega.
+
+    Linear least squares of H (omega_0^2 + i omega g) = 1 + omega^2 H, so that resonance and noise weigh as in H.
+    """
+    omega = 2 * np.pi * result.frequency_hz
+    columns = np.stack([result.frf, 1j * omega * result.frf], axis=1)
+    target = 1 + omega**2 * result.frf
+    both = np.concatenate([columns.real, columns.imag]), np.concatenate([target.real, target.imag])
+    (square, rate), *_ = np.linalg.lstsq(*both, rcond=None)
+    natural = float(np.sqrt(max(float(square), 0.0)))
+    return natural / (2 * np.pi), float(rate) / (2 * natural) if natural > 0 else 0.0
+
+
+def _regression(
+    inputs: Complex[np.ndarray, "lines blocks unknowns"], response: Complex[np.ndarray, "lines blocks"]
+) -> tuple[Complex[np.ndarray, "lines unknowns"], Complex[np.ndarray, "lines blocks unknowns"]]:
+    """Least squares at each line, and the first-order change that leaving out each block would make (jackknife)."""
+    scale = np.linalg.norm(inputs, axis=1, keepdims=True)
+    scale[scale == 0] = 1.0
+    q, r = np.linalg.qr(inputs / scale)
+    inverse = np.linalg.inv(r)
+    weights = (inverse @ (q.conj().transpose(0, 2, 1) @ response[:, :, None]))[:, :, 0] / scale[:, 0]
+    residual = response - (inputs @ weights[:, :, None])[:, :, 0]
+    leverage = np.sum(np.abs(q) ** 2, axis=2)
+    pulled = residual / np.maximum(1 - leverage, 1e-3)
+    changes = -(q.conj() * pulled[:, :, None]) @ inverse.transpose(0, 2, 1) / scale
+    return weights, changes

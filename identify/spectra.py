@@ -1,0 +1,148 @@
+"""Blocks, windows and their spectra; and a contact law evaluated without aliasing."""
+
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from jaxtyping import Complex, Float
+from scipy.fft import next_fast_len
+from scipy.signal import resample
+
+from rig.contact import dead_zone
+from rig.errors import RigError
+
+POWERS = {"hann": 2, "sin4": 4, "sin6": 6}
+OVERSAMPLING = 8
+RAMP = 512
+
+
+class Averaging(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How a record is cut into blocks.
+
+    The window is sin^p(pi t / T) over a block of length T; p = 2 is the Hann window. Without a block length the record
+    is cut into `averages` overlapping blocks.
+    """
+
+    averages: int = 40
+    block_s: float | None = None
+    overlap: float = 0.5
+    window: str = "hann"
+    band_hz: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.averages < 2:
+            raise RigError(f"averages is {self.averages}; give 2 or more")
+        if self.block_s is not None and not (np.isfinite(self.block_s) and self.block_s > 0):
+            raise RigError(f"the block is {self.block_s} s; give a value above zero")
+        if not 0 <= self.overlap < 1:
+            raise RigError(f"overlap is {self.overlap}; give a value from 0 to below 1")
+        if self.window not in POWERS:
+            raise RigError(f"no window {self.window!r}; there are {', '.join(POWERS)}")
+        if self.band_hz is not None and not 0 <= self.band_hz[0] < self.band_hz[1]:
+            raise RigError(f"the band {self.band_hz[0]} to {self.band_hz[1]} Hz is empty; give 0 <= low < high")
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Where the blocks of a record start, their length in samples, and the spectral lines that are looked at."""
+
+    starts: tuple[int, ...]
+    length: int
+    window: str
+    sample_rate_hz: float
+    lines: slice
+
+    @property
+    def frequency_hz(self) -> Float[np.ndarray, " lines"]:
+        return np.arange(self.length // 2 + 1)[self.lines] * (self.sample_rate_hz / self.length)
+
+    @property
+    def resolution_hz(self) -> float:
+        return self.sample_rate_hz / self.length
+
+    def spectra(
+        self, signal: Float[np.ndarray, " samples"], derivative: int = 0
+    ) -> Complex[np.ndarray, "blocks lines"]:
+        """The Fourier transforms of the blocks under the window, or under its first or second time derivative."""
+        weights = window(self.window, self.length, self.sample_rate_hz)[derivative]
+        return np.array([np.fft.rfft(weights * signal[s : s + self.length])[self.lines] for s in self.starts])
+
+
+def blocks(samples: int, sample_rate_hz: float, averaging: Averaging, band_hz: tuple[float, float]) -> Blocks:
+    """Blocks that cover `samples` samples, and the lines in the band.
+
+    Raises RigError if a block is longer than the record or the band holds no line.
+    """
+    if averaging.block_s is None:
+        length = int(samples / (1 + (averaging.averages - 1) * (1 - averaging.overlap)))
+    else:
+        length = round(averaging.block_s * sample_rate_hz)
+    length -= length % 2
+    if not 16 <= length <= samples:
+        raise RigError(
+            f"a block of {length / sample_rate_hz:.4g} s does not fit a record with {samples / sample_rate_hz:.4g} "
+            "usable seconds; choose another block or record longer"
+        )
+    resolution = sample_rate_hz / length
+    lines = slice(int(np.ceil(band_hz[0] / resolution - 1e-9)), int(np.floor(band_hz[1] / resolution + 1e-9)) + 1)
+    if lines.stop <= lines.start or lines.stop > length // 2:
+        raise RigError(
+            f"the band {band_hz[0]:.4g} to {band_hz[1]:.4g} Hz holds no lines at a resolution of {resolution:.4g} Hz "
+            f"and {sample_rate_hz:g} samples a second; choose another band or block"
+        )
+    hop = max(1, int(length * (1 - averaging.overlap)))
+    return Blocks(tuple(range(0, samples - length + 1, hop)), length, averaging.window, sample_rate_hz, lines)
+
+
+def window(name: str, length: int, sample_rate_hz: float) -> Float[np.ndarray, "3 length"]:
+    """sin^p(pi t / T) and its first and second derivatives in time (1, 1/s, 1/s^2)."""
+    power = POWERS[name]
+    phase = np.pi * np.arange(length) / length
+    rate = np.pi * sample_rate_hz / length
+    s, c = np.sin(phase), np.cos(phase)
+    return np.stack(
+        [
+            s**power,
+            rate * power * s ** (power - 1) * c,
+            rate**2 * power * ((power - 1) * s ** (power - 2) * c**2 - s**power),
+        ]
+    )
+
+
+def penetration(eta_m: Float[np.ndarray, " samples"], lower_m: float, upper_m: float) -> Float[np.ndarray, " samples"]:
+    """The dead zone of a band-limited relative displacement, band-limited again, so that its kinks do not alias."""
+    ramps = _ramped(eta_m, 1)
+    fine = dead_zone(resample(ramps, OVERSAMPLING * ramps.size), lower_m, upper_m)
+    return np.asarray(resample(fine, ramps.size)[RAMP : RAMP + eta_m.size])
+
+
+def decimated(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows fewer"]:
+    """Every factor-th sample after an ideal low-pass at half the new rate; a record's ends are smoothed over."""
+    if factor == 1:
+        return signals
+    ramps = _ramped(signals, factor)
+    first, fewer = RAMP, -(-signals.shape[-1] // factor)
+    return np.asarray(resample(ramps, ramps.shape[-1] // factor, axis=-1)[..., first : first + fewer])
+
+
+def _ramped(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows more"]:
+    """Led to zero at both ends, as the Fourier transform wraps round, to a length that it likes."""
+    samples = signals.shape[-1]
+    length = factor * next_fast_len(-(-samples // factor) + 2 * RAMP, real=True)
+    ends = (RAMP * factor, length - samples - RAMP * factor)
+    return np.pad(signals, [(0, 0)] * (signals.ndim - 1) + [ends], mode="linear_ramp")
+
+
+def force_band(
+    force_n: Float[np.ndarray, " samples"], sample_rate_hz: float, share: float = 1e-3
+) -> tuple[float, float]:
+    """The band that holds all but `share` of the force's power at either end, Hz.
+
+    Raises RigError if the force is zero.
+    """
+    power = np.cumsum(np.abs(np.fft.rfft(force_n)) ** 2)
+    if not power[-1] > 0:
+        raise RigError("the exciting force is zero throughout; record its channel, or give --band")
+    low, high = np.searchsorted(power, [share * power[-1], (1 - share) * power[-1]])
+    step = sample_rate_hz / force_n.size
+    return float(low * step), float(high * step)

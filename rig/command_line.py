@@ -1,0 +1,42 @@
+"""What every command shares: one way to fail, one way to show progress, one way to keep what is there."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+from rig.errors import RigError
+
+INTERRUPTED = 130
+
+
+def run(app: typer.Typer, name: str) -> None:
+    """Runs a command and exits: 0 done, 1 the input cannot be used (one line on standard error), 2 wrong words."""
+    try:
+        app(prog_name=name, standalone_mode=True)
+    except RigError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        sys.exit(1)
+    except KeyboardInterrupt:
+        print(f"{name}: interrupted", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+
+
+@contextmanager
+def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
+    """A bar with the time left on standard error; call what it gives with the fraction done. Silent when piped."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
+        task = bar.add_task(description, total=1.0)
+        yield lambda fraction: bar.update(task, completed=fraction)
+
+
+def refuse_existing(path: Path, force: bool) -> None:
+    """Raises RigError if the path exists and overwriting was not asked for."""
+    if path.exists() and not force:
+        raise RigError(f"{path}: exists already; give another name, or --force to overwrite it")

@@ -1,0 +1,118 @@
+"""What the scenarios share: record, identify, and set what was identified beside what is true."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from identify.contact import Identification, identify_contact
+from identify.kinematics import Use
+from identify.plots import write_figures
+from identify.results import write_json
+from rig.command_line import progress_bar
+from rig.contact import DeadZone
+from rig.plants import plant_named
+from rig.record import record
+from rig.recording import read, read_truth, truth_path
+from rig.reference import BarrelCradle, Sdof
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """An identification and the contact laws that made its recording, by contact."""
+
+    use: str
+    found: Identification
+    true: dict[str, DeadZone]
+
+    def errors_percent(self, contact: str) -> tuple[float, float]:
+        """Of the clearance and the stiffness."""
+        law = self.true[contact]
+        estimate = next(c for c in self.found.report.contacts if c.name == contact)
+        return (
+            100 * (estimate.clearance_m.value / law.clearance_m - 1),
+            100 * (estimate.stiffness_n_per_m.value / law.stiffness_n_per_m - 1),
+        )
+
+    def frf_error_percent(self) -> float:
+        """Total squared error of the FRF over the band, against the true mode."""
+        weak = self.found.weak
+        return float(100 * np.sum(np.abs(weak.frf - weak.true_frf()) ** 2) / np.sum(np.abs(weak.true_frf()) ** 2))
+
+
+def recorded(settings: Sdof | BarrelCradle, plant: str, path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with progress_bar(f"recording {path.name} ({plant})") as progress:
+        record(
+            settings.rig(),
+            settings.force(),
+            plant=plant_named(plant),
+            duration_s=settings.duration_s,
+            step_s=settings.step_s,
+            path=path,
+            progress=progress,
+        )
+    return path
+
+
+def identified_against_true(path: Path, *, use: Use, out: Path, equation: str | None = None) -> Comparison:
+    """Identifies a recording, writes contact.json and the figures, and takes the true laws from its truth file."""
+    with progress_bar(f"identifying {path.name} ({use})") as progress:
+        found = identify_contact(read(path), use=use, equation=equation, progress=progress)
+    true = {c.name: c.law for c in read_truth(truth_path(path)).rig.contacts}
+    write_figures(found, out, {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in true.items()}, "true")
+    write_json(found.report, out / "contact.json")
+    return Comparison(use, found, true)
+
+
+def shown(title: str, comparisons: list[Comparison]) -> None:
+    """The table of identified against true."""
+    table = Table(title=title)
+    for heading in ("contact", "quantity", "true", "identified", "± std. error", "off by, %"):
+        table.add_column(heading, justify="left" if heading in ("contact", "quantity") else "right")
+    for comparison in comparisons:
+        for estimate in comparison.found.report.contacts:
+            law, errors = comparison.true[estimate.name], comparison.errors_percent(estimate.name)
+            gap, stiffness = estimate.clearance_m, estimate.stiffness_n_per_m
+            table.add_row(
+                estimate.name,
+                "clearance, mm",
+                f"{1e3 * law.clearance_m:.4f}",
+                f"{1e3 * gap.value:.5f}",
+                f"{1e3 * gap.standard_error:.1g}",
+                f"{errors[0]:+.4f}",
+            )
+            table.add_row(
+                estimate.name,
+                "stiffness, N/m",
+                f"{law.stiffness_n_per_m:.0f}",
+                f"{stiffness.value:.1f}",
+                f"{stiffness.standard_error:.1g}",
+                f"{errors[1]:+.4f}",
+            )
+        table.add_row("linear FRF", "total squared error, %", "", f"{comparison.frf_error_percent():.2g}", "", "")
+    Console().print(table)
+
+
+def equation_by_equation(comparison: Comparison, title: str) -> None:
+    """NIFO's stiffness in every modal equation, and the clearance by its surface."""
+    table = Table(title=title)
+    for heading in ("equation", "contact", "clearance off by, %", "stiffness off by, %", "rms spread, %", ""):
+        table.add_column(heading, justify="right" if "%" in heading else "left")
+    report = comparison.found.report
+    surfaces = {s.equation: {c.contact: c.clearance_m.value for c in s.clearances} for s in report.surface.surfaces}
+    for each in report.nifo:
+        for stiffness in each.stiffness:
+            law = comparison.true[stiffness.contact]
+            gap = surfaces[each.equation].get(stiffness.contact)
+            table.add_row(
+                each.equation,
+                stiffness.contact,
+                "not told" if gap is None else f"{100 * (gap / law.clearance_m - 1):+.4f}",
+                f"{100 * (stiffness.mean_n_per_m.value / law.stiffness_n_per_m - 1):+.4f}",
+                f"{100 * stiffness.rms_spread_n_per_m / law.stiffness_n_per_m:.3f}",
+                "nearly invisible" if stiffness.contact in each.nearly_invisible else "",
+            )
+    Console().print(table)

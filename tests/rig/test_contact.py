@@ -1,0 +1,73 @@
+"""The dead zone's properties, whatever its parameters."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.contact import DeadZone
+from rig.errors import RigError
+
+clearances = st.floats(0, 0.1)
+stiffnesses = st.floats(1, 1e7)
+dampings = st.floats(0, 1e3)
+displacements = st.floats(-1, 1)
+rates = st.floats(-10, 10)
+laws = st.builds(
+    DeadZone,
+    lower_clearance_m=clearances,
+    upper_clearance_m=clearances,
+    stiffness_n_per_m=stiffnesses,
+    damping_n_s_per_m=dampings,
+)
+
+
+def force(law, eta, rate):
+    return float(law.force_n(np.array([eta]), np.array([rate]))[0])
+
+
+@given(laws, st.floats(0, 1), rates)
+def test_nothing_passes_inside_the_gap(law, fraction, rate):
+    eta = -law.lower_clearance_m + fraction * (law.lower_clearance_m + law.upper_clearance_m)
+    assert force(law, np.clip(eta, -law.lower_clearance_m, law.upper_clearance_m), rate) == 0
+
+
+@given(laws, st.floats(1e-6, 1), rates)
+def test_outside_spring_and_damper_act(law, depth, rate):
+    above, below = law.upper_clearance_m + depth, -law.lower_clearance_m - depth
+    for eta, signed in ((above, depth), (below, -depth)):
+        expected = law.stiffness_n_per_m * signed + law.damping_n_s_per_m * rate
+        assert force(law, eta, rate) == pytest.approx(expected, rel=1e-9, abs=1e-8 * law.stiffness_n_per_m)
+
+
+@given(laws, displacements, displacements)
+def test_elastic_force_is_continuous_and_never_falls(law, one, other):
+    low, high = min(one, other), max(one, other)
+    rise = force(law, high, 0.0) - force(law, low, 0.0)
+    slack = 1e-12 * law.stiffness_n_per_m
+    assert -slack <= rise <= law.stiffness_n_per_m * (high - low) + slack
+
+
+@given(clearances, stiffnesses, dampings, displacements, rates)
+def test_equal_sides_give_an_odd_law(clearance, stiffness, damping, eta, rate):
+    law = DeadZone(
+        lower_clearance_m=clearance,
+        upper_clearance_m=clearance,
+        stiffness_n_per_m=stiffness,
+        damping_n_s_per_m=damping,
+    )
+    assert force(law, -eta, -rate) == -force(law, eta, rate)
+    assert law.clearance_m == clearance
+
+
+@given(laws)
+def test_clearance_is_half_the_play(law):
+    assert 2 * law.clearance_m == pytest.approx(law.lower_clearance_m + law.upper_clearance_m)
+
+
+@pytest.mark.parametrize("field", ["lower_clearance_m", "upper_clearance_m", "stiffness_n_per_m", "damping_n_s_per_m"])
+@pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])
+def test_a_bad_value_is_named(field, value):
+    good = {"lower_clearance_m": 1e-3, "upper_clearance_m": 1e-3, "stiffness_n_per_m": 1e4}
+    with pytest.raises(RigError, match=rf"{field} is {value}; give"):
+        DeadZone(**good | {field: value})
