@@ -6,25 +6,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from identify.drift import Drift
-from identify.forces import ContactForces, separated_forces
-from identify.joint import Joint, Observed, fit_joint
-from identify.kinematics import Kinematics, Use, acceleration_noise, kinematics, slow_acceleration
-from identify.modal import (
-    modal_equations,
-    relative_displacements,
-    relative_velocities,
-    transformation,
-    without_higher_modes,
-)
+from identify.answers import Answer, find_contacts
+from identify.forces import ContactForces
+from identify.joint import Joint, Observed
+from identify.kinematics import Kinematics, Use
+from identify.modal import modal_equations, transformation, without_higher_modes
 from identify.nifo import Nifo, nifo
 from identify.results import ContactReport
 from identify.spectra import Averaging, blocks, force_band, penetration
-from identify.summary import Answer, contact_report
+from identify.summary import contact_report
 from identify.surface import Stops, Surface, clearance_from_occurrence, fit_surface
 from identify.tolerances import LABORATORY, Tolerances
 from rig.contact import DeadZone
-from rig.description import Rig, contact_stations
+from rig.description import Rig
 from rig.errors import RigError
 from rig.recording import Recording
 
@@ -33,10 +27,6 @@ LOWEST_HZ = 0.5
 CLEAR_OF_CORNER = 4.0
 """NIFO on integrated accelerations begins at this multiple of the corner, clear of what the blocks leak over it."""
 EQUATIONS = 4
-SEPARATED_TO = 4.0
-"""Contact forces are separated up to this multiple of the force's highest frequency."""
-LOOSE = 0.1
-"""An estimate whose standard error is a larger share of it is no answer."""
 
 
 @dataclass(frozen=True)
@@ -80,23 +70,16 @@ def identify_contact(
 
     Raises RigError if the record does not allow it: too short, too few stations, no force.
     """
-    rig, averaging = recording.rig, averaging or Averaging()
-    if not rig.contacts:
-        raise RigError(f"rig {rig.name!r} has no contacts; describe them in rig.json")
-    motion = kinematics(recording, use)
+    averaging = averaging or Averaging()
+    found = find_contacts(recording, use, tolerances)
+    progress(0.5)
+    rig, motion, answers = found.rig, found.motion, found.answers
     low, high = force_band(motion.force_n, motion.sample_rate_hz)
     band = averaging.band_hz or (
         max(low, CLEAR_OF_CORNER * motion.trusted_hz[0], LOWEST_HZ),
         min(high, motion.trusted_hz[1]),
     )
-    factor = max(1, int(motion.sample_rate_hz / 2 / min(SEPARATED_TO * high, motion.trusted_hz[1])))
-    noise = acceleration_noise(motion, rig)
-    separated = separated_forces(rig, motion, factor, noise, tolerances)
-    progress(0.2)
-    observed = _observed(rig, motion, noise, separated)
-    answers = tuple(_answer(o, separated, j) for j, o in enumerate(observed))
-    progress(0.5)
-    eta, force, depth = _with_law(observed, answers)
+    eta, force, depth = _with_law(found.observed, answers)
     samples = eta.shape[1]
     cleaned = without_higher_modes(rig, _cut(motion, samples), force)
     eta, depth = eta[:, : cleaned.force_n.size], depth[:, : cleaned.force_n.size]
@@ -126,7 +109,7 @@ def identify_contact(
         rig=rig,
         motion=cleaned,
         eta_m=eta,
-        separated=separated,
+        separated=found.separated,
         answers=answers,
         surface=next(s for s in surfaces if s.equation.name == weak.equation.name),
         weak=weak,
@@ -134,62 +117,8 @@ def identify_contact(
     )
 
 
-def _observed(
-    rig: Rig, motion: Kinematics, noise: Float[np.ndarray, " stations"], separated: ContactForces
-) -> list[Observed]:
-    samples = separated.force_n.shape[1] * separated.factor
-    samples = min(samples, motion.force_n.size)
-    eta, velocity = relative_displacements(rig, motion), relative_velocities(rig, motion)
-    found = []
-    for j, contact in enumerate(rig.contacts):
-        drift = None
-        if not motion.zero_known:
-            stations = contact_stations(contact)
-            missing = [s for s in stations if motion.row(s) is None]
-            if missing:
-                raise RigError(
-                    f"contact {contact.name!r} has no sensor at {missing[0].position_m} m of {missing[0].body!r}; "
-                    "its drift cannot be told: put an accelerometer there"
-                )
-            slow = [slow_acceleration(motion, s) for s in stations]
-            of_both = np.hypot.reduce([noise[motion.stations.index(s)] for s in stations])
-            drift = Drift(
-                acceleration_m_per_s2=(slow[0] - (slow[1] if len(slow) > 1 else 0.0))[:samples],
-                noise_density=max(float(of_both) / np.sqrt(motion.sample_rate_hz / 2), 1e-7),
-                spring_n_per_m=separated.spring_n_per_m,
-            )
-        found.append(
-            Observed(
-                eta_m=eta[j, :samples],
-                velocity_m_per_s=velocity[j, :samples],
-                sample_rate_hz=motion.sample_rate_hz,
-                force_n=separated.force_n[j],
-                factor=separated.factor,
-                drift=drift,
-            )
-        )
-    return found
-
-
-def _answer(observed: Observed, separated: ContactForces, contact: int) -> Answer:
-    """The joint estimate, or the reason why there is none."""
-    samples = observed.eta_m.size
-    try:
-        found = fit_joint(observed, [(force[contact], eta[contact, :samples]) for force, eta in separated.doubts])
-    except RigError as error:
-        return str(error)
-    for what, value, error_of in (
-        ("clearance", found.clearance_m, found.clearance_error_m),
-        ("stiffness", found.parameters[2], np.sqrt(found.covariance[2, 2])),
-    ):
-        if not error_of < LOOSE * value:
-            share = 100 * error_of / max(value, 1e-12)
-            return f"its {what} is uncertain by {share:.0f} %; record longer or change the force"
-    return found
-
-
 def _with_law(
-    observed: list[Observed], answers: tuple[Answer, ...]
+    observed: tuple[Observed, ...], answers: tuple[Answer, ...]
 ) -> tuple[
     Float[np.ndarray, "contacts samples"], Float[np.ndarray, "contacts samples"], Float[np.ndarray, "contacts samples"]
 ]:

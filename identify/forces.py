@@ -89,9 +89,10 @@ def _between_beams(
     covariance[:, index, index] = (samples * noise**2)[None, :] + tolerances.gain**2 * _smoothed(
         measured, rate, samples
     ).T
-    changes: list[Complex[np.ndarray, "stations lines"]] = (
+    of_sensors: list[Complex[np.ndarray, "stations lines"]] = (
         [tolerances.gain * measured[i] * (index == i)[:, None] for i in index] if tolerances.gain else []
     )
+    of_model: list[Complex[np.ndarray, "stations lines"]] = []
     for body in rig.bodies:
         rows, coordinates, slopes, shapes = _modal_response(rig, body, motion, measured)
         power = _smoothed(coordinates, rate, samples)
@@ -101,7 +102,7 @@ def _between_beams(
             for i, row in enumerate(rows):
                 change = np.zeros_like(measured)
                 change[row] = tolerances.position_m * moved[i]
-                changes.append(change)
+                of_sensors.append(change)
         for frequency, damping in ((tolerances.frequency, 0.0), (0.0, tolerances.damping)):
             off = _mode_change(body, coordinates.shape[0], omega, frequency, damping)
             if not np.any(off):
@@ -111,7 +112,7 @@ def _between_beams(
             )
             change = np.zeros_like(measured)
             change[rows] = shapes @ (off * coordinates)
-            changes.append(change)
+            of_model.append(change)
     floor = 1e-9 * np.einsum("fii->f", covariance).real.mean() / len(index)
     covariance[:, index, index] += max(floor, 1e-12 * float(np.mean(np.abs(measured) ** 2)))
     weighted = np.linalg.solve(covariance, to_contacts)
@@ -131,7 +132,10 @@ def _between_beams(
     return ContactForces(
         force_n=in_time(known),
         factor=factor,
-        doubts=tuple((in_time(-c), _eta_change(rig, motion, c, omega)) for c in changes),
+        doubts=(
+            *((in_time(c), _eta_change(rig, motion, c, omega)) for c in of_sensors),
+            *((in_time(c), np.zeros((len(rig.contacts), motion.force_n.size))) for c in of_model),
+        ),
         spring_n_per_m=0.0,
     )
 

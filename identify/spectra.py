@@ -38,7 +38,7 @@ class Averaging(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
             raise RigError(f"overlap is {self.overlap}; give a value from 0 to below 1")
         if self.window not in POWERS:
             raise RigError(f"no window {self.window!r}; there are {', '.join(POWERS)}")
-        if self.band_hz is not None and not 0 <= self.band_hz[0] < self.band_hz[1]:
+        if self.band_hz is not None and not 0 <= self.band_hz[0] < self.band_hz[1] < np.inf:
             raise RigError(f"the band {self.band_hz[0]} to {self.band_hz[1]} Hz is empty; give 0 <= low < high")
 
 

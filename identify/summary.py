@@ -5,15 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from identify import results
+from identify.answers import Answer
 from identify.joint import Joint
 from identify.kinematics import Kinematics
 from identify.modal import NEARLY_INVISIBLE, Transformation
 from identify.nifo import Nifo, fitted_mode
 from identify.surface import Stops, Surface
 from rig.description import Rig
-
-Answer = Joint | str
-"""What is known of a contact, or why nothing is."""
 
 
 def contact_report(

@@ -14,16 +14,29 @@ from rig.errors import RigError
 INTERRUPTED = 130
 
 
+class Interrupted(Exception):
+    """Ctrl-C where there is more to say than that: its text says what is left."""
+
+
 def run(app: typer.Typer, name: str) -> None:
-    """Runs a command and exits: 0 done, 1 the input cannot be used (one line on standard error), 2 wrong words."""
+    """Runs a command and exits: 0 done, 1 the input cannot be used (one line on standard error), 2 wrong words.
+
+    130 is an interruption (Ctrl-C).
+    """
     try:
-        app(prog_name=name, standalone_mode=True)
+        app(prog_name=name)
     except RigError as error:
-        print(f"{name}: {error}", file=sys.stderr)
-        sys.exit(1)
-    except KeyboardInterrupt:
-        print(f"{name}: interrupted", file=sys.stderr)
-        sys.exit(INTERRUPTED)
+        status, sentence = 1, str(error)
+    except MemoryError as error:
+        status, sentence = 1, f"there is not enough memory for this ({error}); ask for a shorter record"
+    except Interrupted as error:
+        status, sentence = INTERRUPTED, str(error)
+    except SystemExit as stop:
+        if stop.code != INTERRUPTED:
+            raise
+        status, sentence = INTERRUPTED, "interrupted"  # typer has taken the KeyboardInterrupt
+    print(f"{name}: {sentence}", file=sys.stderr)
+    sys.exit(status)
 
 
 @contextmanager

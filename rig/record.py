@@ -1,15 +1,22 @@
 """Recording a rig: force, plant, sensors and file in one go."""
 
 import importlib.metadata
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from rig.description import Rig
-from rig.excitation import Excitation, force_history
+from rig.errors import RigError
+from rig.excitation import QUIET_S, Excitation, force_history
 from rig.motion import Plant, Progress
 from rig.recording import channel_groups, truth_groups, truth_path, writing
 from rig.sensors import digitised, needed_duration_s
+
+MAX_DURATION_S = 1e6
 
 
 def record(
@@ -21,15 +28,25 @@ def record(
     step_s: float,
     path: Path,
     progress: Progress,
+    actual: Rig | None = None,
 ) -> None:
     """Simulates the rig and writes the recording to `path` and what only a simulator knows to the truth file beside.
+
+    With `actual` that rig is simulated, while the recording says that it was `rig`: what its owner believes. Both need
+    the same sensors, contacts and sampling rate; their properties and places may differ.
 
     The plant runs a little longer than duration_s, as the anti-aliasing filter needs samples on both sides. The
     sensors' noise comes from the excitation's seed. Raises RigError where the rig cannot be simulated so or the file
     not written.
     """
+    actual = actual or rig
+    if not QUIET_S < duration_s < MAX_DURATION_S:
+        raise RigError(
+            f"duration is {duration_s} s; give more than {QUIET_S} s, the quiet start of every recording, and less "
+            f"than {MAX_DURATION_S:g} s"
+        )
     samples = round(duration_s * rig.sample_rate_hz)
-    force = force_history(excitation, needed_duration_s(rig, samples / rig.sample_rate_hz), step_s)
+    force = force_history(excitation, needed_duration_s(actual, samples / rig.sample_rate_hz), step_s)
     plant_name = getattr(plant, "__module__", "").rsplit(".", 1)[-1]
     provenance = {
         "made_by": "rig record",
@@ -42,13 +59,34 @@ def record(
     rng = np.random.default_rng([excitation.seed, 1])
     written = 0
     with (
+        _interrupted_between_blocks() as check_interrupt,
         writing(path, rig, channel_groups(rig), provenance) as recording,
-        writing(truth_path(path), rig, truth_groups(rig), provenance) as truth,
+        writing(truth_path(path), actual, truth_groups(actual), provenance) as truth,
     ):
-        for block in digitised(rig, plant(rig, force, step_s, progress), rng):
+        for block in digitised(actual, plant(actual, force, step_s, progress), rng):
             keep = slice(0, samples - written)
             for group, values in {"force": block.force_n[None, :], **block.sensed}.items():
                 recording.append(group, values[:, keep])
             for group, values in {"force": block.force_n[None, :], **block.truth}.items():
                 truth.append(group, values[:, keep])
             written += block.force_n[keep].size
+            check_interrupt()
+
+
+@contextmanager
+def _interrupted_between_blocks() -> Iterator[Callable[[], None]]:
+    """Holds Ctrl-C back until the returned function is called, so that it strikes neither a solver nor a writer."""
+    pressed: list[int] = []
+
+    def check() -> None:
+        if pressed:
+            raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():  # signals reach the main thread alone
+        yield check
+        return
+    before = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, before)

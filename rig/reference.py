@@ -27,9 +27,10 @@ class Sdof(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     step_s: float = 2.0**-13
     duration_s: float = 825.0
     excitation: str = "gaussian"
-    rms_n: float = 1.0
+    rms_n: float = 0.5
     low_hz: float = 0.0
     high_hz: float = 15.0
+    seed: int = 1
 
     def rig(self) -> Rig:
         mass = Station("mass")
@@ -52,7 +53,9 @@ class Sdof(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         )
 
     def force(self) -> Excitation:
-        return excitation_of(self.excitation, rms_n=self.rms_n, low_hz=self.low_hz, high_hz=self.high_hz)
+        return excitation_of(
+            self.excitation, rms_n=self.rms_n, low_hz=self.low_hz, high_hz=self.high_hz, seed=self.seed
+        )
 
 
 class BarrelCradle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -79,6 +82,7 @@ class BarrelCradle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     rms_n: float = 14.0
     low_hz: float = 0.5
     high_hz: float = 100.0
+    seed: int = 1
 
     def rig(self) -> Rig:
         beams = tuple(
@@ -121,7 +125,9 @@ class BarrelCradle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         )
 
     def force(self) -> Excitation:
-        return excitation_of(self.excitation, rms_n=self.rms_n, low_hz=self.low_hz, high_hz=self.high_hz)
+        return excitation_of(
+            self.excitation, rms_n=self.rms_n, low_hz=self.low_hz, high_hz=self.high_hz, seed=self.seed
+        )
 
     def _positions(self, reach: float) -> tuple[tuple[str, tuple[float, ...]], ...]:
         """The contacts first, then the stations that keep the modal transformation best conditioned."""

@@ -24,7 +24,7 @@ def sdof(
 ) -> None:
     """Records the one-mass rig under the paper's conditions and compares what is identified with what is true."""
     # section 2.1: 1 kg on a 5 Hz spring, stops at +-1 mm with 1e4 N/m, a random force from 0 to 15 Hz
-    settings = Sdof(rms_n=0.5)
+    settings = Sdof()
     recording = recorded(settings, plant, out / "sdof.mcap")
 
     # sections 2.2 and 2.3: displacement known, no noise, 40 averages, Hann window, 50 % overlap

@@ -152,7 +152,7 @@ def _add_body(mbs: Any, rig: Rig, body: Body, ground: int, elements: int) -> Mes
             mbs.AddObject(_item("CoordinateConstraint")(markerNumbers=[ground, marker]))
 
     if not isinstance(body, Beam):
-        node = mbs.AddNode(_item("Node1D")(referenceCoordinates=[0.0]))
+        node = int(mbs.AddNode(_item("Node1D")(referenceCoordinates=[0.0])))
         mbs.AddObject(_item("Mass1D")(nodeNumber=node, physicsMass=body.mass_kg))
         marker = mbs.AddMarker(_item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=0))
         mbs.AddObject(

@@ -1,0 +1,108 @@
+"""The answers: contact forces separated without a law, then each contact fitted together with its drift."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from identify.drift import Drift
+from identify.forces import ContactForces, separated_forces
+from identify.joint import Joint, Observed, fit_joint
+from identify.kinematics import Kinematics, Use, acceleration_noise, kinematics, slow_acceleration
+from identify.modal import relative_displacements, relative_velocities
+from identify.spectra import force_band
+from identify.tolerances import Tolerances
+from rig.description import Rig, contact_stations
+from rig.errors import RigError
+from rig.recording import Recording
+
+SEPARATED_TO = 4.0
+"""Contact forces are separated up to this multiple of the force's highest frequency."""
+LOOSE = 0.1
+"""An estimate whose standard error is a larger share of it is no answer."""
+
+Answer = Joint | str
+"""What is known of a contact, or why nothing is."""
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """What was found of every contact of a recording, and from what."""
+
+    rig: Rig
+    motion: Kinematics
+    separated: ContactForces
+    observed: tuple[Observed, ...]
+    answers: tuple[Answer, ...]
+
+
+def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Contacts:
+    """Clearance, stiffness and damping of every contact, or the reason why the record does not tell them.
+
+    Raises RigError if the record allows nothing: too short, too few stations, no force, no contacts described.
+    """
+    rig = recording.rig
+    if not rig.contacts:
+        raise RigError(f"rig {rig.name!r} has no contacts; describe them in rig.json")
+    motion = kinematics(recording, use)
+    high_hz = force_band(motion.force_n, motion.sample_rate_hz)[1]
+    factor = max(1, int(motion.sample_rate_hz / 2 / min(SEPARATED_TO * high_hz, motion.trusted_hz[1])))
+    noise = acceleration_noise(motion, rig)
+    separated = separated_forces(rig, motion, factor, noise, tolerances)
+    observed = _observed(rig, motion, noise, separated)
+    answers = tuple(_answer(o, separated, j) for j, o in enumerate(observed))
+    return Contacts(rig, motion, separated, tuple(observed), answers)
+
+
+def _observed(
+    rig: Rig, motion: Kinematics, noise: Float[np.ndarray, " stations"], separated: ContactForces
+) -> list[Observed]:
+    samples = separated.force_n.shape[1] * separated.factor
+    samples = min(samples, motion.force_n.size)
+    eta, velocity = relative_displacements(rig, motion), relative_velocities(rig, motion)
+    found = []
+    for j, contact in enumerate(rig.contacts):
+        drift = None
+        if not motion.zero_known:
+            stations = contact_stations(contact)
+            missing = [s for s in stations if motion.row(s) is None]
+            if missing:
+                raise RigError(
+                    f"contact {contact.name!r} has no sensor at {missing[0].position_m} m of {missing[0].body!r}; "
+                    "its drift cannot be told: put an accelerometer there"
+                )
+            slow = [slow_acceleration(motion, s) for s in stations]
+            of_both = np.hypot.reduce([noise[motion.stations.index(s)] for s in stations])
+            drift = Drift(
+                acceleration_m_per_s2=(slow[0] - (slow[1] if len(slow) > 1 else 0.0))[:samples],
+                noise_density=max(float(of_both) / np.sqrt(motion.sample_rate_hz / 2), 1e-7),
+                spring_n_per_m=separated.spring_n_per_m,
+            )
+        found.append(
+            Observed(
+                eta_m=eta[j, :samples],
+                velocity_m_per_s=velocity[j, :samples],
+                sample_rate_hz=motion.sample_rate_hz,
+                force_n=separated.force_n[j],
+                factor=separated.factor,
+                drift=drift,
+            )
+        )
+    return found
+
+
+def _answer(observed: Observed, separated: ContactForces, contact: int) -> Answer:
+    """The joint estimate, or the reason why there is none."""
+    samples = observed.eta_m.size
+    try:
+        found = fit_joint(observed, [(force[contact], eta[contact, :samples]) for force, eta in separated.doubts])
+    except RigError as error:
+        return str(error)
+    for what, value, error_of in (
+        ("clearance", found.clearance_m, found.clearance_error_m),
+        ("stiffness", found.parameters[2], np.sqrt(found.covariance[2, 2])),
+    ):
+        if not error_of < LOOSE * value:
+            share = 100 * error_of / max(value, 1e-12)
+            return f"its {what} is uncertain by {share:.0f} %; record longer or change the force"
+    return found

@@ -1,0 +1,205 @@
+"""How well and how surely contacts are identified: many random barrel-cradle rigs, accelerometers with noise only.
+
+python -m scenarios.identification_campaign --out out/campaign
+"""
+
+import tempfile
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import matplotlib as mpl
+import msgspec
+import numpy as np
+import typer
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.table import Table
+
+from identify.answers import find_contacts
+from identify.joint import Joint
+from identify.tolerances import NAMED
+from rig.command_line import run
+from rig.contact import DeadZone
+from rig.description import Rig
+from rig.plants import modal, plant_named
+from rig.record import record
+from rig.recording import read
+from rig.reference import BarrelCradle
+from scenarios.reality import jittered
+from scenarios.tasks import run_tasks
+
+app = typer.Typer(pretty_exceptions_enable=False)
+
+
+class Task(msgspec.Struct, frozen=True):
+    """One random rig."""
+
+    seed: int
+    plant: str
+    stations: int
+    jitter: bool
+    duration_s: float
+
+
+class Outcome(msgspec.Struct, frozen=True):
+    """True value, estimate and standard error of every quantity of one rig, or why there is none."""
+
+    task: Task
+    rms_n: float
+    names: list[str]
+    true: list[float]
+    found: list[float]
+    errors: list[float]
+    unanswered: list[str]
+
+
+@app.command()
+def campaign(
+    out: Annotated[Path, typer.Option(help="Folder for the results and figures.")] = Path("out/campaign"),
+    rigs: Annotated[int, typer.Option(help="How many random rigs.")] = 40,
+    seed: Annotated[int, typer.Option(help="Of the first rig; the others follow.")] = 1000,
+    duration: Annotated[float, typer.Option(help="Length of each record, s.")] = 60.0,
+    ancf_every: Annotated[int, typer.Option(help="Every how manyth rig is simulated with Exudyn; 0 for none.")] = 4,
+) -> None:
+    """Records and identifies the rigs exactly as described, with jitter, and with four stations a beam."""
+    kinds = {
+        f"{word} stations{', jitter' if jitter else ''}": (count, jitter)
+        for word, count in (("six", 6), ("four", 4))
+        for jitter in (False, True)
+    }
+    table = Table(title=f"Error of {rigs} rigs, accelerometers only, noise 1e-3 m/s2/sqrt(Hz)")
+    for heading in ("", "quantity", "median, %", "95th percentile, %", "covered by 95 %", "refused"):
+        table.add_column(heading, justify="left" if heading in ("", "quantity") else "right")
+    tasks = [
+        Task(seed + i, "ancf" if ancf_every and i % ancf_every == 0 else "modal", stations, jitter, duration)
+        for stations, jitter in kinds.values()
+        for i in range(rigs)
+    ]
+    outcomes = run_tasks(one_rig, tasks, Outcome, out)
+    for kind, (stations, jitter) in kinds.items():
+        chosen = [o for o in outcomes if (o.task.stations, o.task.jitter) == (stations, jitter)]
+        for quantity in ("clearance", "stiffness", "damping"):
+            table.add_row(kind, quantity, *_figures(chosen, quantity))
+        _draw(chosen, out / f"{kind.replace(' ', '_').replace(',', '')}.png", kind)
+    Console().print(table)
+
+
+def one_rig(task: Task) -> Outcome:
+    """Draws a rig, records it and identifies it."""
+    rng = np.random.default_rng(task.seed)
+    rms_n = float(rng.uniform(10, 40))
+    settings = BarrelCradle(
+        stations=task.stations,  # type: ignore[arg-type]
+        sensors="acceleration",
+        noise_density=1e-3,
+        rms_n=rms_n,
+        duration_s=task.duration_s,
+        step_s=2.0**-14 if task.plant == "ancf" else 2.0**-16,
+        seed=task.seed,
+    )
+    actual = _with_random_contacts(settings.rig(), rng)
+    believed = settings.rig()
+    if task.jitter:
+        actual = jittered(actual, rng)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "rig.mcap"
+        record(
+            believed,
+            settings.force(),
+            plant=plant_named("ancf") if task.plant == "ancf" else partial(modal.simulate, modes=30),
+            duration_s=settings.duration_s,
+            step_s=settings.step_s,
+            path=path,
+            progress=lambda _: None,
+            actual=actual,
+        )
+        contacts = find_contacts(read(path), "acceleration", NAMED["laboratory" if task.jitter else "exact"])
+    names, true, found, errors, refused = [], [], [], [], []
+    for contact, answer in zip(actual.contacts, contacts.answers, strict=True):
+        if not isinstance(answer, Joint):
+            refused.append(f"{contact.name}: {answer}")
+            continue
+        law, spread = contact.law, np.sqrt(np.diag(answer.covariance))
+        for quantity, value, estimate, error in (
+            ("clearance", law.clearance_m, answer.clearance_m, answer.clearance_error_m),
+            ("stiffness", law.stiffness_n_per_m, answer.parameters[2], spread[2]),
+            ("damping", law.damping_n_s_per_m, answer.parameters[3], spread[3]),
+        ):
+            names.append(f"{contact.name} {quantity}")
+            true.append(value)
+            found.append(float(estimate))
+            errors.append(float(error))
+    return Outcome(task, rms_n, names, true, found, errors, refused)
+
+
+def _with_random_contacts(rig: Rig, rng: np.random.Generator) -> Rig:
+    """Clearances of 3 to 7 mm each side, 5e4 to 3e5 N/m, 0 to 50 N s/m, different at every contact."""
+    contacts = tuple(
+        msgspec.structs.replace(
+            contact,
+            law=DeadZone(
+                lower_clearance_m=float(rng.uniform(3e-3, 7e-3)),
+                upper_clearance_m=float(rng.uniform(3e-3, 7e-3)),
+                stiffness_n_per_m=float(rng.uniform(5e4, 3e5)),
+                damping_n_s_per_m=float(rng.uniform(0, 50)),
+            ),
+        )
+        for contact in rig.contacts
+    )
+    return msgspec.structs.replace(rig, contacts=contacts)
+
+
+def _errors(outcomes: list[Outcome], quantity: str) -> tuple[np.ndarray, np.ndarray]:
+    """Relative errors in per cent (of damping: in N s/m) and errors in standard errors."""
+    rows = [
+        (true, found, error)
+        for o in outcomes
+        for name, true, found, error in zip(o.names, o.true, o.found, o.errors, strict=True)
+        if name.endswith(quantity)
+    ]
+    true, found, error = np.array(rows).reshape(-1, 3).T
+    return (found - true if quantity == "damping" else 100 * (found / true - 1)), (found - true) / error
+
+
+def _figures(outcomes: list[Outcome], quantity: str) -> tuple[str, ...]:
+    off, sigmas = _errors(outcomes, quantity)
+    unit = " N s/m" if quantity == "damping" else ""
+    refused = sum(len(o.unanswered) for o in outcomes)
+    return (
+        f"{np.median(np.abs(off)):.3f}{unit}",
+        f"{np.quantile(np.abs(off), 0.95):.3f}{unit}",
+        f"{100 * np.mean(np.abs(sigmas) < 1.96):.0f} %",
+        str(refused),
+    )
+
+
+def _draw(outcomes: list[Outcome], path: Path, kind: str) -> None:
+    """Errors of every contact with their 95 % intervals, and how they compare with the intervals."""
+    with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3}):
+        figure = Figure(figsize=(8, 6), layout="constrained")
+        axes = figure.subplots(2, 2, width_ratios=(2, 1))
+        for row, quantity in zip(axes, ("clearance", "stiffness"), strict=True):
+            off, sigmas = _errors(outcomes, quantity)
+            row[0].errorbar(
+                np.arange(off.size), off, 1.96 * np.abs(off / sigmas), fmt=".", color="#1f5fa8", elinewidth=0.8
+            )
+            row[0].axhline(0, color="k", lw=0.8)
+            row[0].set(xlabel="contact", ylabel=f"error of the {quantity}, %")
+            ordered = np.sort(np.abs(sigmas))
+            expected = np.linspace(0, 5, 100)
+            row[1].plot(ordered, np.linspace(0, 1, ordered.size), color="#1f5fa8", label="found")
+            row[1].plot(
+                expected,
+                [np.mean(np.abs(np.random.default_rng(1).standard_normal(20000)) < e) for e in expected],
+                "k:",
+                label="Gaussian",
+            )
+            row[1].set(xlim=(0, 5), xlabel="|error| / standard error", ylabel="share of the contacts")
+            row[1].legend(frameon=False)
+        figure.suptitle(f"{kind}: errors with 95 % intervals")
+        figure.savefig(path, dpi=130)
+
+
+if __name__ == "__main__":
+    run(app, "scenarios.identification_campaign")

@@ -1,0 +1,32 @@
+"""The walls between the packages, and what an import may cost."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+IMPORT_ALL = """
+import importlib, pkgutil, sys
+package = importlib.import_module({package!r})
+for module in pkgutil.walk_packages(package.__path__, {package!r} + "."):
+    if module.name not in {spared!r}:
+        importlib.import_module(module.name)
+        heavy = {{"exudyn", "matplotlib", "rerun"}} & set(sys.modules)
+        assert not heavy, f"{{module.name}} pulls in {{heavy}}"
+print("imported")
+"""
+
+
+def test_the_contracts_on_imports_hold():
+    linter = Path(sys.executable).with_name("lint-imports")
+    done = subprocess.run([linter, "--no-cache"], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(("package", "spared"), [("rig", ()), ("identify", ("identify.plots",))])
+def test_importing_a_package_pulls_in_nothing_heavy(package, spared):
+    program = IMPORT_ALL.format(package=package, spared=spared)
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.stdout == "imported\n", done.stdout + done.stderr
