@@ -8,7 +8,7 @@ from jaxtyping import Float
 from identify.drift import Drift
 from identify.forces import ContactForces, separated_forces
 from identify.joint import Joint, Observed, fit_joint
-from identify.kinematics import Kinematics, Use, acceleration_noise, kinematics, slow_acceleration
+from identify.kinematics import Kinematics, Use, acceleration_noise, kinematics
 from identify.modal import relative_displacements, relative_velocities
 from identify.spectra import force_band
 from identify.tolerances import Tolerances
@@ -71,7 +71,7 @@ def _observed(
                     f"contact {contact.name!r} has no sensor at {missing[0].position_m} m of {missing[0].body!r}; "
                     "its drift cannot be told: put an accelerometer there"
                 )
-            slow = [slow_acceleration(motion, s) for s in stations]
+            slow = [motion.lost_m_per_s2[motion.stations.index(s)] for s in stations]
             of_both = np.hypot.reduce([noise[motion.stations.index(s)] for s in stations])
             drift = Drift(
                 acceleration_m_per_s2=(slow[0] - (slow[1] if len(slow) > 1 else 0.0))[:samples],
@@ -85,6 +85,9 @@ def _observed(
                 sample_rate_hz=motion.sample_rate_hz,
                 force_n=separated.force_n[j],
                 factor=separated.factor,
+                quiet_n=float(np.std(separated.force_n[j, : motion.excited_from // separated.factor]))
+                if motion.excited_from
+                else 0.0,
                 drift=drift,
             )
         )
@@ -104,5 +107,5 @@ def _answer(observed: Observed, separated: ContactForces, contact: int) -> Answe
     ):
         if not error_of < LOOSE * value:
             share = 100 * error_of / max(value, 1e-12)
-            return f"its {what} is uncertain by {share:.0f} %; record longer or change the force"
+            return f"its {what} is uncertain by {min(share, 100):.0f} % or more; record longer or change the force"
     return found

@@ -150,6 +150,7 @@ def _cut(motion: Kinematics, samples: int) -> Kinematics:
         displacement_m=motion.displacement_m[:, :samples],
         velocity_m_per_s=motion.velocity_m_per_s[:, :samples],
         acceleration_m_per_s2=motion.acceleration_m_per_s2[:, :samples],
+        lost_m_per_s2=motion.lost_m_per_s2[:, :samples],
     )
 
 

@@ -22,6 +22,14 @@ class Drift:
     noise_density: float
     spring_n_per_m: float
 
+    @property
+    def unfollowed_m(self) -> float:
+        """Standard deviation of the twice integrated noise above the frequency that the knots can follow.
+
+        The integral of (s / (2 pi f)^2)^2 from f = 1/(2 knot) on is s^2 / (16 pi^4 3 f^3).
+        """
+        return float(self.noise_density / (4 * np.pi**2 * np.sqrt(3 * (0.5 / KNOT_S) ** 3)))
+
 
 @dataclass(frozen=True)
 class Spline:

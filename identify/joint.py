@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.signal import resample
 from scipy.sparse import csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import splu, spsolve
@@ -20,9 +20,17 @@ FINE_HZ = 4096.0
 """The contact force is evaluated at this rate at least, so that its kinks do not alias."""
 CLEAR_SHARE = 0.1
 """A contact counts as clearly closed where its force exceeds this share of the force's 99.5 % quantile."""
-LEAST_CLOSED = 2e-3
-"""A contact that is clearly closed for a smaller share of the record is not told by it."""
+STRAINED = 9.0
+"""A drift whose curvature is on average more than the root of this away from what was measured is no drift."""
+LOST = 3.0
+"""If between two closures the noise, integrated twice, wanders by more than this multiple of the median penetration,
+the fit cannot tell which closure belongs where."""
+ABOVE_NOISE = 8.0
+"""... and this many standard deviations of the force in the quiet seconds before the excitation."""
+LEAST_CLOSED = 1e-3
+"""A stop that is clearly touched for a smaller share of the record is not told by it."""
 
+Weights = Float[np.ndarray, " fewer"]
 Doubt = tuple[Float[np.ndarray, " fewer"], Float[np.ndarray, " samples"]]
 """What one standard deviation of an uncertain thing would add to the force and to the relative displacement."""
 
@@ -31,7 +39,8 @@ Doubt = tuple[Float[np.ndarray, " fewer"], Float[np.ndarray, " samples"]]
 class Observed:
     """One contact as seen: relative displacement and velocity (m, m/s) and the separated force (N).
 
-    The force has been low-passed and is that of every `factor`-th sample. drift is None where nothing was lost.
+    The force has been low-passed and is that of every `factor`-th sample; quiet_n is its standard deviation where there
+    is no contact. drift is None where nothing was lost.
     """
 
     eta_m: Float[np.ndarray, " samples"]
@@ -39,6 +48,7 @@ class Observed:
     sample_rate_hz: float
     force_n: Float[np.ndarray, " fewer"]
     factor: int
+    quiet_n: float
     drift: Drift | None
 
     @property
@@ -94,28 +104,30 @@ def fit_joint(seen: Observed, doubts: Sequence[Doubt] = ()) -> Joint:
     if not seen.sides_known:
         tie[1, 0] = 1.0
     law, knots = _start(seen, curve)
-    noise_n = 0.02 * float(np.std(seen.force_n))
     state = _linearised(seen, curve, law, knots)
-    for _ in range(3):
-        state = _descended(seen, curve, state, tie, noise_n)
-        before, noise_n = noise_n, float(np.std(state.residual))
-        if abs(noise_n / before - 1) < 0.1:
+    weights = _weights(seen, state, 0.02 * float(np.std(seen.force_n)))
+    for _ in range(4):
+        state = _descended(seen, curve, state, tie, weights)
+        before, weights = weights, _weights(seen, state, _scatter(state))
+        if np.allclose(weights, before, rtol=0.1):
             break
     scale = _scales(state, free)
-    hessian, _ = _normal(state, curve, tie * scale, noise_n)
+    hessian, _ = _normal(state, curve, tie * scale, weights)
     chosen = np.zeros((hessian.shape[0], len(free)))
     chosen[-len(free) :] = np.eye(len(free))
     inverse = splu(hessian.tocsc()).solve(chosen)
-    influence = (_jacobian(state, curve, tie * scale) @ inverse) / noise_n**2  # of each residual on each parameter
+    influence = (_jacobian(state, curve, tie * scale) @ inverse) * weights[:, None] ** 2  # of residuals on parameters
     parts = zip(np.array_split(influence, PARTS), np.array_split(state.residual, PARTS), strict=True)
     scores = np.array([i.T @ r for i, r in parts])
     for force, eta in doubts:
         moved = force - state.by_eta * eta[:: seen.factor][: force.size]
         scores = np.concatenate([scores, (influence.T @ moved)[None, :]])
+    _check_drift(seen, curve, state)
+    from_drift = curve.curvature @ inverse[: curve.knots]  # each row of the prior is uncertain by one
     spread = tie * scale
     return Joint(
         parameters=state.law,
-        covariance=spread @ (scores.T @ scores) @ spread.T,
+        covariance=spread @ (scores.T @ scores + from_drift.T @ from_drift) @ spread.T,
         sides_known=seen.sides_known,
         drift_m=curve.value @ state.knots,
         drift_m_per_s=curve.rate @ state.knots,
@@ -134,16 +146,49 @@ class _State:
     at_force: csr_matrix
 
 
+def _closed(seen: Observed) -> Bool[np.ndarray, " fewer"]:
+    """Where the contact is clearly closed."""
+    size = np.abs(seen.force_n)
+    return size > max(CLEAR_SHARE * float(np.quantile(size, 0.995)), ABOVE_NOISE * seen.quiet_n)
+
+
+def _check_drift(seen: Observed, curve: Spline, state: _State) -> None:
+    """Raises RigError if the drift found, or the wandering between closures, is more than can be told."""
+    if seen.drift is None:
+        return
+    strain = float(np.mean((curve.curvature @ state.knots - curve.target) ** 2))
+    if strain > STRAINED:
+        raise RigError(
+            "the drift that would explain it is larger than the noise of the accelerometers allows; check their noise "
+            "and gains, or excite the rig more strongly"
+        )
+    closed = _closed(seen)
+    between_s = np.diff(np.flatnonzero(np.diff(closed.astype(int)) == 1)) * seen.factor / seen.sample_rate_hz
+    wander_m = seen.drift.noise_density * np.sqrt(np.mean(between_s**3) / 6) if between_s.size else np.inf
+    depth_m = float(np.median(np.abs(seen.force_n[closed]))) / state.law[2]
+    if seen.drift.spring_n_per_m == 0 and wander_m > LOST * depth_m:
+        raise RigError(
+            "it closes too rarely for accelerometers to bridge the time between (their noise wanders by "
+            f"{1e6 * wander_m:.0f} um, the penetration is {1e6 * depth_m:.0f} um); excite the rig more strongly, or "
+            "measure displacements"
+        )
+
+
 def _start(seen: Observed, curve: Spline) -> tuple[Float[np.ndarray, "4"], Float[np.ndarray, " knots"]]:
     """Where the contact is clearly closed, eta + b = +-clearance + force / k: linear in clearance, 1/k and b."""
     size = np.abs(seen.force_n)
     at_force = curve.value[:: seen.factor][: size.size]
     force = seen.force_n
-    closed = size > CLEAR_SHARE * np.quantile(size, 0.995)
+    closed = _closed(seen)
     if seen.spring_n_per_m:  # the drift's own force is in the measured one: leave it to Gauss-Newton
         at_force = csr_matrix(at_force.shape)
-    if closed.mean() < LEAST_CLOSED:
-        raise RigError("the contact is closed for less than 0.2 % of the record; excite the rig more strongly")
+    touched = [float(np.mean(closed & side)) for side in (force < 0, force > 0)]
+    if max(touched) < LEAST_CLOSED:
+        raise RigError("it hardly ever closes in this record; excite the rig more strongly")
+    if min(touched) < LEAST_CLOSED:
+        raise RigError(
+            "only one of its stops is ever touched, so its play cannot be told; excite the rig more strongly"
+        )
     eta = seen.eta_m[:: seen.factor][: size.size][closed]
     columns = csr_matrix(np.stack([np.sign(force[closed]), force[closed]], axis=1))
     fuzz_m = 1e-2 * float(np.std(eta))
@@ -182,25 +227,25 @@ def _linearised(
 
 
 def _descended(
-    seen: Observed, curve: Spline, state: _State, mapped: Float[np.ndarray, "4 free"], noise_n: float
+    seen: Observed, curve: Spline, state: _State, mapped: Float[np.ndarray, "4 free"], weights: Weights
 ) -> _State:
     """Gauss-Newton with step halving, until the cost stands."""
     free = [int(np.argmax(column)) for column in mapped.T]
     for _ in range(STEPS):
-        cost = _cost(state, curve, noise_n)
+        cost = _cost(state, curve, weights)
         to_law = mapped * _scales(state, free)
-        hessian, gradient = _normal(state, curve, to_law, noise_n)
+        hessian, gradient = _normal(state, curve, to_law, weights)
         step = spsolve(hessian.tocsc(), gradient)
         for halving in range(12):
             law = state.law + to_law @ step[curve.knots :] / 2**halving
             if law[2] > 0 and law[:2].min() >= 0:
                 trial = _linearised(seen, curve, law, state.knots + step[: curve.knots] / 2**halving)
-                if _cost(trial, curve, noise_n) < cost:
+                if _cost(trial, curve, weights) < cost:
                     break
         else:
             return state
         state = trial
-        if cost - _cost(state, curve, noise_n) < 1e-7 * cost:
+        if cost - _cost(state, curve, weights) < 1e-7 * cost:
             return state
     return state
 
@@ -211,9 +256,22 @@ def _scales(state: _State, free: Sequence[int]) -> Float[np.ndarray, " free"]:
     return np.array([gap, gap, state.law[2], 1e-3 * state.law[2]])[list(free)]
 
 
-def _cost(state: _State, curve: Spline, noise_n: float) -> float:
+def _scatter(state: _State) -> float:
+    """Standard deviation of the residual while the contact is open; of all of it where that is larger."""
+    open_n = np.std(state.residual[np.abs(state.by_eta) < 1e-3 * state.law[2]])
+    return float(open_n) if np.isfinite(open_n) and open_n > 0 else float(np.std(state.residual))
+
+
+def _weights(seen: Observed, state: _State, open_n: float) -> Weights:
+    """One over the standard deviation of each residual: that of the force, and while the contact is closed also what
+    the relative displacement's noise, where the drift's knots do not follow it, does through the stiffness."""
+    fast_m = 0.0 if seen.drift is None else seen.drift.unfollowed_m
+    return np.asarray(1 / np.hypot(open_n, state.by_eta * fast_m))
+
+
+def _cost(state: _State, curve: Spline, weights: Weights) -> float:
     prior = curve.curvature @ state.knots - curve.target
-    return float(np.sum(state.residual**2) / noise_n**2 + np.sum(prior**2))
+    return float(np.sum((weights * state.residual) ** 2) + np.sum(prior**2))
 
 
 def _jacobian(state: _State, curve: Spline, to_law: Float[np.ndarray, "4 free"]) -> csr_matrix:
@@ -230,10 +288,10 @@ def _jacobian(state: _State, curve: Spline, to_law: Float[np.ndarray, "4 free"])
 
 
 def _normal(
-    state: _State, curve: Spline, to_law: Float[np.ndarray, "4 free"], noise_n: float
+    state: _State, curve: Spline, to_law: Float[np.ndarray, "4 free"], weights: Weights
 ) -> tuple[csr_matrix, Float[np.ndarray, " unknowns"]]:
-    jacobian = _jacobian(state, curve, to_law)
+    jacobian = diags(weights) @ _jacobian(state, curve, to_law)
     rest = csr_matrix((curve.target.size, to_law.shape[1]))
     prior = hstack([curve.curvature, rest]).tocsr() if curve.knots else rest
-    gradient = jacobian.T @ state.residual / noise_n**2 + prior.T @ (curve.target - curve.curvature @ state.knots)
-    return jacobian.T @ jacobian / noise_n**2 + prior.T @ prior, gradient
+    gradient = jacobian.T @ (weights * state.residual) + prior.T @ (curve.target - curve.curvature @ state.knots)
+    return jacobian.T @ jacobian + prior.T @ prior, gradient

@@ -5,6 +5,7 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Complex, Float
+from scipy.fft import next_fast_len
 
 from rig.description import Quantity, Rig, Sensor, Station
 from rig.errors import RigError
@@ -24,6 +25,7 @@ class Kinematics:
     """Motion of every station on one clock, from the first sample on; the record's end is left out.
 
     trusted_hz is the band in which every row is right. zero_known says whether a constant displacement is seen.
+    lost is the slow part of the acceleration that an integrated displacement lacks; zero where none was integrated.
     """
 
     stations: tuple[Station, ...]
@@ -35,6 +37,7 @@ class Kinematics:
     displacement_m: Float[np.ndarray, "stations samples"]
     velocity_m_per_s: Float[np.ndarray, "stations samples"]
     acceleration_m_per_s2: Float[np.ndarray, "stations samples"]
+    lost_m_per_s2: Float[np.ndarray, "stations samples"]
 
     @property
     def excited_from(self) -> int:
@@ -70,21 +73,26 @@ def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNE
             "record longer or raise the corner frequency"
         )
     taper = _taper(recording.samples, round(TAPER_S * rate))
-    omega = 2 * np.pi * np.fft.rfftfreq(recording.samples, 1 / rate)
+    # silence behind the record, as the Fourier transform wraps its end, which integration falsifies, round to its start
+    length = next_fast_len(recording.samples + round(2 * left_out * rate), real=True)
+    omega = 2 * np.pi * np.fft.rfftfreq(length, 1 / rate)
     spectra: dict[str, Complex[np.ndarray, " lines"]] = {}
     rows: dict[int, list[Float[np.ndarray, " samples"]]] = {0: [], 1: [], 2: []}
-    used: list[str] = []
+    lost: list[Float[np.ndarray, " samples"]] = []
     for station in stations:
         for order, motion in rows.items():
             sensor = _nearest(chosen[station], order)
             if sensor.name not in spectra:
-                spectra[sensor.name] = _undone(sensor, _channel(recording, sensor) * taper, omega)
-                used.append(sensor.name)
+                padded = np.pad(_channel(recording, sensor) * taper, (0, length - recording.samples))
+                spectra[sensor.name] = _undone(sensor, padded, omega)
             factor = _power(omega, order - _ORDER[sensor.quantity], corner_hz)
-            motion.append(np.fft.irfft(spectra[sensor.name] * factor, recording.samples)[:usable])
+            motion.append(np.fft.irfft(spectra[sensor.name] * factor, length)[:usable])
+        below = 0.0 if "displacement" in chosen[station] else 1 - _high_pass(omega, corner_hz)
+        slow = spectra[sensor.name] * factor * below  # the last sensor gave the acceleration
+        lost.append(np.fft.irfft(slow, length)[:usable])
     return Kinematics(
         stations=stations,
-        channels=tuple(used),
+        channels=tuple(spectra),
         sample_rate_hz=rate,
         trusted_hz=(corner_hz if integrates else 0.0, PASSBAND * rate),
         zero_known=not integrates,
@@ -92,16 +100,8 @@ def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNE
         displacement_m=np.stack(rows[0]),
         velocity_m_per_s=np.stack(rows[1]),
         acceleration_m_per_s2=np.stack(rows[2]),
+        lost_m_per_s2=np.stack(lost),
     )
-
-
-def slow_acceleration(motion: Kinematics, station: Station) -> Float[np.ndarray, " samples"]:
-    """The part of a station's acceleration that its integrated displacement lacks."""
-    row = motion.stations.index(station)
-    acceleration = motion.acceleration_m_per_s2[row]
-    omega = 2 * np.pi * np.fft.rfftfreq(acceleration.size, 1 / motion.sample_rate_hz)
-    slow = np.fft.rfft(acceleration) * (1 - _high_pass(omega, motion.trusted_hz[0]))
-    return np.asarray(np.fft.irfft(slow, acceleration.size))
 
 
 def acceleration_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stations"]:

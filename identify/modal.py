@@ -148,6 +148,7 @@ def without_higher_modes(
         displacement_m=rows[0],
         velocity_m_per_s=rows[1],
         acceleration_m_per_s2=rows[2],
+        lost_m_per_s2=motion.lost_m_per_s2[:, :keep],
     )
 
 

@@ -11,7 +11,9 @@ from matplotlib.figure import Figure
 from scipy.signal import welch
 
 from identify.contact import Identification
+from identify.joint import Joint
 from identify.nifo import modal_frf
+from rig.contact import dead_zone
 
 Marks = Mapping[str, tuple[float, float]]
 """Reference values by contact: clearance (m) and stiffness (N/m), drawn as dashed lines."""
@@ -20,7 +22,9 @@ _BLUE, _RED, _GREY, _GREEN = "#1f5fa8", "#c8402f", "#8a8a8a", "#2c8a57"
 
 
 def write_figures(found: Identification, folder: Path, marks: Marks, marks_name: str) -> list[Path]:
-    """Draws the figures of the paper (4 to 9, 12 to 17) for the main modal equation into a folder; returns their paths.
+    """Draws the figures of the paper (4 to 9, 12 to 17) for the main modal equation, and the separated contact forces.
+
+    Returns their paths.
 
     marks are drawn as what `marks_name` says they are: the true values where they are known, else those of rig.json.
     """
@@ -119,8 +123,29 @@ def _section(figure: Any, found: Identification, marks: Marks, marks_name: str) 
         _mark_stops(axes, found, j, marks, marks_name)
         axes.set(xlabel=f"$\\eta$ of {contact.name}, mm", title=contact.name)
     axes_row[0].set_ylabel("contact force, N")
-    axes_row[0].legend(loc="upper left", markerscale=6)
+    handles, labels = axes_row[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, markerscale=6)
     figure.suptitle(f"Section of the restoring force, modal equation {surface.equation.name}")
+
+
+def _separated(figure: Any, found: Identification, marks: Marks, marks_name: str) -> None:
+    """Each contact force by itself, separated without a law, over its own relative displacement; the law found."""
+    axes_row = figure.subplots(1, len(found.answers), squeeze=False, sharey=True)[0]
+    few = slice(None, None, found.separated.factor)
+    for j, (axes, contact, answer) in enumerate(zip(axes_row, found.rig.contacts, found.answers, strict=True)):
+        eta = found.eta_m[j][few]
+        force = found.separated.force_n[j][: eta.size]
+        axes.plot(1e3 * eta, force, ".", ms=1.2, color=_BLUE, alpha=0.4, label="separated, no law assumed")
+        if isinstance(answer, Joint):
+            lower, upper, stiffness, _ = answer.parameters
+            span = np.linspace(eta.min(), eta.max(), 400)
+            law = stiffness * dead_zone(span, lower, upper)
+            axes.plot(1e3 * span, law, color=_RED, lw=1.2, label="law found (without damping)")
+        _mark_stops(axes, found, j, marks, marks_name)
+        axes.set(xlabel=f"$\\eta$ of {contact.name}, mm", title=contact.name)
+    axes_row[0].set_ylabel("contact force, N")
+    handles, labels = axes_row[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=4, markerscale=6)
 
 
 def _occurrence(figure: Any, found: Identification, marks: Marks, marks_name: str) -> None:
@@ -208,6 +233,7 @@ _FIGURES = {
     "outputs": _outputs,
     "surface": _surface,
     "section": _section,
+    "separated": _separated,
     "occurrence": _occurrence,
     "stiffness": _stiffness,
     "frf": _frf,

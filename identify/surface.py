@@ -129,7 +129,11 @@ def clearance_from_occurrence(eta_m: Float[np.ndarray, " samples"]) -> Stops:
         def cost(p: Float[np.ndarray, " parameters"]) -> float:
             lower, upper = np.abs(p[3:]) * scale
             x = middles / scale
-            exponent = -p[0] * x - p[1] * x**2 / 2 - np.exp(p[2]) * (dead_zone(middles, lower, upper) / scale) ** 2 / 2
+            exponent = (
+                -p[0] * x
+                - p[1] * x**2 / 2
+                - np.exp(min(p[2], 20.0)) * (dead_zone(middles, lower, upper) / scale) ** 2 / 2
+            )
             top = exponent.max()
             return float(-(counts @ exponent) + top + np.log(np.exp(exponent - top).sum()))
 

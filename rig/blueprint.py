@@ -9,6 +9,9 @@ from rig.description import Contact, Rig
 
 TIMELINE = "sim_time"
 WINDOW_S = 0.5
+"""What the plots show before and after the moment."""
+TRAIL_S = 0.1
+"""What a close-up shows before the moment."""
 
 
 @dataclass(frozen=True)
@@ -24,6 +27,13 @@ class Look:
     centre_m: float
     extent_m: float
     frame_rate_hz: float
+    largest_relative_m: tuple[float, ...]
+    """Of each contact's relative displacement."""
+
+    def reach_mm(self, contact: Contact) -> float:
+        """How far the views of a contact need to reach."""
+        largest = self.largest_relative_m[self.rig.contacts.index(contact)]
+        return 1.2e3 * max(contact.law.lower_clearance_m, contact.law.upper_clearance_m, largest) or 1.0
 
 
 def entity(*parts: str) -> str:
@@ -33,7 +43,7 @@ def entity(*parts: str) -> str:
 
 def blueprint(look: Look) -> rrb.Blueprint:
     """Paused and slowed down so that every frame is seen; the plots show a window around the moment."""
-    close_ups = [_close_up(contact) for contact in look.rig.contacts]
+    close_ups = [_close_up(contact, look.reach_mm(contact), _caveat(look)) for contact in look.rig.contacts]
     left = rrb.Vertical(_model(look), rrb.Horizontal(*close_ups), row_shares=[3, 2]) if close_ups else _model(look)
     speed = float(f"{60 / look.frame_rate_hz:.1g}")
     return rrb.Blueprint(
@@ -58,12 +68,11 @@ def _model(look: Look) -> rrb.Spatial3DView:
     )
 
 
-def _close_up(contact: Contact) -> rrb.Spatial2DView:
-    half = 1e3 * max(contact.law.lower_clearance_m, contact.law.upper_clearance_m) or 1.0
+def _close_up(contact: Contact, reach_mm: float, caveat: str) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(
         origin=entity("close_up", contact.name),
-        name=f"{contact.name}, true scale",
-        visual_bounds=rrb.VisualBounds2D(x_range=[-1.2 * half, 1.2 * half], y_range=[-1.5 * half, 1.5 * half]),
+        name=f"{contact.name}: last {TRAIL_S:g} s, true scale{caveat}",
+        visual_bounds=rrb.VisualBounds2D(x_range=[-1.2 * reach_mm, 1.2 * reach_mm], y_range=[-reach_mm, reach_mm]),
     )
 
 
@@ -75,7 +84,12 @@ def _plots(look: Look) -> list[rrb.View | rrb.Container]:
     ]
     return [
         *(
-            _plot(look, entity("relative_displacement", c.name), f"{c.name}: relative displacement, mm{_caveat(look)}")
+            _plot(
+                look,
+                entity("relative_displacement", c.name),
+                f"{c.name}: relative displacement, mm{_caveat(look)}",
+                look.reach_mm(c),
+            )
             for c in look.rig.contacts
         ),
         *([_plot(look, "contact_force", "Contact force, N")] if look.contact_force else []),
@@ -83,12 +97,13 @@ def _plots(look: Look) -> list[rrb.View | rrb.Container]:
     ]
 
 
-def _plot(look: Look, origin: str, name: str) -> rrb.TimeSeriesView:
+def _plot(look: Look, origin: str, name: str, reach: float | None = None) -> rrb.TimeSeriesView:
     thinned = f" (every {look.stride}th sample)" if look.stride > 1 else ""
     return rrb.TimeSeriesView(
         origin=origin,
         name=name + thinned,
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
+        axis_y=None if reach is None else rrb.ScalarAxis(range=(-reach, reach)),
         axis_x=rrb.TimeAxis(
             view_range=rr.TimeRange(
                 start=rr.TimeRangeBoundary.cursor_relative(seconds=-WINDOW_S),

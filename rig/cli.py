@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from rig.beam import Beam
-from rig.command_line import Interrupted, progress_bar, refuse_existing, run
+from rig.command_line import StoppedError, progress_bar, refuse_existing, run
 from rig.description import Station
 from rig.errors import RigError
 from rig.plants import PLANTS, plant_named
@@ -89,7 +89,7 @@ def record(
     except KeyboardInterrupt:
         if not out.exists():
             raise
-        raise Interrupted(f"interrupted; {out} holds what was recorded until then") from None
+        raise StoppedError(f"interrupted; {out} holds what was recorded until then") from None
     if as_json:
         print(json.dumps({"recording": str(out), "truth": str(truth_path(out))}))
     else:

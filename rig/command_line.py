@@ -14,7 +14,7 @@ from rig.errors import RigError
 INTERRUPTED = 130
 
 
-class Interrupted(Exception):
+class StoppedError(Exception):
     """Ctrl-C where there is more to say than that: its text says what is left."""
 
 
@@ -29,7 +29,7 @@ def run(app: typer.Typer, name: str) -> None:
         status, sentence = 1, str(error)
     except MemoryError as error:
         status, sentence = 1, f"there is not enough memory for this ({error}); ask for a shorter record"
-    except Interrupted as error:
+    except StoppedError as error:
         status, sentence = INTERRUPTED, str(error)
     except SystemExit as stop:
         if stop.code != INTERRUPTED:

@@ -65,9 +65,11 @@ def record(
     ):
         for block in digitised(actual, plant(actual, force, step_s, progress), rng):
             keep = slice(0, samples - written)
-            for group, values in {"force": block.force_n[None, :], **block.sensed}.items():
-                recording.append(group, values[:, keep])
-            for group, values in {"force": block.force_n[None, :], **block.truth}.items():
+            for file in (recording, truth):
+                file.append("force", block.force_n[None, keep])
+            for quantity, values in block.sensed.items():
+                recording.append(quantity, values[:, keep])
+            for group, values in block.truth.items():
                 truth.append(group, values[:, keep])
             written += block.force_n[keep].size
             check_interrupt()

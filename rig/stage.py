@@ -71,6 +71,13 @@ class Stage:
             moving = self.deflection.at(Station(body.name))[self.frames, None]
         return self._placed(np.broadcast_to(x, (self.frames.size, x.size)), body.name, z + self.magnification * moving)
 
+    def label(self, body: Body) -> Float[np.ndarray, "frames 3"]:
+        """Where the body's name stands: above a beam, at its left or, for every other one, right quarter; in a mass."""
+        right = [b.name for b in self.rig.bodies].index(body.name) % 2
+        above = 0.07 if isinstance(body, Beam) else -0.04
+        place = Station(body.name, (0.75 if right else 0.25) * body.length_m)
+        return self.point(place) + np.array([0, 0, above * self.extent_m])
+
     def support(self, body: Body) -> Float[np.ndarray, "corners 3"] | None:
         """The wall that a clamped end sits in."""
         if not isinstance(body, Beam) or body.ends != "clamped-free":
@@ -79,18 +86,18 @@ class Stage:
         return np.stack([np.full(5, self.left_m[body.name]), self.depth(body.name) + y, z], axis=1)
 
     def fork(self, contact: Contact, law: DeadZone) -> Float[np.ndarray, "frames 4 3"]:
-        """The two jaws that a contact's station plays between, carried by the body that it strikes or by the ground."""
-        tip = self.point(contact.at)
+        """The two jaws that a contact's station plays between, on the body it strikes or, beside it, the ground."""
+        tip, half = self.point(contact.at), self._half(self.rig.body(contact.at.body))
+        jaws = np.repeat(tip[:, None], 4, axis=1)
         if contact.against is None:
-            carrier = np.stack([tip[:, 0], tip[:, 1] + 0.1 * self.extent_m, np.zeros(self.frames.size)], axis=1)
+            jaws[..., 0] += (half + 0.05 * self.extent_m) * np.array([1, -1, -1, 1])
+            carrier = np.zeros(self.frames.size)
         else:
-            carrier = self.point(contact.against)
-        half = self._half(self.rig.body(contact.at.body))
-        jaws = np.empty((self.frames.size, 4, 3))
-        jaws[..., 0] = tip[:, :1]
-        jaws[..., 1] = np.stack([tip[:, 1], carrier[:, 1], carrier[:, 1], tip[:, 1]], axis=1)
-        jaws[:, :2, 2] = carrier[:, 2:] + (self.magnification * law.upper_clearance_m + half)
-        jaws[:, 2:, 2] = carrier[:, 2:] - (self.magnification * law.lower_clearance_m + half)
+            jaws[:, 1:3, 1] = self.depth(contact.against.body)
+            carrier = self.point(contact.against)[:, 2]
+        upper = carrier + (self.magnification * law.upper_clearance_m + half)
+        lower = carrier - (self.magnification * law.lower_clearance_m + half)
+        jaws[..., 2] = np.stack([upper, upper, lower, lower], axis=1)
         return jaws
 
     def _half(self, body: Body) -> float:

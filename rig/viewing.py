@@ -2,15 +2,15 @@
 
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rerun as rr
-from jaxtyping import Float
+from jaxtyping import Bool, Float, UInt8
 
-from rig.blueprint import TIMELINE, Look, blueprint, entity
-from rig.contact import dead_zone
+from rig.blueprint import TIMELINE, TRAIL_S, Look, blueprint, entity
 from rig.deflection import deflection
 from rig.description import Contact
 from rig.errors import RigError
@@ -20,6 +20,8 @@ from rig.stage import Stage, stage
 SCALARS = 1_000_000
 """Above this many in the time series, they are thinned out."""
 ROWS = 8192
+TRAIL_POINTS = 60
+HATCHES = 16
 
 FREE, CLOSED, STEEL, FAINT, FORCE = (90, 200, 120), (255, 70, 60), (170, 175, 185), (85, 90, 100), (255, 190, 60)
 LINES = (
@@ -61,6 +63,7 @@ def write_rrd(recording: Recording, truth: Recording | None, path: Path, magnifi
         centre_m=scene.centre_m,
         extent_m=scene.extent_m,
         frame_rate_hz=scene.frame_rate_hz,
+        largest_relative_m=tuple(float(np.abs(row).max()) for row in relative_m),
     )
     part = path.with_name(path.name + ".part")
     try:
@@ -68,9 +71,9 @@ def write_rrd(recording: Recording, truth: Recording | None, path: Path, magnifi
         with rr.RecordingStream("rig") as stream:
             stream.save(part, default_blueprint=blueprint(look))
             stream.send_recording_name(f"{recording.rig.name}, {recording.duration_s:g} s")
-            _send_model(stream, scene, recording)
+            _send_model(stream, scene, recording, relative_m)
             for contact, row in zip(recording.rig.contacts, relative_m, strict=True):
-                _send_close_up(stream, scene, contact, row[scene.frames])
+                _send_close_up(stream, scene, contact, row, look.reach_mm(contact))
                 _send_relative_displacement(stream, contact, recording.signals["force"].time_s, row, stride)
             _send_series(stream, recording, truth, stride)
             stream.flush()
@@ -100,53 +103,75 @@ def _series_scalars(recording: Recording, truth: Recording | None) -> int:
     return recording.samples * (1 + channels + len(recording.rig.contacts) * (1 if truth is None else 2))
 
 
-def _send_model(stream: rr.RecordingStream, scene: Stage, recording: Recording) -> None:
+def _send_model(
+    stream: rr.RecordingStream, scene: Stage, recording: Recording, relative_m: Float[np.ndarray, "contacts samples"]
+) -> None:
     stream.log("model", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     for number, body in enumerate(scene.rig.bodies):
         path, colour, strips = entity("model", body.name), LINES[number % len(LINES)], scene.strips(body)
-        _style(stream, path, rr.LineStrips3D.from_fields(colors=[colour], radii=[_pixels(3)]))
-        _send(stream, path, scene.time_s, lambda r, s=strips: rr.LineStrips3D.columns(strips=s[r]))
+        _style(stream, path, rr.LineStrips3D.from_fields(colors=[colour], radii=[_pixels(3.0)]))
+        _send(stream, path, scene.time_s, rr.LineStrips3D, strips=strips)
         _style(stream, f"{path}/rest", rr.LineStrips3D([scene.rest(body)], colors=[FAINT], radii=_pixels(0.75)))
         if (support := scene.support(body)) is not None:
-            _style(stream, f"{path}/support", rr.LineStrips3D([support], colors=[STEEL], radii=_pixels(2)))
-        middle = strips[:, strips.shape[1] * (1 + 2 * (number % 2)) // 4] + [0, 0, 0.07 * scene.extent_m]
+            _style(stream, f"{path}/support", rr.LineStrips3D([support], colors=[STEEL], radii=_pixels(2.0)))
+        label = scene.label(body)
         _style(stream, f"{path}/name", rr.Points3D.from_fields(colors=[colour], radii=[0.0], labels=[body.name]))
-        _send(stream, f"{path}/name", scene.time_s, lambda r, p=middle: rr.Points3D.columns(positions=p[r]))
-    for contact in scene.rig.contacts:
-        path = entity("model", contact.name)
-        fork, striking = scene.fork(contact, recording.rig.contact(contact.name).law), scene.point(contact.at)
-        _style(stream, path, rr.LineStrips3D.from_fields(colors=[STEEL], radii=[_pixels(2)]))
-        _send(stream, path, scene.time_s, lambda r, f=fork: rr.LineStrips3D.columns(strips=f[r]))
-        _style(stream, f"{path}/point", rr.Points3D.from_fields(colors=[(255, 255, 255)], radii=[_pixels(4)]))
-        _send(stream, f"{path}/point", scene.time_s, lambda r, p=striking: rr.Points3D.columns(positions=p[r]))
+        _send(stream, f"{path}/name", scene.time_s, rr.Points3D, positions=label)
+    for contact, row in zip(scene.rig.contacts, relative_m, strict=True):
+        path, believed = entity("model", contact.name), recording.rig.contact(contact.name)
+        _style(stream, path, rr.LineStrips3D.from_fields(colors=[STEEL], radii=[_pixels(2.0)]))
+        _send(stream, path, scene.time_s, rr.LineStrips3D, strips=scene.fork(contact, believed.law))
+        _style(stream, f"{path}/point", rr.Points3D.from_fields(radii=[_pixels(5.0)]))
+        colours = _closed(believed, row[scene.frames])[1]
+        _send(stream, f"{path}/point", scene.time_s, rr.Points3D, positions=scene.point(contact.at), colors=colours)
     force = recording.force_n[scene.frames]
     arrows = np.zeros((force.size, 3))
     arrows[:, 2] = 0.2 * scene.extent_m * force / (np.abs(recording.force_n).max() or 1.0)
     pushed = scene.point(scene.rig.force_at)
     _style(stream, "model/force", rr.Arrows3D.from_fields(colors=[FORCE], radii=[0.004 * scene.extent_m]))
-    _send(stream, "model/force", scene.time_s, lambda r: rr.Arrows3D.columns(vectors=arrows[r], origins=pushed[r]))
+    _send(stream, "model/force", scene.time_s, rr.Arrows3D, vectors=arrows, origins=pushed)
 
 
 def _send_close_up(
-    stream: rr.RecordingStream, scene: Stage, contact: Contact, relative_m: Float[np.ndarray, " frames"]
+    stream: rr.RecordingStream,
+    scene: Stage,
+    contact: Contact,
+    relative_m: Float[np.ndarray, " samples"],
+    reach_mm: float,
 ) -> None:
-    """The relative displacement in mm, upwards, between its two walls."""
-    lower, upper = 1e3 * contact.law.lower_clearance_m, 1e3 * contact.law.upper_clearance_m
-    path, half = entity("close_up", contact.name), max(lower, upper)
-    levels = {f"+{upper:g} mm": -upper, f"-{lower:g} mm": lower}  # the view's y points downwards
-    walls = [[[-half, y], [half, y]] for y in levels.values()]
-    _style(stream, f"{path}/walls", rr.LineStrips2D(walls, colors=[STEEL], radii=_pixels(2.5)))
-    _style(stream, f"{path}/middle", rr.LineStrips2D([[[-half, 0], [half, 0]]], colors=[FAINT], radii=_pixels(0.75)))
-    places = [[-0.8 * half, y] for y in levels.values()]
-    _style(stream, f"{path}/levels", rr.Points2D(places, colors=[STEEL], radii=0, labels=list(levels)))
-    touching = dead_zone(relative_m, contact.law.lower_clearance_m, contact.law.upper_clearance_m) != 0
-    points = np.stack([np.zeros(relative_m.size), -1e3 * relative_m], axis=1)
-    colours = np.where(touching[:, None], CLOSED, FREE).astype(np.uint8)
-    words = [f"{1e3 * r:+.2f} mm, {'closed' if t else 'free'}" for r, t in zip(relative_m, touching, strict=True)]
-    _style(stream, f"{path}/point", rr.Points2D.from_fields(radii=[_pixels(8)]))
-    _send(stream, f"{path}/point", scene.time_s, lambda r: rr.Points2D.columns(positions=points[r], colors=colours[r]))
-    _style(stream, f"{path}/reading", rr.Points2D.from_fields(positions=[[0.6 * half, 0]], radii=[0]))
-    _send(stream, f"{path}/reading", scene.time_s, lambda r: rr.Points2D.columns(labels=words[r], colors=colours[r]))
+    """The relative displacement in mm, upwards, between its two walls, with what it was just before to its left."""
+    path, law, across = entity("close_up", contact.name), contact.law, 1.1 * reach_mm
+    for level, solid in ((-1e3 * law.upper_clearance_m, -1), (1e3 * law.lower_clearance_m, 1)):  # y points downwards
+        side = "upper" if solid < 0 else "lower"
+        edges = np.linspace(-across, across, HATCHES + 1)
+        hatches = [[[x, level], [x - 0.05 * across, level + solid * 0.05 * across]] for x in edges[1:]]
+        walls = [[[-across, level], [across, level]], *hatches]
+        _style(stream, f"{path}/{side}", rr.LineStrips2D(walls, colors=[STEEL], radii=_pixels(1.5)))
+        place = [0.85 * across, level if solid < 0 else level - 0.17 * reach_mm]
+        _style(
+            stream, f"{path}/{side}/level", rr.Points2D([place], colors=[STEEL], radii=0, labels=[f"{-level:+g} mm"])
+        )
+    now_x, back = 0.15 * across, np.linspace(-TRAIL_S * scene.sample_rate_hz, 0, TRAIL_POINTS).round().astype(int)
+    trail = np.empty((scene.frames.size, TRAIL_POINTS, 2))
+    trail[..., 0] = now_x + (across + now_x) * back / -back[0]
+    trail[..., 1] = -1e3 * relative_m[np.maximum(scene.frames[:, None] + back, 0)]
+    closed, colours = _closed(contact, relative_m[scene.frames])
+    words = [f"{-y:+.2f} mm, {'closed' if c else 'free'}" for y, c in zip(trail[:, -1, 1], closed, strict=True)]
+    _style(stream, f"{path}/middle", rr.LineStrips2D([[[-across, 0], [across, 0]]], colors=[FAINT], radii=_pixels(0.5)))
+    _style(stream, f"{path}/trail", rr.LineStrips2D.from_fields(colors=[LINES[0]], radii=[_pixels(0.75)]))
+    _send(stream, f"{path}/trail", scene.time_s, rr.LineStrips2D, strips=trail)
+    _style(stream, f"{path}/point", rr.Points2D.from_fields(radii=[_pixels(7.0)]))
+    _send(stream, f"{path}/point", scene.time_s, rr.Points2D, positions=trail[:, -1], colors=colours)
+    _style(stream, f"{path}/reading", rr.Points2D.from_fields(positions=[[0.65 * across, -0.1 * reach_mm]], radii=[0]))
+    _send(stream, f"{path}/reading", scene.time_s, rr.Points2D, labels=words, colors=colours)
+
+
+def _closed(
+    contact: Contact, relative_m: Float[np.ndarray, " frames"]
+) -> tuple[Bool[np.ndarray, " frames"], UInt8[np.ndarray, "frames 3"]]:
+    """Whether the relative displacement is beyond a wall, and the colour that says so."""
+    closed = contact.law.penetration_m(relative_m) != 0
+    return closed, np.where(closed[:, None], CLOSED, FREE).astype(np.uint8)
 
 
 def _send_relative_displacement(
@@ -195,23 +220,19 @@ def _send_lines(
     )
     _style(stream, path, style)
     rows = np.ascontiguousarray(values.T)
-    _send(stream, path, time_s, lambda r: rr.Scalars.columns(scalars=rows[r]))
+    _send(stream, path, time_s, rr.Scalars, scalars=rows)
 
 
 def _style(stream: rr.RecordingStream, path: str, style: rr.AsComponents) -> None:
     stream.log(path, style, static=True)
 
 
-def _send(
-    stream: rr.RecordingStream,
-    path: str,
-    time_s: Float[np.ndarray, " rows"],
-    columns: Callable[[slice], rr.ComponentColumnList],
-) -> None:
-    """Sends what `columns` makes of the rows, some thousand at a time."""
+def _send(stream: rr.RecordingStream, path: str, time_s: Float[np.ndarray, " rows"], kind: Any, **columns: Any) -> None:
+    """Sends columns of an archetype, some thousand rows at a time."""
     for first in range(0, time_s.size, ROWS):
         rows = slice(first, first + ROWS)
-        stream.send_columns(path, [rr.TimeColumn(TIMELINE, duration=time_s[rows])], columns(rows))
+        index = rr.TimeColumn(TIMELINE, duration=time_s[rows])
+        stream.send_columns(path, [index], kind.columns(**{name: values[rows] for name, values in columns.items()}))
 
 
 def _pixels(radius: float) -> float:

@@ -13,6 +13,7 @@ from rerun.experimental import ViewerClient
 from rig.blueprint import TIMELINE
 
 PATIENCE_S = 120.0
+SETTLE_S = 5.0
 
 
 def screenshot(rrd: Path, at_s: float) -> bytes:
@@ -22,7 +23,7 @@ def screenshot(rrd: Path, at_s: float) -> bytes:
         viewer.set_time(TIMELINE, duration=at_s, play_state="paused")
         picture, until = b"", time.monotonic() + PATIENCE_S
         while time.monotonic() < until:
-            time.sleep(5.0)
+            time.sleep(SETTLE_S)
             last, picture = picture, viewer.take_screenshot()
             if picture == last:
                 return picture
