@@ -7,11 +7,12 @@ from typing import Annotated, get_args
 import msgspec
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from identify.contact import Identification, identify_contact
 from identify.kinematics import Use
-from identify.results import ContactReport, Estimate, write_json
+from identify.results import ContactReport, Estimate, LawReport, write_json
 from identify.spectra import POWERS, Averaging
 from identify.tolerances import NAMED
 from rig.command_line import progress_bar, refuse_existing, run
@@ -69,6 +70,70 @@ def contact(
         sys.stdout.buffer.write(msgspec.json.encode(found.report) + b"\n")
     else:
         print_report(found.report, Console())
+
+
+@app.command()
+def law(
+    file: Annotated[Path, typer.Argument(help="The recording, an .mcap file.")],
+    contact: Annotated[str | None, typer.Option(help="The contact's name; otherwise all of them.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for law.json and law.png.")] = None,
+    use: Annotated[str, typer.Option(help=f"Which sensors: {', '.join(get_args(Use))}.")] = "auto",
+    seconds: Annotated[float, typer.Option(help="Longest search, s, shared by the contacts.")] = 60.0,
+    seed: Annotated[int, typer.Option(help="Of the search and of the points drawn for it.")] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print law.json on standard output.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite results in the folder.")] = False,
+) -> None:
+    """The contact law found, not assumed: a formula for the separated force of every contact, by symbolic regression.
+
+    Needs the package pyoperon: pip install 'rig-identify[symbolic]'.
+
+    Example: identify law barrel_cradle.mcap --contact contact_1 --out results
+    """
+    from identify.law import identify_law
+
+    if use not in get_args(Use):
+        raise typer.BadParameter(f"{use!r} is none of {', '.join(get_args(Use))}", param_hint="--use")
+    if out is not None:
+        refuse_existing(out / "law.json", force)
+    with progress_bar(f"searching the laws of {file.name}") as progress:
+        found = identify_law(
+            read(file), contact=contact, use=msgspec.convert(use, Use), seconds=seconds, seed=seed, progress=progress
+        )
+    if out is not None:
+        from identify.plots import write_law_figure
+
+        out.mkdir(parents=True, exist_ok=True)
+        if found.found:
+            write_law_figure(found.found, out / "law.png")
+        write_json(found.report, out / "law.json")
+    if as_json:
+        sys.stdout.buffer.write(msgspec.json.encode(found.report) + b"\n")
+    else:
+        print_laws(found.report, Console())
+
+
+def print_laws(report: LawReport, console: Console) -> None:
+    """A sentence for every contact, then what was found and how it compares."""
+    for found in report.laws:
+        console.print(
+            f"[bold]{escape(found.contact)}[/bold]: {escape(found.verdict)}.", highlight=False, soft_wrap=True
+        )
+        console.print(f"  formula found: {escape(found.formula)}", highlight=False, soft_wrap=True)
+        table = Table("law", "rms left of held-out data, N")
+        for candidate in found.candidates:
+            table.add_row(candidate.law, f"{candidate.held_out_error_n:.3g}")
+        console.print(table)
+        console.print(
+            f"  of a force of {found.force_rms_n:.3g} N rms; damping in the closed contact explains "
+            f"{100 * found.hysteresis_share:.2g} % of the scatter's variance"
+            + ("" if found.repeatable else "; time ended the search, so the seed will not repeat it exactly"),
+            highlight=False,
+            soft_wrap=True,
+        )
+    for silent in report.unanswered:
+        console.print(
+            f"{escape(silent.name)}: not told by this record: {escape(silent.reason)}", highlight=False, soft_wrap=True
+        )
 
 
 def write_results(found: Identification, out: Path) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.signal import resample
-from scipy.sparse import csr_matrix, diags, hstack, vstack
+from scipy.sparse import csc_matrix, csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import splu, spsolve
 
 from identify.drift import Drift, Spline, spline
@@ -115,7 +115,7 @@ def fit_joint(seen: Observed, doubts: Sequence[Doubt] = ()) -> Joint:
     hessian, _ = _normal(state, curve, tie * scale, weights)
     chosen = np.zeros((hessian.shape[0], len(free)))
     chosen[-len(free) :] = np.eye(len(free))
-    inverse = splu(hessian.tocsc()).solve(chosen)
+    inverse = splu(hessian).solve(chosen)
     influence = (_jacobian(state, curve, tie * scale) @ inverse) * weights[:, None] ** 2  # of residuals on parameters
     parts = zip(np.array_split(influence, PARTS), np.array_split(state.residual, PARTS), strict=True)
     scores = np.array([i.T @ r for i, r in parts])
@@ -200,7 +200,9 @@ def _start(seen: Observed, curve: Spline) -> tuple[Float[np.ndarray, "4"], Float
     found = spsolve((rows.T @ rows + ridge).tocsc(), rows.T @ target)
     clearance, softness = found[-2:]
     if not (np.isfinite(clearance) and softness > 0):
-        raise RigError("the force of this contact does not grow with its relative displacement; check rig.json")
+        raise RigError(
+            "no force grows with this relative displacement; excite the rig more strongly, or check rig.json"
+        )
     return np.array([max(clearance, 0.0), max(clearance, 0.0), 1 / softness, 0.0]), found[:-2]
 
 
@@ -235,7 +237,7 @@ def _descended(
         cost = _cost(state, curve, weights)
         to_law = mapped * _scales(state, free)
         hessian, gradient = _normal(state, curve, to_law, weights)
-        step = spsolve(hessian.tocsc(), gradient)
+        step = spsolve(hessian, gradient)
         for halving in range(12):
             law = state.law + to_law @ step[curve.knots :] / 2**halving
             if law[2] > 0 and law[:2].min() >= 0:
@@ -289,9 +291,9 @@ def _jacobian(state: _State, curve: Spline, to_law: Float[np.ndarray, "4 free"])
 
 def _normal(
     state: _State, curve: Spline, to_law: Float[np.ndarray, "4 free"], weights: Weights
-) -> tuple[csr_matrix, Float[np.ndarray, " unknowns"]]:
+) -> tuple[csc_matrix, Float[np.ndarray, " unknowns"]]:
     jacobian = diags(weights) @ _jacobian(state, curve, to_law)
     rest = csr_matrix((curve.target.size, to_law.shape[1]))
     prior = hstack([curve.curvature, rest]).tocsr() if curve.knots else rest
     gradient = jacobian.T @ (weights * state.residual) + prior.T @ (curve.target - curve.curvature @ state.knots)
-    return jacobian.T @ jacobian + prior.T @ prior, gradient
+    return csc_matrix(jacobian.T @ jacobian + prior.T @ prior), gradient

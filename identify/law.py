@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import msgspec
 import numpy as np
 from jaxtyping import Float
 from scipy.signal import resample
@@ -13,8 +12,8 @@ from identify.joint import Joint, Observed
 from identify.kinematics import Use
 from identify.piecewise import FINEST, PiecewiseLinear, Sampled, polynomial, sampled, slope_jumps, straight_pieces
 from identify.piecewise import unfiltered as without_low_pass
-from identify.results import Estimate, Unanswered
-from identify.symbolic import Formula, search
+from identify.results import Candidate, ContactLaw, Estimate, LawReport, Unanswered
+from identify.symbolic import Formula, pyoperon, search
 from identify.tolerances import LABORATORY, Tolerances
 from rig.contact import dead_zone
 from rig.errors import RigError
@@ -22,6 +21,8 @@ from rig.recording import Recording
 
 POINTS = 4000
 CELLS = 100
+UNTOLD = 4
+"""How many knees the straight pieces start from where the formula has none."""
 ENDS = 64
 """Samples of the force at either end of the record that the low-pass falsifies."""
 LEAST_SAMPLES = 2000
@@ -36,46 +37,6 @@ PIECEWISE, FORMULA, DEAD_ZONE, CUBIC = (
     "dead zone of the joint estimate",
     "cubic polynomial",
 )
-
-
-class Candidate(msgspec.Struct, frozen=True):
-    """A law and the rms of what it leaves of the force in the held-out half of the record."""
-
-    law: str
-    held_out_error_n: float
-
-
-class ContactLaw(msgspec.Struct, frozen=True, kw_only=True):
-    """What was found of one contact; eta is its relative displacement.
-
-    knees_m and slopes_n_per_m are those of the formula; fitted_knees_m and fitted_slopes_n_per_m those of the
-    piecewise-linear law fitted from them, with standard errors of the scatter alone. hysteresis_share is the share of
-    the scatter's variance that a damper in the closed contact explains.
-    """
-
-    contact: str
-    verdict: str
-    best: str
-    formula: str
-    knees_m: tuple[float, ...]
-    slopes_n_per_m: tuple[float, ...]
-    fitted_knees_m: tuple[Estimate, ...]
-    fitted_slopes_n_per_m: tuple[Estimate, ...]
-    candidates: tuple[Candidate, ...]
-    force_rms_n: float
-    hysteresis_share: float
-    sides_known: bool
-    points: int
-    repeatable: bool
-    """Whether the same seed gives the same formula: not if time ended the search."""
-
-
-class LawReport(msgspec.Struct, frozen=True, kw_only=True):
-    """law.json."""
-
-    rig: str
-    laws: tuple[ContactLaw, ...]
-    unanswered: tuple[Unanswered, ...]
 
 
 @dataclass(frozen=True)
@@ -118,6 +79,7 @@ def identify_law(
     names = [c.name for c in recording.rig.contacts]
     if contact is not None and contact not in names:
         raise RigError(f"no contact {contact!r} in the recording; there are {', '.join(names)}")
+    pyoperon()  # whose lack had better be known before the work
     contacts = find_contacts(recording, use, tolerances)
     progress(0.1)
     chosen = [j for j, name in enumerate(names) if contact in (None, name)]
@@ -160,7 +122,7 @@ def _law(contacts: Contacts, contact: int, seconds: float, seed: int) -> FoundLa
 
     low, high = float(eta.min()), float(eta.max())
     knees = slope_jumps(formula, low, high)
-    start = knees if knees.size else np.linspace(low, high, 4)[1:-1]
+    start = knees if knees.size else np.linspace(low, high, UNTOLD + 2)[1:-1]
     pieces = straight_pieces(record, taught, start)
     laws: dict[str, Callable[[np.ndarray], np.ndarray]] = {PIECEWISE: pieces}
     if joint is not None:
@@ -170,11 +132,12 @@ def _law(contacts: Contacts, contact: int, seconds: float, seed: int) -> FoundLa
     candidates = tuple(Candidate(name, record.error_n(law, held_out)) for name, law in laws.items())
     best = candidates[_first_as_good([c.held_out_error_n for c in candidates], finest)]
     pieces = straight_pieces(record, whole, pieces.knees_m)  # once judged, from all there is
+    shown = f"f = {formula.scaled(1e3, 1.0).text('eta')} (N, eta in mm)"
     result = ContactLaw(
         contact=contacts.rig.contacts[contact].name,
-        verdict=_verdict(pieces, candidates, best, seen.sides_known),
+        verdict=_verdict(pieces, shown, candidates, best, seen.sides_known),
         best=best.law,
-        formula=f"f = {formula.scaled(1e3, 1.0).text('eta')}, in N with eta in mm",
+        formula=shown,
         knees_m=tuple(float(k) for k in knees),
         slopes_n_per_m=_slopes(formula, knees, low, high),
         fitted_knees_m=_estimates(pieces.knees_m, pieces.knee_errors_m),
@@ -235,26 +198,26 @@ def _hysteresis(record: Sampled, velocity: Float[np.ndarray, " more"], law: Piec
     return float((damper @ left) ** 2 / ((damper @ damper) * (left @ left)))
 
 
-def _verdict(pieces: PiecewiseLinear, candidates: tuple[Candidate, ...], best: Candidate, sides_known: bool) -> str:
+def _verdict(
+    pieces: PiecewiseLinear, formula: str, candidates: tuple[Candidate, ...], best: Candidate, sides_known: bool
+) -> str:
     """One sentence."""
-    errors = {c.law: c.held_out_error_n for c in candidates}
     if best.law != PIECEWISE:
+        free = next(c.held_out_error_n for c in candidates if c.law == PIECEWISE)
+        shown = f", {formula}" if best.law == FORMULA else ""
         return (
-            f"a piecewise-linear law is not the best: on held-out data it leaves {errors[PIECEWISE]:.3g} N rms, "
-            f"the {best.law} {best.held_out_error_n:.3g} N"
+            f"a freely fitted piecewise-linear law is not the best: it leaves {free:.3g} N rms of held-out data, "
+            f"the {best.law} {best.held_out_error_n:.3g} N{shown}"
         )
-    knees = _listed([f"{1e3 * k:.5g}" for k in pieces.knees_m])
     slopes = pieces.slopes_n_per_m
-    where = "" if sides_known else " from the middle of the play, which is all that accelerometers tell"
-    if pieces.knees_m.size == 2 and abs(slopes[1]) < FLAT * np.abs(slopes).max():
-        outer = _listed([f"{s:.5g}" for s in slopes[[0, 2]]])
-        return f"dead zone with knees at {knees} mm{where} and slopes {outer} N/m"
     if not pieces.knees_m.size:
         return f"straight line with the slope {slopes[0]:.5g} N/m"
-    return (
-        f"piecewise-linear law with knees at {knees} mm{where} and slopes {_listed([f'{s:.5g}' for s in slopes])} N/m"
-    )
+    gap = pieces.knees_m.size == 2 and abs(slopes[1]) < FLAT * np.abs(slopes).max()
+    kind, shown_slopes = ("dead zone", slopes[[0, 2]]) if gap else ("piecewise-linear law", slopes)
+    where = "" if sides_known else ", counted from the middle of the play as no sensor tells its place"
+    return f"{kind} with knees at {_listed(1e3 * pieces.knees_m)} mm and slopes {_listed(shown_slopes)} N/m{where}"
 
 
-def _listed(words: list[str]) -> str:
+def _listed(values: Float[np.ndarray, " values"]) -> str:
+    words = [f"{value:.5g}" for value in values]
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)

@@ -1,6 +1,7 @@
 """The figures of an identification. Takes results, computes no estimate; the only import of matplotlib."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from scipy.signal import welch
 
 from identify.contact import Identification
 from identify.joint import Joint
+from identify.law import FoundLaw
 from identify.nifo import modal_frf
 from rig.contact import dead_zone
 
@@ -30,16 +32,45 @@ def write_figures(found: Identification, folder: Path, marks: Marks, marks_name:
     """
     folder.mkdir(parents=True, exist_ok=True)
     written = []
+    for name, draw in _FIGURES.items():
+        path = folder / f"{name}.png"
+        with _saved(path) as figure:
+            draw(figure, found, marks, marks_name)
+        written.append(path)
+    return written
+
+
+def write_law_figure(laws: Sequence[FoundLaw], path: Path) -> None:
+    """For every contact: the points searched, the formula found, and the straight pieces fitted, with their knees."""
+    with _saved(path) as figure:
+        upper, lower = figure.subplots(2, len(laws), squeeze=False, sharex="col", sharey="row", height_ratios=(3, 1))
+        for axes, below, law in zip(upper, lower, laws, strict=True):
+            eta, knees = law.eta_m, law.pieces.knees_m
+            span = np.linspace(eta.min(), eta.max(), 800)
+            axes.plot(1e3 * eta, law.force_n, "o", ms=4, color=_GREY, alpha=0.4, label="force, no law assumed")
+            below.plot(1e3 * eta, law.force_n - law.pieces(eta), ".", ms=2, color=_GREY, alpha=0.5)
+            for panel, taken in ((axes, 0.0), (below, law.pieces(span))):
+                panel.plot(1e3 * span, law.formula(span) - taken, color=_BLUE, lw=1.4, label="formula found")
+                panel.plot(1e3 * span, law.pieces(span) - taken, color=_RED, lw=1.4, ls="--", label="straight pieces")
+            axes.plot(1e3 * knees, law.pieces(knees), "o", ms=8, mfc="none", mew=1.5, color=_GREEN, label="knees")
+            axes.set(title=law.result.contact)
+            below.set(xlabel="$\\eta$, mm")
+        upper[0].set_ylabel("contact force, N")
+        lower[0].set_ylabel("less the\nstraight pieces, N")
+        handles, labels = upper[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=4)
+
+
+@contextmanager
+def _saved(path: Path) -> Iterator[Any]:
+    """A new figure in the style of all, saved when the block has drawn it."""
     style = {"font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "figure.dpi": 130, "axes.spines.top": False}
     with mpl.rc_context({**style, "axes.spines.right": False, "legend.frameon": False}):
-        for name, draw in _FIGURES.items():
-            figure = _new_figure()
-            draw(figure, found, marks, marks_name)
-            path, part = folder / f"{name}.png", folder / f".{name}.part.png"
-            figure.savefig(part, bbox_inches="tight")
-            part.replace(path)
-            written.append(path)
-    return written
+        figure = _new_figure()
+        yield figure
+        part = path.with_name(f".{path.stem}.part.png")
+        figure.savefig(part, bbox_inches="tight")
+        part.replace(path)
 
 
 def _new_figure() -> Any:

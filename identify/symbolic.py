@@ -18,6 +18,8 @@ ITERATIONS = 5
 """Of the least-squares fit of a formula's constants, each time that a formula is made."""
 LONGEST = 15
 THREADS = 2
+NEGLIGIBLE = 1e-5
+"""A constant term below this is left away; y is of order 1."""
 
 _REDUCED: dict[str, Callable[[Any, Any], Any]] = {
     "+": np.add,
@@ -85,15 +87,12 @@ def simplified(operation: str, parts: tuple[Formula, ...]) -> Formula:
         sign = 1 if operation == "+" else -1
         return Formula("x", parts[0].value + sign * parts[1].value)
     if operation in "+-" and "1" in kinds:
-        number, other = parts if kinds[0] == "1" else parts[::-1]
-        if operation == "-" and kinds[0] == "1":
-            return _plus(_times(other, -1.0), number.value)
-        return _plus(other, number.value if operation == "+" else -number.value)
+        first, second = (parts[0], parts[1]) if operation == "+" else (parts[0], _times(parts[1], -1.0))
+        return _plus(second, first.value) if kinds[0] == "1" else _plus(first, second.value)
     if operation == "*":
-        (first, a), (second, b) = _factored(parts[0]), _factored(parts[1])
-        if "1" in kinds:
-            return _times(a if kinds[1] == "1" else b, first * second)
-        return _times(Formula("*", parts=(a, b)), first * second)
+        (a, first), (b, second) = _factored(parts[0]), _factored(parts[1])
+        rest = (first if kinds[1] == "1" else second) if "1" in kinds else Formula("*", parts=(first, second))
+        return _times(rest, a * b)
     return Formula(operation, parts=parts)
 
 
@@ -103,6 +102,8 @@ def _plus(formula: Formula, number: float) -> Formula:
         if formula.operation == "-":
             return Formula("-", parts=(Formula("1", number), formula.parts[1]))
         formula = formula.parts[1]
+    if abs(number) < NEGLIGIBLE:
+        return formula
     return Formula("+", parts=(Formula("1", number), formula))
 
 
@@ -142,6 +143,16 @@ class Search:
     out_of_time: bool
 
 
+def pyoperon() -> Any:
+    """The module pyoperon.sklearn; raises RigError if it is not installed."""
+    try:
+        return importlib.import_module("pyoperon.sklearn")
+    except ImportError:
+        raise RigError(
+            "the search for a law needs the package pyoperon; install it with: pip install 'rig-identify[symbolic]'"
+        ) from None
+
+
 def search(
     x: Float[np.ndarray, " points"], y: Float[np.ndarray, " points"], seconds: float, seed: int, threads: int = THREADS
 ) -> Search:
@@ -152,12 +163,7 @@ def search(
 
     Raises RigError if pyoperon is not installed.
     """
-    try:
-        regression: Any = importlib.import_module("pyoperon.sklearn")
-    except ImportError:
-        raise RigError(
-            "the search for a law needs the package pyoperon; install it with: pip install 'rig-identify[symbolic]'"
-        ) from None
+    regression = pyoperon()
     started = time.monotonic()
     found = regression.SymbolicRegressor(
         allowed_symbols="add,sub,mul,fmin,fmax,abs,constant,variable",

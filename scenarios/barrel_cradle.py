@@ -12,7 +12,7 @@ from rig.command_line import run
 from rig.recording import read, read_truth, truth_path
 from rig.reference import BarrelCradle
 from rig.viewing import write_rrd
-from scenarios.compare import equation_by_equation, identified_against_true, recorded, shown
+from scenarios.compare import equation_by_equation, forms_beside, identified_against_true, recorded, shown
 
 app = typer.Typer(pretty_exceptions_enable=False)
 
@@ -30,12 +30,14 @@ def barrel_cradle(
 
     # sections 3.2 and 3.3: modal transformation, surface, occurrence, NIFO; displacements known, without noise
     known = identified_against_true(recording, use="displacement", equation="barrel 3", out=out)
-    shown("Displacements known, barrel's modal equation 3", [known])
-    equation_by_equation(known, "Displacements known, all equations of the barrel")
+    shown("Displacements known", known)
+    equation_by_equation(known, "Displacements known: surface and NIFO in every equation of the barrel")
+    forms_beside(known, "NIFO in the barrel's equation 3, displacements known")
 
     # beyond the paper: the accelerometers alone
     alone = identified_against_true(recording, use="acceleration", out=out / "accelerometers")
-    shown("Accelerometers alone, with noise", [alone])
+    shown("Accelerometers alone, with noise", alone)
+    equation_by_equation(alone, "Accelerometers alone: surface and NIFO in every equation of the barrel")
 
     write_rrd(read(recording), read_truth(truth_path(recording)), out / "barrel_cradle.rrd")
 

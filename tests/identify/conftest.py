@@ -31,7 +31,7 @@ def simulate():
 @pytest.fixture(scope="session")
 def one_mass(tmp_path_factory) -> Path:
     """825 s of the one-mass rig, displacement known, no noise; there is no truth file beside."""
-    path = simulated(Sdof(sensors="displacement"), tmp_path_factory.mktemp("one_mass") / "r.mcap")
+    path = simulated(Sdof(sensors="displacement", step_s=2.0**-12), tmp_path_factory.mktemp("one_mass") / "r.mcap")
     truth_path(path).unlink()
     return path
 

@@ -65,15 +65,15 @@ def frf_error(found):
     return float(np.sum(np.abs(found.frf - true) ** 2) / np.sum(np.abs(true) ** 2))
 
 
-@pytest.mark.parametrize("window", ["hann", "sin4", "sin6"])
-def test_the_weak_form_is_exact_where_the_papers_form_leaks(window):
+@pytest.mark.parametrize(("window", "bound"), [("hann", 1e-3), ("sin4", 1e-8), ("sin6", 1e-8)])
+def test_the_weak_form_is_exact_where_the_papers_form_leaks(window, bound):
     equation, force, depth = transient()
     cut = cut_of(force.size, window=window)
     weak, paper = (nifo(equation, force, depth, cut, form) for form in ("weak", "paper"))
     np.testing.assert_allclose(weak.mean_n_per_m, STIFFNESS_N_PER_M, rtol=1e-4)
     for error in (frf_error, lambda n: float(np.max(n.spread_n_per_m / STIFFNESS_N_PER_M))):
         assert error(weak) < error(paper) / 10
-        assert error(weak) < 1e-4
+        assert error(weak) < bound
 
 
 def test_contacts_are_told_apart_only_where_they_are_seen():
@@ -176,6 +176,5 @@ def test_the_standard_error_of_the_mean_is_its_scatter(measured):
         means.append(found.mean_n_per_m[0])
         errors.append(found.stiffness_error_n_per_m[0])
     scatter = np.std(means, ddof=1)
-    print(np.mean(means), scatter, np.mean(errors))
     assert np.mean(means) == pytest.approx(TRUE.stiffness_n_per_m, abs=4 * scatter / np.sqrt(len(means)))
     assert scatter / 3 < np.mean(errors) < 3 * scatter
