@@ -17,7 +17,7 @@ from identify.spectra import Averaging, blocks, force_band, penetration
 from identify.summary import contact_report
 from identify.surface import Stops, Surface, clearance_from_occurrence, fit_surface
 from identify.tolerances import LABORATORY, Tolerances
-from rig.contact import DeadZone
+from rig.contact import DAMPING_DEPTH_M, dead_zone
 from rig.description import Rig
 from rig.errors import RigError
 from rig.recording import Recording
@@ -130,9 +130,8 @@ def _with_law(
             lower, upper, stiffness, damping = (float(p) for p in found.parameters)
             eta[j] += found.drift_m
             depth[j] = penetration(eta[j], lower, upper)
-            law = DeadZone(lower_clearance_m=lower, upper_clearance_m=upper, stiffness_n_per_m=0.0)
-            outside = law.penetration_m(eta[j]) != 0
-            force[j] = stiffness * depth[j] + damping * outside * (seen.velocity_m_per_s + found.drift_m_per_s)
+            damped = np.minimum(1.0, np.abs(dead_zone(eta[j], lower, upper)) / DAMPING_DEPTH_M)
+            force[j] = stiffness * depth[j] + damping * damped * (seen.velocity_m_per_s + found.drift_m_per_s)
     return eta, force, depth
 
 

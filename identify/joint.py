@@ -11,7 +11,7 @@ from scipy.sparse.linalg import splu, spsolve
 
 from identify.drift import Drift, Spline, spline
 from identify.spectra import decimated
-from rig.contact import dead_zone
+from rig.contact import DAMPING_DEPTH_M, dead_zone
 from rig.errors import RigError
 
 PARTS = 16
@@ -87,7 +87,7 @@ class Joint:
 def fit_joint(seen: Observed, doubts: Sequence[Doubt] = ()) -> Joint:
     """Gauss-Newton on the low-passed residual, with a cubic spline b(t) for the drift and a spring to the ground:
 
-        residual = force - spring b - low-pass[k dz(eta + b; lower, upper) + c (eta' + b') where out of the gap]
+        residual = force - spring b - low-pass[k dz(eta + b; lower, upper) + c (eta' + b') beyond the gap]
 
     b'' is held to what the accelerometers saw of it, within their noise. Where nothing holds the zero of the relative
     displacement, lower = upper = half the total play. The start is a linear regression of eta on the force over the
@@ -213,9 +213,9 @@ def _linearised(
     eta, velocity = seen.eta_m + curve.value @ knots, seen.velocity_m_per_s + curve.rate @ knots
     above, below = eta > upper, eta < -lower
     outside = (above | below).astype(float)
-    parts = np.stack(
-        [stiffness * below, -stiffness * above, dead_zone(eta, lower, upper), velocity * outside, stiffness * outside]
-    )
+    into = dead_zone(eta, lower, upper)
+    damped = velocity * np.minimum(1.0, np.abs(into) / DAMPING_DEPTH_M)
+    parts = np.stack([stiffness * below, -stiffness * above, into, damped, stiffness * outside])
     low_passed = decimated(parts, seen.factor)[:, : seen.force_n.size]
     fine = max(1, round(FINE_HZ / seen.sample_rate_hz))
     depth = low_passed[2]

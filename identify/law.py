@@ -22,7 +22,7 @@ from rig.recording import Recording
 POINTS = 4000
 CELLS = 100
 UNTOLD = 4
-"""How many knees the straight pieces start from where the formula has none."""
+"""How many evenly spread knees straight pieces start from where those of the formula do not serve."""
 ENDS = 64
 """Samples of the force at either end of the record that the low-pass falsifies."""
 LEAST_SAMPLES = 2000
@@ -122,8 +122,11 @@ def _law(contacts: Contacts, contact: int, seconds: float, seed: int) -> FoundLa
 
     low, high = float(eta.min()), float(eta.max())
     knees = slope_jumps(formula, low, high)
-    start = knees if knees.size else np.linspace(low, high, UNTOLD + 2)[1:-1]
-    pieces = straight_pieces(record, taught, start)
+    pieces = straight_pieces(record, taught, knees)
+    if record.error_n(pieces, taught) > AS_GOOD * min(errors) + finest:
+        spread = np.linspace(low, high, UNTOLD + 2)[1:-1]
+        others = straight_pieces(record, taught, spread)
+        pieces = min(pieces, others, key=lambda law: record.error_n(law, taught))
     laws: dict[str, Callable[[np.ndarray], np.ndarray]] = {PIECEWISE: pieces}
     if joint is not None:
         lower, upper, stiffness, _ = (float(p) for p in joint.parameters)

@@ -207,6 +207,9 @@ def _occurrence(figure: Any, found: Identification, marks: Marks, marks_name: st
 def _stiffness(figure: Any, found: Identification, marks: Marks, marks_name: str) -> None:
     """Figures 7, 16 and 17: the contact stiffness over frequency, and its deviation."""
     count = len(found.weak.contacts)
+    if not count:
+        figure.text(0.5, 0.5, f"modal equation {found.weak.equation.name} tells no contact's stiffness", ha="center")
+        return
     axes = figure.subplots(2, count, squeeze=False, sharex=True)
     for i, j in enumerate(found.weak.contacts):
         contact = found.rig.contacts[j]

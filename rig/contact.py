@@ -7,14 +7,21 @@ from jaxtyping import Float
 from rig.errors import RigError
 
 
+DAMPING_DEPTH_M = 1e-5
+
+
 class DeadZone(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A gap with a stop on either side; inside the gap no force passes.
 
     With the relative displacement eta and its rate::
 
-        f = k (eta - upper) + c rate   for eta > upper
-        f = k (eta + lower) + c rate   for eta < -lower
-        f = 0                          between
+        f = k depth + c rate min(1, |depth| / h)
+        depth = eta - upper   for eta > upper
+        depth = eta + lower   for eta < -lower
+        depth = 0             between
+
+    The damping sets in over the first h = 10 um of penetration: a force that jumped at the stop would leave an implicit
+    solver without a solution at some steps.
 
     The force f acts against eta: -f on the body that eta is counted for, +f on the other.
     """
@@ -43,7 +50,8 @@ class DeadZone(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         self, eta_m: Float[np.ndarray, "*shape"], rate_m_per_s: Float[np.ndarray, "*shape"]
     ) -> Float[np.ndarray, "*shape"]:
         depth = self.penetration_m(eta_m)
-        return self.stiffness_n_per_m * depth + np.where(depth != 0, self.damping_n_s_per_m * rate_m_per_s, 0.0)
+        damped = np.minimum(1.0, np.abs(depth) / DAMPING_DEPTH_M)
+        return self.stiffness_n_per_m * depth + self.damping_n_s_per_m * rate_m_per_s * damped
 
 
 def dead_zone(eta_m: Float[np.ndarray, "*shape"], lower_m: float, upper_m: float) -> Float[np.ndarray, "*shape"]:

@@ -26,7 +26,7 @@ SMALL = 0.01
 YOUNG_S = 0.15
 """After the first contact; the motion is chaotic, and two exact solvers part within some 0.3 s."""
 MODE_COUNTS = (8, 12, 16, 24)
-CHANCE_SEEDS = 20
+CHANCE_SEEDS = 10
 
 app = typer.Typer(pretty_exceptions_enable=False)
 

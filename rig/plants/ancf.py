@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.linalg import eigh
 
 from rig.beam import Beam
-from rig.contact import DeadZone
+from rig.contact import DAMPING_DEPTH_M, DeadZone
 from rig.description import Body, Rig, Station, contact_stations, stations_of
 from rig.errors import RigError
 from rig.motion import Motion, Progress
@@ -222,10 +222,13 @@ def _add_contact(exu: Any, mbs: Any, against: int, at: int, law: DeadZone) -> in
 
     @no_type_check  # recorded symbolically from the plain function
     def dead_zone(system, t, number, eta, rate, stiffness, damping, offset):  # noqa: ARG001
-        above = stiffness * (eta - law.upper_clearance_m) + damping * rate
-        below = stiffness * (eta + law.lower_clearance_m) + damping * rate
-        inside = symbolic.IfThenElse(eta < -law.lower_clearance_m, below, symbolic.Real(0.0))
-        return symbolic.IfThenElse(eta > law.upper_clearance_m, above, inside)
+        def beyond(depth, size):
+            share = symbolic.IfThenElse(size < DAMPING_DEPTH_M, size / DAMPING_DEPTH_M, symbolic.Real(1.0))
+            return stiffness * depth + damping * rate * share
+
+        below, above = eta + law.lower_clearance_m, eta - law.upper_clearance_m
+        inside = symbolic.IfThenElse(below < 0.0, beyond(below, -1.0 * below), symbolic.Real(0.0))
+        return symbolic.IfThenElse(above > 0.0, beyond(above, above), inside)
 
     function = CreateSymbolicUserFunction(mbs, dead_zone, "springForceUserFunction", connector)
     mbs.SetObjectParameter(connector, "springForceUserFunction", function)

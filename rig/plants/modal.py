@@ -9,6 +9,7 @@ from jaxtyping import Float
 from scipy.linalg import expm
 
 from rig.beam import Beam
+from rig.contact import DAMPING_DEPTH_M
 from rig.description import Rig, Station, stations_of
 from rig.errors import RigError
 from rig.motion import Motion, Progress
@@ -153,10 +154,9 @@ def _compiled() -> Any:
                         e -= reach[0, j, k] * end_force[k]
                         r -= reach[1, j, k] * end_force[k]
                     f = 0.0
-                    if e > laws[j, 1]:
-                        f = laws[j, 2] * (e - laws[j, 1]) + laws[j, 3] * r
-                    elif e < -laws[j, 0]:
-                        f = laws[j, 2] * (e + laws[j, 0]) + laws[j, 3] * r
+                    depth = max(e - laws[j, 1], 0.0) + min(e + laws[j, 0], 0.0)
+                    if depth != 0.0:
+                        f = laws[j, 2] * depth + laws[j, 3] * r * min(1.0, abs(depth) / DAMPING_DEPTH_M)
                     change = max(change, abs(f - end_force[j]))
                     end_force[j] = f
                 if change <= TOLERANCE_N:

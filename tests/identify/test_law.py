@@ -22,11 +22,11 @@ from rig.oscillator import Oscillator
 from rig.recording import Channels, Recording, Signals
 
 RATE_HZ = 512.0
-DURATION_S = 100.0
+DURATION_S = 50.0
 MASS = Station("mass")
 LOWER_M, UPPER_M, STIFFNESS = 0.8e-3, 1.1e-3, 1e4
 SOFT, CUBIC_PER_M3 = 2e3, 1e9
-SECONDS = 8
+SECONDS = 6.0
 
 
 def motion_m(time_s):
@@ -133,7 +133,7 @@ def test_the_search_finds_a_dead_zone_and_repeats_itself(monkeypatch):
     x = np.linspace(-1, 1, 1000)
     noise = 1e-3
     y = 1.5 * dead_zone(x, 0.3, 0.45) + noise * rng.standard_normal(x.size)
-    first, again = (search(x, y, 60, seed=1, threads=threads) for threads in (1, 2))
+    first, again = (search(x, y, 60.0, seed=1, threads=threads) for threads in (1, 2))
     assert not first.out_of_time
     assert [f.text("x") for f in first.formulas] == [f.text("x") for f in again.formulas]
     errors = [float(np.std(f(x) - y)) for f in first.formulas]
@@ -147,9 +147,10 @@ def test_without_pyoperon_one_is_told_what_to_install(monkeypatch):
         identify_law(mass_with(gap))
 
 
-def observed(law, noise_n=0.0, factor=16, seed=0):
-    """A law's force, low-passed to 256 Hz."""
-    eta = motion_m(np.arange(round(40 * 256) * factor) / (256 * factor))[0]
+def observed(law, noise_n=0.0, rate_hz=256, seed=0):
+    """A law's force for 40 s, low-passed to half the rate."""
+    factor = 4096 // rate_hz
+    eta = motion_m(np.arange(40 * 4096) / 4096)[0]
     force = decimated(law(eta), factor)
     return Sampled(eta, force + noise_n * np.random.default_rng(seed).standard_normal(force.size), factor)
 
@@ -168,7 +169,7 @@ def test_straight_pieces_are_found_from_too_many_knees_in_the_wrong_places():
 def test_standard_errors_of_straight_pieces_are_those_of_the_noise():
     """Over many noises the errors are about as large as the standard errors say: chi2 of 2 knees and 3 slopes."""
     scores = []
-    for seed in range(20):
+    for seed in range(12):
         found = straight_pieces(observed(gap, noise_n=0.3, seed=seed), INNER, np.array([-LOWER_M, UPPER_M]))
         scores += [
             *((found.knees_m - [-LOWER_M, UPPER_M]) / found.knee_errors_m),
@@ -178,7 +179,7 @@ def test_standard_errors_of_straight_pieces_are_those_of_the_noise():
 
 
 def test_what_the_low_pass_does_is_taken_off_without_a_law():
-    seen = observed(gap)
+    seen = observed(gap, rate_hz=64)
     true = gap(seen.at_force_m)[INNER]
     assert np.std(unfiltered(seen, INNER) - true) < 0.2 * np.std(seen.force_n[INNER] - true)
 
@@ -207,7 +208,7 @@ def test_straight_pieces_lose_against_a_stiffening_law():
 
 def test_damping_in_the_contact_is_told_from_the_scatter():
     pytest.importorskip("pyoperon")
-    damped = identify_law(mass_with(gap, damping_n_s_per_m=5.0), seconds=1).report.laws[0]
+    damped = identify_law(mass_with(gap, damping_n_s_per_m=5.0), seconds=1.0).report.laws[0]
     assert damped.hysteresis_share > 0.9
     assert [k.value for k in damped.fitted_knees_m] == pytest.approx([-LOWER_M, UPPER_M], rel=1e-2)
 

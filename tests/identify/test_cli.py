@@ -1,0 +1,132 @@
+"""The command `identify contact`: what it prints, what it writes, and how it fails."""
+
+import sys
+
+import msgspec
+import pytest
+
+from identify import cli
+from identify.results import ContactReport
+from rig.reference import Sdof
+
+
+@pytest.fixture(scope="module")
+def recording(simulate, tmp_path_factory):
+    """Half a minute of the one-mass rig."""
+    return simulate(Sdof(duration_s=30.0, step_s=2.0**-12), tmp_path_factory.mktemp("cli") / "mass.mcap")
+
+
+@pytest.fixture
+def identify(monkeypatch, capfd):
+    """Runs the command and gives its exit status, standard output and standard error."""
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["identify", *(str(w) for w in words)])
+        with pytest.raises(SystemExit) as exit_:
+            cli.main()
+        return exit_.value.code or 0, *capfd.readouterr()
+
+    return run
+
+
+def test_json_on_standard_output_is_the_report_and_the_file(identify, recording, tmp_path):
+    status, out, err = identify("contact", recording, "--json", "--out", tmp_path, "--block", 2.5, "--band", 1, 14)
+    assert (status, err) == (0, "")
+    report = msgspec.json.decode(out, type=ContactReport)
+    assert out.count("\n") == 1
+    assert msgspec.json.decode((tmp_path / "contact.json").read_bytes(), type=ContactReport) == report
+    assert [c.name for c in report.contacts] == ["stop"]
+    assert report.contacts[0].clearance_m.value == pytest.approx(Sdof().clearance_m, rel=1e-2)
+    (nifo,) = report.nifo
+    assert nifo.resolution_hz == pytest.approx(1 / 2.5)
+    assert nifo.band_hz[0] >= 1
+    assert nifo.band_hz[1] <= 14
+    assert len(list(tmp_path.glob("*.png"))) >= 6
+    assert not list(tmp_path.glob("*.part*"))
+
+
+def test_tables_show_value_and_standard_error(identify, recording):
+    status, out, err = identify("contact", recording, "--use", "displacement", "--tolerances", "exact")
+    assert (status, err) == (0, "")
+    row = next(line for line in out.splitlines() if "stop" in line)
+    clearance = row.split("│")[2]
+    value, error = (float(x) for x in clearance.split("±"))
+    assert value == pytest.approx(1e3 * Sdof().clearance_m, rel=1e-2)
+    assert 0 < error < 0.01 * value
+    assert "NIFO by modal equation" in out
+    assert "mass 1" in out
+
+
+def test_results_are_not_overwritten_unless_forced(identify, recording, tmp_path):
+    kept = tmp_path / "contact.json"
+    kept.write_text("mine")
+    status, out, err = identify("contact", recording, "--out", tmp_path)
+    assert (status, out) == (1, "")
+    assert err == f"identify: {kept}: exists already; give another name, or --force to overwrite it\n"
+    assert kept.read_text() == "mine"
+    assert list(tmp_path.iterdir()) == [kept]
+    status, _, err = identify("contact", recording, "--out", tmp_path, "--force")
+    assert (status, err) == (0, "")
+    assert msgspec.json.decode(kept.read_bytes(), type=ContactReport).rig == "sdof"
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("--averages", 1), "averages is 1; give 2 or more"),
+        (("--block", 1000), "a block of 1000 s does not fit a record with"),
+        (("--overlap", 1.5), "overlap is 1.5; give a value from 0 to below 1"),
+        (("--window", "box"), "no window 'box'; there are hann, sin4, sin6"),
+        (("--band", 5, 4), "the band 5.0 to 4.0 Hz is empty"),
+        (("--use", "velocity"), "the recording has no velocity sensors"),
+        (("--equation", "barrel 3"), "no modal equation 'barrel 3' with a measured force; there are mass 1"),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_one_line(identify, recording, words, sentence):
+    status, out, err = identify("contact", recording, *words)
+    assert (status, out) == (1, "")
+    assert err.startswith(f"identify: {sentence}")
+    assert err.count("\n") == 1
+
+
+def test_a_file_that_is_no_recording_is_named(identify, tmp_path):
+    missing, other = tmp_path / "none.mcap", tmp_path / "other.mcap"
+    other.write_text("time,force\n")
+    for path, sentence in ((missing, "cannot be opened"), (other, "is no MCAP file")):
+        status, out, err = identify("contact", path)
+        assert (status, out) == (1, "")
+        assert err.startswith(f"identify: {path}: {sentence}")
+        assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--use", "jerk"), "'jerk' is none of auto, displacement, velocity, acceleration"),
+        (("--tolerances", "none"), "'none' is none of laboratory, exact"),
+        (("--averages", "many"), "Invalid value for '--averages'"),
+        (("--nonsense",), "No such option: --nonsense"),
+        (("other.mcap",), "unexpected extra argument"),
+    ],
+)
+def test_wrong_words_are_exit_status_2(identify, recording, words, said):
+    status, out, err = identify("contact", recording, *words)
+    assert (status, out) == (2, "")
+    assert said in " ".join(err.replace("│", " ").split())
+
+
+def test_help_shows_an_example(identify):
+    status, out, _ = identify("contact", "--help")
+    assert status == 0
+    assert "identify contact barrel_cradle.mcap" in out
+
+
+def test_a_contact_that_is_not_told_is_no_failure(identify, simulate, tmp_path):
+    """The force is too weak to close it: the reason is printed, results and figures are written all the same."""
+    path = simulate(Sdof(duration_s=20.0, step_s=2.0**-12, rms_n=0.01), tmp_path / "weak.mcap")
+    status, out, err = identify("contact", path, "--use", "displacement", "--out", tmp_path / "results")
+    assert (status, err) == (0, "")
+    assert "stop: not told by this record: " in out
+    report = msgspec.json.decode((tmp_path / "results" / "contact.json").read_bytes(), type=ContactReport)
+    assert report.contacts == ()
+    assert [u.name for u in report.unanswered] == ["stop"]

@@ -1,0 +1,73 @@
+"""What the scenarios set beside each other: identified and true."""
+
+import msgspec
+import pytest
+
+from identify.results import ContactReport
+from rig.plants import modal
+from rig.record import record
+from rig.recording import read
+from rig.reference import Sdof
+from scenarios.compare import equation_by_equation, forms_beside, identified_against_true, recorded, shown
+
+TRUE = Sdof(duration_s=30.0, step_s=2.0**-12, sensors="displacement")
+BELIEVED = msgspec.structs.replace(TRUE, clearance_m=2.5e-3, stiffness_n_per_m=4e4)
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory):
+    """A rig whose owner is wrong about its contact."""
+    folder = tmp_path_factory.mktemp("compare")
+    record(
+        BELIEVED.rig(),
+        TRUE.force(),
+        plant=modal.simulate,
+        duration_s=TRUE.duration_s,
+        step_s=TRUE.step_s,
+        path=folder / "r.mcap",
+        progress=lambda _: None,
+        actual=TRUE.rig(),
+    )
+    return identified_against_true(folder / "r.mcap", use="displacement", out=folder / "results"), folder / "results"
+
+
+def test_the_true_law_is_found_whatever_is_believed(compared):
+    comparison, _ = compared
+    assert comparison.found.rig == BELIEVED.rig()
+    assert comparison.true == {"stop": TRUE.rig().contacts[0].law}
+    clearance, stiffness = comparison.errors_percent("stop")
+    assert abs(clearance) < 0.1
+    assert abs(stiffness) < 0.5
+
+
+def test_errors_are_relative_to_the_true_law(compared):
+    comparison, _ = compared
+    (estimate,) = comparison.found.report.contacts
+    expected = (
+        estimate.clearance_m.value / TRUE.clearance_m,
+        estimate.stiffness_n_per_m.value / TRUE.stiffness_n_per_m,
+    )
+    assert [1 + e / 100 for e in comparison.errors_percent("stop")] == pytest.approx(expected)
+
+
+def test_report_and_figures_are_written(compared):
+    comparison, folder = compared
+    assert msgspec.json.decode((folder / "contact.json").read_bytes(), type=ContactReport) == comparison.found.report
+    assert list(folder.glob("*.png"))
+
+
+def test_tables_name_what_they_compare(compared, capsys):
+    comparison, _ = compared
+    shown("One mass", comparison)
+    forms_beside(comparison, "Both forms")
+    equation_by_equation(comparison, "Equations")
+    out = capsys.readouterr().out
+    for words in ("One mass", "stop", "10000", "Both forms", "weak", "Equations", "mass 1"):
+        assert words in out
+
+
+def test_a_scenario_is_recorded_by_the_plant_named(tmp_path):
+    settings = msgspec.structs.replace(TRUE, duration_s=2.0)
+    recording = read(recorded(settings, "modal", tmp_path / "new" / "r.mcap"))
+    assert recording.provenance["plant"] == "modal"
+    assert recording.duration_s == pytest.approx(2.0)
