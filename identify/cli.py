@@ -170,7 +170,14 @@ def print_report(report: ContactReport, console: Console) -> None:
                 f"{100 * stiffness.rms_spread_n_per_m / abs(stiffness.mean_n_per_m.value):.2g}",
                 "nearly invisible" if stiffness.contact in each.nearly_invisible else "",
             )
+        answered = {s.contact for s in each.stiffness}
+        for name in (n for n in each.nearly_invisible if n not in answered):
+            spectra.add_row(each.equation, name, "", "", "on a node: not told")
     console.print(spectra)
+    for mode in report.modes:
+        console.print(
+            f"mode {mode.index} of {mode.beam}: {mode.frequency_hz:.3f} Hz, damping {100 * mode.damping_ratio:.2f} %"
+        )
 
 
 def _shown(estimate: Estimate, scale: float = 1.0) -> str:

@@ -117,7 +117,8 @@ class ContactLaw(msgspec.Struct, frozen=True, kw_only=True):
     """What was found of one contact; eta is its relative displacement.
 
     knees_m and slopes_n_per_m are those of the formula; fitted_knees_m and fitted_slopes_n_per_m those of the
-    piecewise-linear law fitted from them, with standard errors of the scatter alone. hysteresis_share is the share of
+    piecewise-linear law fitted from them, with standard errors of the scatter alone: not of the drift, nor of what
+    rig.json may have wrong, for which see contact.json. hysteresis_share is the share of
     the scatter's variance that a damper in the closed contact explains. repeatable says whether the same seed gives the
     same formula: not if time ended the search.
     """

@@ -6,7 +6,6 @@ from jaxtyping import Float
 
 from rig.errors import RigError
 
-
 DAMPING_DEPTH_M = 1e-5
 
 

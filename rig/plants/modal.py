@@ -122,7 +122,7 @@ def _compiled() -> Any:
 
     @numba.njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
     @no_type_check  # numba compiles the plain function only
-    def advance(  # noqa: PLR0912
+    def advance(
         state, contact_n, previous_n, force, propagate, from_start, from_end, drive, contacts, laws, reach, omega, zeta
     ):
         samples, modes, count = force.size, omega.size, laws.shape[0]

@@ -24,7 +24,7 @@ def drawn(request, simulate, tmp_path_factory):
     settings = (
         Sdof(duration_s=30.0, step_s=2.0**-12)
         if request.param == "one mass"
-        else BarrelCradle(duration_s=10.0, sensors="displacement", stations=6)
+        else BarrelCradle(duration_s=10.0, sensors="displacement", sample_rate_hz=2048.0)
     )
     found = identify_contact(read(simulate(settings, folder / "r.mcap")), use="displacement")
     figures = {}

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.contact import DeadZone
+from rig.contact import DAMPING_DEPTH_M, DeadZone
 from rig.errors import RigError
 
 clearances = st.floats(0, 0.1)
@@ -36,8 +36,10 @@ def test_nothing_passes_inside_the_gap(law, fraction, rate):
 def test_outside_spring_and_damper_act(law, depth, rate):
     above, below = law.upper_clearance_m + depth, -law.lower_clearance_m - depth
     for eta, signed in ((above, depth), (below, -depth)):
-        expected = law.stiffness_n_per_m * signed + law.damping_n_s_per_m * rate
-        assert force(law, eta, rate) == pytest.approx(expected, rel=1e-9, abs=1e-8 * law.stiffness_n_per_m)
+        damped = law.damping_n_s_per_m * rate * min(1, depth / DAMPING_DEPTH_M)
+        rounding = 1e-15 * (law.stiffness_n_per_m + law.damping_n_s_per_m * abs(rate) / DAMPING_DEPTH_M)
+        expected = law.stiffness_n_per_m * signed + damped
+        assert force(law, eta, rate) == pytest.approx(expected, rel=1e-9, abs=1e-8 * law.stiffness_n_per_m + rounding)
 
 
 @given(laws, displacements, displacements)

@@ -103,7 +103,7 @@ def energies(plant, step_s, duration_s):
     for contact, eta, (at, against) in zip(rig.contacts, motion.eta_m, at_ends.reshape(2, 2, -1), strict=True):
         depth = contact.law.penetration_m(eta)
         stored += contact.law.stiffness_n_per_m * depth**2 / 2
-        lost_w += contact.law.damping_n_s_per_m * (at - against) ** 2 * (depth != 0)
+        lost_w += (contact.law.force_n(eta, at - against) - contact.law.stiffness_n_per_m * depth) * (at - against)
     work = cumulative_trapezoid(force_n * at_force[0], dx=step_s, initial=0)
     closures = np.count_nonzero(np.diff((motion.contact_force_n != 0).astype(int), axis=1) > 0)
     return work, stored, cumulative_trapezoid(lost_w, dx=step_s, initial=0), closures

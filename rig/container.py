@@ -1,0 +1,141 @@
+"""An MCAP file record by record, where no size is believed before it is checked and no byte before its checksum.
+
+mcap's own readers allocate what a record declares, decompress whatever comes, and skip the checksum of attachments.
+"""
+
+import struct
+import zlib
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path, PurePosixPath
+from typing import IO
+
+import lz4.frame
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema, Statistics
+
+from rig.errors import RigError
+
+MAX_BYTES = 64 * 1024 * 1024
+"""The largest record, and the largest content of a chunk, that is read."""
+_MAGIC = b"\x89MCAP0\r\n"
+_HEAD = struct.Struct("<BQ")
+_KINDS = {
+    Opcode.ATTACHMENT: Attachment,
+    Opcode.CHANNEL: Channel,
+    Opcode.METADATA: Metadata,
+    Opcode.SCHEMA: Schema,
+    Opcode.STATISTICS: Statistics,
+    Opcode.DATA_END: DataEnd,
+}
+DAMAGE = (McapError, ValueError, struct.error, EOFError, OSError, RuntimeError, zstandard.ZstdError)
+"""What reading a bad record may raise."""
+
+
+def opened(path: Path) -> IO[bytes]:
+    """The file behind its first eight bytes; raises RigError with a sentence if it is no MCAP file."""
+    try:
+        content = path.open("rb")
+        start = content.read(len(_MAGIC))
+    except OSError as error:
+        raise RigError(f"{path}: cannot be opened ({error.strerror}); check the name") from error
+    if start == _MAGIC:
+        return content
+    content.close()
+    if not start:
+        raise RigError(f"{path}: is empty; record it again")
+    raise RigError(f"{path}: is no MCAP file; give a recording made by `rig record` or `rig import`")
+
+
+def whole(content: IO[bytes]) -> Iterator[McapRecord]:
+    """Every record of a complete file that `opened` gave; raises one of DAMAGE where it is cut or damaged."""
+    running, messages = zlib.crc32(_MAGIC), 0
+    for opcode, body, before in _split(content, running):
+        for record in records(opcode, body):
+            if isinstance(record, DataEnd) and record.data_section_crc not in (0, before):
+                raise ValueError("the checksum of its data is wrong")
+            if isinstance(record, Statistics) and record.message_count != messages:
+                raise ValueError(f"{messages} messages where its statistics count {record.message_count}")
+            messages += isinstance(record, Message)
+            yield record
+        if opcode == Opcode.FOOTER:
+            if content.read() != _MAGIC:
+                raise EOFError("its end is missing")
+            return
+
+
+def complete(content: IO[bytes]) -> Iterator[McapRecord]:
+    """Every sound record of a file that `opened` gave, cut off or damaged as it may be."""
+    try:
+        for opcode, body, _ in _split(content, 0):
+            try:
+                found = list(records(opcode, body))
+            except DAMAGE:
+                continue
+            yield from found
+            if opcode == Opcode.FOOTER:
+                return
+    except DAMAGE:
+        return
+
+
+def records(opcode: int, body: bytes) -> Iterator[McapRecord]:
+    """The records that matter here in one top-level record; a chunk is decompressed within MAX_BYTES.
+
+    Raises one of DAMAGE if the checksum is wrong or the content is no such record, RigError if it is refused.
+    """
+    if opcode == Opcode.CHUNK:
+        for inner, content, _ in _split(BytesIO(_decompressed(Chunk.read(ReadDataStream(BytesIO(body))))), 0):
+            if inner in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+                yield from records(inner, content)
+    elif opcode == Opcode.MESSAGE:
+        yield Message.read(ReadDataStream(BytesIO(body)), len(body))
+    elif opcode in _KINDS:
+        record = _KINDS[Opcode(opcode)].read(ReadDataStream(BytesIO(body)))
+        if isinstance(record, Attachment):
+            _check_attachment(record, body)
+        yield record
+
+
+def _split(content: IO[bytes], running: int) -> Iterator[tuple[int, bytes, int]]:
+    """Opcode, body and the checksum of all that came before."""
+    while head := content.read(_HEAD.size):
+        opcode, length = _HEAD.unpack(head)
+        if opcode == 0:
+            raise ValueError("a record without a kind")
+        if length > MAX_BYTES:
+            raise RigError(f"a record declares {length} bytes; more than {MAX_BYTES} are not read")
+        body = content.read(length)
+        if len(body) < length:
+            raise EOFError(f"a record of {length} bytes ends after {len(body)}")
+        yield opcode, body, running
+        running = zlib.crc32(body, zlib.crc32(head, running))
+
+
+def _decompressed(chunk: Chunk) -> bytes:
+    size = chunk.uncompressed_size
+    if size > MAX_BYTES:
+        raise RigError(f"a chunk declares {size} bytes when decompressed; more than {MAX_BYTES} are not read")
+    if chunk.compression == "lz4":
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size)
+    elif chunk.compression == "zstd":
+        data = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(size)
+    elif chunk.compression == "":
+        data = chunk.data
+    else:
+        raise ValueError(f"unknown compression {chunk.compression!r}")
+    if len(data) != size or chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+        raise ValueError("the checksum of a chunk is wrong")
+    return data
+
+
+def _check_attachment(record: Attachment, body: bytes) -> None:
+    name = PurePosixPath(record.name.replace("\\", "/"))
+    if name.is_absolute() or ".." in name.parts:
+        raise RigError(f"the attachment {record.name!r} is named like a path out of its folder; rename it")
+    (crc,) = struct.unpack("<I", body[-4:])
+    if crc not in (0, zlib.crc32(body[:-4])):
+        raise ValueError(f"the checksum of the attachment {record.name!r} is wrong")
