@@ -49,6 +49,8 @@ def contact(
     """
     if use not in get_args(Use):
         raise typer.BadParameter(f"{use!r} is none of {', '.join(get_args(Use))}", param_hint="--use")
+    if window not in POWERS:
+        raise typer.BadParameter(f"{window!r} is none of {', '.join(POWERS)}", param_hint="--window")
     if tolerances not in NAMED:
         raise typer.BadParameter(f"{tolerances!r} is none of {', '.join(NAMED)}", param_hint="--tolerances")
     averaging = Averaging(averages=averages, block_s=block, overlap=overlap, window=window, band_hz=band)

@@ -71,6 +71,9 @@ def identify_contact(
     Raises RigError if the record does not allow it: too short, too few stations, no force.
     """
     averaging = averaging or Averaging()
+    names = [f"{recording.rig.force_at.body} {i}" for i in range(1, EQUATIONS + 1)]
+    if equation not in (None, *names):
+        raise RigError(f"no modal equation {equation!r} with a measured force; there are {', '.join(names)}")
     found = find_contacts(recording, use, tolerances)
     progress(0.5)
     rig, motion, answers = found.rig, found.motion, found.answers
@@ -165,9 +168,6 @@ def _decimation(rig: Rig, motion: Kinematics) -> int:
 
 def _main(spectra: list[Nifo], wanted: str | None) -> Nifo:
     """The equation that is wanted, or the one with the least spread of the stiffnesses over frequency."""
-    names = [n.equation.name for n in spectra]
-    if wanted is not None and wanted not in names:
-        raise RigError(f"no modal equation {wanted!r} with a measured force; there are {', '.join(names)}")
 
     def spread(result: Nifo) -> tuple[int, float]:
         return -len(result.contacts), float(np.max(result.spread_n_per_m / np.abs(result.mean_n_per_m), initial=0.0))

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.signal import resample
 from scipy.sparse import csc_matrix, csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import splu, spsolve
 
 from identify.drift import Drift, Spline, spline
-from identify.spectra import decimated
+from identify.spectra import decimated, oversampled
 from rig.contact import DAMPING_DEPTH_M, dead_zone
 from rig.errors import RigError
 
@@ -220,7 +219,7 @@ def _linearised(
     fine = max(1, round(FINE_HZ / seen.sample_rate_hz))
     depth = low_passed[2]
     if fine > 1:
-        finer = dead_zone(resample(eta, fine * eta.size), lower, upper)
+        finer = dead_zone(oversampled(eta, fine), lower, upper)
         depth = decimated(finer, fine * seen.factor)[: seen.force_n.size]
     fitted = stiffness * depth + damping * low_passed[3]
     at_force = curve.value[:: seen.factor][: seen.force_n.size]

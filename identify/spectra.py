@@ -90,7 +90,7 @@ def blocks(samples: int, sample_rate_hz: float, averaging: Averaging, band_hz: t
             f"the band {band_hz[0]:.4g} to {band_hz[1]:.4g} Hz holds no lines at a resolution of {resolution:.4g} Hz "
             f"and {sample_rate_hz:g} samples a second; choose another band or block"
         )
-    hop = max(1, int(length * (1 - averaging.overlap)))
+    hop = max(1, int(length * (1 - averaging.overlap) + 1e-6))
     return Blocks(tuple(range(0, samples - length + 1, hop)), length, averaging.window, sample_rate_hz, lines)
 
 
@@ -111,9 +111,13 @@ def window(name: str, length: int, sample_rate_hz: float) -> Float[np.ndarray, "
 
 def penetration(eta_m: Float[np.ndarray, " samples"], lower_m: float, upper_m: float) -> Float[np.ndarray, " samples"]:
     """The dead zone of a band-limited relative displacement, band-limited again, so that its kinks do not alias."""
-    ramps = _ramped(eta_m, 1)
-    fine = dead_zone(resample(ramps, OVERSAMPLING * ramps.size), lower_m, upper_m)
-    return np.asarray(resample(fine, ramps.size)[RAMP : RAMP + eta_m.size])
+    return decimated(dead_zone(oversampled(eta_m, OVERSAMPLING), lower_m, upper_m), OVERSAMPLING)[: eta_m.size]
+
+
+def oversampled(signal: Float[np.ndarray, " samples"], times: int) -> Float[np.ndarray, " more"]:
+    """A band-limited signal at `times` its rate."""
+    ramps = _ramped(signal, 1)
+    return np.asarray(resample(ramps, times * ramps.size)[times * RAMP : times * (RAMP + signal.size)])
 
 
 def decimated(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows fewer"]:

@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
+from rig.container import part_of
 from rig.errors import RigError
 
 INTERRUPTED = 130
@@ -50,6 +51,11 @@ def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
 
 
 def refuse_existing(path: Path, force: bool) -> None:
-    """Raises RigError if the path exists and overwriting was not asked for."""
+    """Raises RigError if the path exists and overwriting was not asked for, and always for a symbolic link."""
+    part = part_of(path)
     if path.exists() and not force:
         raise RigError(f"{path}: exists already; give another name, or --force to overwrite it")
+    if part.exists() and not force:
+        raise RigError(
+            f"{part}: is being written or was cut off; save it by `rig recover` under another name, or give --force"
+        )

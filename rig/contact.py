@@ -7,20 +7,22 @@ from jaxtyping import Float
 from rig.errors import RigError
 
 DAMPING_DEPTH_M = 1e-5
+FRICTION_SPEED_M_PER_S = 0.02
 
 
 class DeadZone(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A gap with a stop on either side; inside the gap no force passes.
+    """A gap with a stop on either side; inside the gap nothing but friction passes.
 
     With the relative displacement eta and its rate::
 
-        f = k depth + c rate min(1, |depth| / h)
+        f = k depth + k3 depth^3 + c rate min(1, |depth| / h) + F tanh(rate / v0)
         depth = eta - upper   for eta > upper
         depth = eta + lower   for eta < -lower
         depth = 0             between
 
-    The damping sets in over the first h = 10 um of penetration: a force that jumped at the stop would leave an implicit
-    solver without a solution at some steps.
+    Both clearances grow by `wear_m_per_s` from what they are at time 0. The friction F acts in and out of the gap. The
+    damping sets in over the first h = 10 um of penetration, and the friction turns round over v0 = 0.02 m/s: a force
+    that jumped would leave an implicit solver without a solution at some steps.
 
     The force f acts against eta: -f on the body that eta is counted for, +f on the other.
     """
@@ -29,28 +31,42 @@ class DeadZone(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     upper_clearance_m: float
     stiffness_n_per_m: float
     damping_n_s_per_m: float = 0.0
+    cubic_n_per_m3: float = 0.0
+    friction_n: float = 0.0
+    wear_m_per_s: float = 0.0
 
     def __post_init__(self) -> None:
-        for field in ("lower_clearance_m", "upper_clearance_m", "stiffness_n_per_m", "damping_n_s_per_m"):
+        for field in self.__struct_fields__:
             value = getattr(self, field)
             if not (np.isfinite(value) and value >= 0):
                 raise RigError(f"contact law: {field} is {value}; give a finite value, zero or above")
 
     @property
     def clearance_m(self) -> float:
-        """Half the total play: the paper's d where both sides are equal."""
+        """Half the total play at time 0: the paper's d where both sides are equal."""
         return (self.lower_clearance_m + self.upper_clearance_m) / 2
 
-    def penetration_m(self, eta_m: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+    def penetration_m(
+        self, eta_m: Float[np.ndarray, "*shape"], time_s: float | Float[np.ndarray, "*shape"] = 0.0
+    ) -> Float[np.ndarray, "*shape"]:
         """Signed depth beyond the stops: the paper's dead-zone function of the relative displacement."""
-        return dead_zone(eta_m, self.lower_clearance_m, self.upper_clearance_m)
+        worn_m = self.wear_m_per_s * time_s
+        return eta_m - np.clip(eta_m, -self.lower_clearance_m - worn_m, self.upper_clearance_m + worn_m)
 
     def force_n(
-        self, eta_m: Float[np.ndarray, "*shape"], rate_m_per_s: Float[np.ndarray, "*shape"]
+        self,
+        eta_m: Float[np.ndarray, "*shape"],
+        rate_m_per_s: Float[np.ndarray, "*shape"],
+        time_s: float | Float[np.ndarray, "*shape"] = 0.0,
     ) -> Float[np.ndarray, "*shape"]:
-        depth = self.penetration_m(eta_m)
+        depth = self.penetration_m(eta_m, time_s)
         damped = np.minimum(1.0, np.abs(depth) / DAMPING_DEPTH_M)
-        return self.stiffness_n_per_m * depth + self.damping_n_s_per_m * rate_m_per_s * damped
+        return (
+            self.stiffness_n_per_m * depth
+            + self.cubic_n_per_m3 * depth**3
+            + self.damping_n_s_per_m * rate_m_per_s * damped
+            + self.friction_n * np.tanh(rate_m_per_s / FRICTION_SPEED_M_PER_S)
+        )
 
 
 def dead_zone(eta_m: Float[np.ndarray, "*shape"], lower_m: float, upper_m: float) -> Float[np.ndarray, "*shape"]:

@@ -6,9 +6,8 @@ mcap's own readers allocate what a record declares, decompress whatever comes, a
 import struct
 import zlib
 from collections.abc import Iterator
-from io import BytesIO
+from io import BufferedIOBase, BytesIO
 from pathlib import Path, PurePosixPath
-from typing import IO
 
 import lz4.frame
 import zstandard
@@ -31,11 +30,20 @@ _KINDS = {
     Opcode.STATISTICS: Statistics,
     Opcode.DATA_END: DataEnd,
 }
-DAMAGE = (McapError, ValueError, struct.error, EOFError, OSError, RuntimeError, zstandard.ZstdError)
+DAMAGE = (McapError, ValueError, OverflowError, struct.error, EOFError, OSError, RuntimeError, zstandard.ZstdError)
 """What reading a bad record may raise."""
 
 
-def opened(path: Path) -> IO[bytes]:
+def part_of(path: Path) -> Path:
+    """Where a file is written before it is renamed; raises RigError if either name is a symbolic link."""
+    part = path.with_name(path.name + ".part")
+    for place in (path, part):
+        if place.is_symlink():
+            raise RigError(f"{place}: is a symbolic link; name the file itself")
+    return part
+
+
+def opened(path: Path) -> BufferedIOBase:
     """The file behind its first eight bytes; raises RigError with a sentence if it is no MCAP file."""
     try:
         content = path.open("rb")
@@ -50,8 +58,11 @@ def opened(path: Path) -> IO[bytes]:
     raise RigError(f"{path}: is no MCAP file; give a recording made by `rig record` or `rig import`")
 
 
-def whole(content: IO[bytes]) -> Iterator[McapRecord]:
-    """Every record of a complete file that `opened` gave; raises one of DAMAGE where it is cut or damaged."""
+def whole(content: BufferedIOBase) -> Iterator[McapRecord]:
+    """Every record of a complete file that `opened` gave; raises one of DAMAGE where it is cut or damaged.
+
+    A record that is refused for its size or name raises RigError, without the name of the file.
+    """
     running, messages = zlib.crc32(_MAGIC), 0
     for opcode, body, before in _split(content, running):
         for record in records(opcode, body):
@@ -63,11 +74,12 @@ def whole(content: IO[bytes]) -> Iterator[McapRecord]:
             yield record
         if opcode == Opcode.FOOTER:
             if content.read() != _MAGIC:
-                raise EOFError("its end is missing")
+                break
             return
+    raise EOFError("its end is missing")
 
 
-def complete(content: IO[bytes]) -> Iterator[McapRecord]:
+def complete(content: BufferedIOBase) -> Iterator[McapRecord]:
     """Every sound record of a file that `opened` gave, cut off or damaged as it may be."""
     try:
         for opcode, body, _ in _split(content, 0):
@@ -100,14 +112,14 @@ def records(opcode: int, body: bytes) -> Iterator[McapRecord]:
         yield record
 
 
-def _split(content: IO[bytes], running: int) -> Iterator[tuple[int, bytes, int]]:
+def _split(content: BufferedIOBase, running: int) -> Iterator[tuple[int, bytes, int]]:
     """Opcode, body and the checksum of all that came before."""
     while head := content.read(_HEAD.size):
         opcode, length = _HEAD.unpack(head)
         if opcode == 0:
             raise ValueError("a record without a kind")
         if length > MAX_BYTES:
-            raise RigError(f"a record declares {length} bytes; more than {MAX_BYTES} are not read")
+            raise RigError(f"a record declares {length} bytes; write records of at most {MAX_BYTES} bytes")
         body = content.read(length)
         if len(body) < length:
             raise EOFError(f"a record of {length} bytes ends after {len(body)}")
@@ -118,7 +130,7 @@ def _split(content: IO[bytes], running: int) -> Iterator[tuple[int, bytes, int]]
 def _decompressed(chunk: Chunk) -> bytes:
     size = chunk.uncompressed_size
     if size > MAX_BYTES:
-        raise RigError(f"a chunk declares {size} bytes when decompressed; more than {MAX_BYTES} are not read")
+        raise RigError(f"a chunk declares {size} bytes when decompressed; write at most {MAX_BYTES}")
     if chunk.compression == "lz4":
         data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size)
     elif chunk.compression == "zstd":

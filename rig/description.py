@@ -63,8 +63,84 @@ class Sensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
             raise RigError(f"sensor {self.name!r}: bits is {self.bits}; give 2 to 32, together with a measuring_range")
 
 
+class PointMass(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A mass without rotational inertia, fixed to a body."""
+
+    station: Station
+    mass_kg: float
+
+    def __post_init__(self) -> None:
+        _check_number("point mass", "mass_kg", self.mass_kg)
+
+
+class PointSpring(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A spring from a body to the base: the force k w + k3 w^3 against the displacement, k_r w' against the slope."""
+
+    station: Station
+    stiffness_n_per_m: float = 0.0
+    cubic_n_per_m3: float = 0.0
+    rotational_n_m_per_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in ("stiffness_n_per_m", "cubic_n_per_m3", "rotational_n_m_per_rad"):
+            _check_number("point spring", field, getattr(self, field))
+
+
+class Clamp(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A clamp that gives: the beam's clamped end turns against a rotational spring instead of not at all."""
+
+    body: str
+    rotational_n_m_per_rad: float
+
+    def __post_init__(self) -> None:
+        _check_number(f"clamp of {self.body!r}", "rotational_n_m_per_rad", self.rotational_n_m_per_rad)
+
+
+class StaticLoad(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A constant transverse force on a body; the rig is at rest under it when a simulation begins."""
+
+    station: Station
+    force_n: float
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.force_n):
+            raise RigError(f"static load: force_n is {self.force_n}; give a finite value")
+
+
+class BaseMotion(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A transverse motion of the ground that carries clamps, springs and stops: Gaussian acceleration in a band."""
+
+    acceleration_rms_m_per_s2: float
+    low_hz: float
+    high_hz: float
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        _check_number("base motion", "acceleration_rms_m_per_s2", self.acceleration_rms_m_per_s2)
+        if not 0 < self.low_hz < self.high_hz < np.inf:
+            raise RigError(f"base motion: the band {self.low_hz} to {self.high_hz} Hz is empty; give 0 < low < high")
+        if self.seed < 0:
+            raise RigError(f"base motion: seed is {self.seed}; give zero or above")
+
+
+class ForceSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How the measured force relates to the true one, which is the measured force of lag_s ago divided by gain."""
+
+    gain: float = 1.0
+    lag_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.gain) and self.gain != 0):
+            raise RigError(f"force sensor: gain is {self.gain}; give a finite value other than zero")
+        if not (np.isfinite(self.lag_s) and self.lag_s >= 0):
+            raise RigError(f"force sensor: lag_s is {self.lag_s}; give a finite value, zero or above")
+
+
 class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Everything that the experimenter believes about the machine and its instruments."""
+    """Everything that the experimenter believes about the machine and its instruments.
+
+    What stands after the sampling rate is absent from a rig that is as simple as it looks: see `rig.effects`.
+    """
 
     name: str
     bodies: tuple[Body, ...]
@@ -72,6 +148,12 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     force_at: Station
     sensors: tuple[Sensor, ...]
     sample_rate_hz: float
+    masses: tuple[PointMass, ...] = ()
+    springs: tuple[PointSpring, ...] = ()
+    clamps: tuple[Clamp, ...] = ()
+    loads: tuple[StaticLoad, ...] = ()
+    base_motion: BaseMotion | None = None
+    force_sensor: ForceSensor = ForceSensor()
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.sample_rate_hz) and self.sample_rate_hz > 0):
@@ -89,6 +171,14 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         for contact in self.contacts:
             for station in contact_stations(contact):
                 self._check_station(f"contact {contact.name!r}", station)
+        for kind, attached in (("mass", self.masses), ("spring", self.springs), ("load", self.loads)):
+            for one in attached:
+                self._check_station(f"a point {kind}", one.station)
+        for clamp in self.clamps:
+            if getattr(self.body(clamp.body), "ends", None) != "clamped-free":
+                raise RigError(f"a clamp holds {clamp.body!r}, which is no clamped beam; name one that is")
+        if len({c.body for c in self.clamps}) < len(self.clamps):
+            raise RigError(f"rig {self.name!r}: more than one clamp holds the same beam; give one")
 
     def body(self, name: str) -> Body:
         for body in self.bodies:
@@ -103,6 +193,11 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         body = self.body(station.body)
         if not 0 <= station.position_m <= body.length_m:
             raise RigError(f"{what} stands at {station.position_m} m, off {body.name!r}; give 0 to {body.length_m} m")
+
+
+def _check_number(what: str, field: str, value: float) -> None:
+    if not (np.isfinite(value) and value >= 0):
+        raise RigError(f"{what}: {field} is {value}; give a finite value, zero or above")
 
 
 def contact_stations(contact: Contact) -> tuple[Station, ...]:

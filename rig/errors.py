@@ -3,3 +3,7 @@
 
 class RigError(ValueError):
     """Input that cannot be used. Its text is one sentence for the user; the commands print it and exit with 1."""
+
+
+class CutOffError(RigError):
+    """A recording that could not be written to its end, though what was written of it is kept."""

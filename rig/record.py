@@ -52,6 +52,7 @@ def record(
         "made_by": "rig record",
         "plant": plant_name,
         "step_s": repr(step_s),
+        "asked_duration_s": repr(duration_s),
         "excitation": repr(excitation),
         "seed": str(excitation.seed),
         **{f"version of {name}": importlib.metadata.version(name) for name in ("rig-identify", "exudyn", "numpy")},
@@ -60,8 +61,8 @@ def record(
     written = 0
     with (
         _interrupted_between_blocks() as check_interrupt,
-        writing(path, rig, channel_groups(rig), provenance) as recording,
         writing(truth_path(path), actual, truth_groups(actual), provenance) as truth,
+        writing(path, rig, channel_groups(rig), provenance) as recording,
     ):
         for block in digitised(actual, plant(actual, force, step_s, progress), rng):
             keep = slice(0, samples - written)

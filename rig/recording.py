@@ -1,22 +1,20 @@
 """A recording and its MCAP file: the only thing that passes between rig and identify. Sole owner of the layout."""
 
 import json
-import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 from jaxtyping import Float
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
+from mcap.records import Attachment, Channel, McapRecord, Message, Metadata
 from mcap.writer import CompressionType, Writer
 
-from rig import messages
+from rig import container, messages
 from rig.description import UNITS, Rig, Station, from_json, stations_of, to_json
-from rig.errors import RigError
+from rig.errors import CutOffError, RigError
 from rig.sensors import quantities_of, sensors_of
 
 BLOCK = 1024
@@ -76,11 +74,12 @@ class RecordingWriter:
     def __init__(
         self, stream: IO[bytes], rig: Rig, groups: Mapping[str, Channels], provenance: Mapping[str, str]
     ) -> None:
-        self._writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
+        self._stream = stream
+        self._writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4, enable_data_crcs=True)
         self._writer.start(profile="", library="rig")
-        text = to_json(rig)
-        self._writer.add_attachment(0, 0, RIG_NAME, "application/json", text)
+        self._writer.add_attachment(0, 0, RIG_NAME, "application/json", to_json(rig))
         self._writer.add_metadata("provenance", dict(provenance))
+        stream.flush()
         block = self._writer.register_schema(messages.BLOCK_NAME, "protobuf", messages.BLOCK_SCHEMA)
         preview = self._writer.register_schema(messages.PREVIEW_NAME, "ros2msg", messages.PREVIEW_SCHEMA)
         self._groups = dict(groups)
@@ -100,6 +99,7 @@ class RecordingWriter:
         for first in range(0, whole, BLOCK):
             self._write(group, pending[:, first : first + BLOCK])
         self._pending[group] = pending[:, whole:]
+        self._stream.flush()  # a kill loses nothing but the chunk in the making
 
     def finish(self) -> None:
         """Writes what is left, and the index: from here on the file is complete."""
@@ -128,9 +128,10 @@ def writing(
 ) -> Iterator[RecordingWriter]:
     """A writer for a recording at `path`, which appears there only when it is complete.
 
-    An interruption (Ctrl-C) completes the file with what was written so far; any other error removes it.
+    An interruption (Ctrl-C) completes the file with what was written so far. A full disk leaves what was written under
+    the name FILE.part, as a kill does, for rig.recovery. Any other error removes it.
     """
-    part = path.with_name(path.name + ".part")
+    part = container.part_of(path)
     try:
         with part.open("wb") as stream:
             writer = RecordingWriter(stream, rig, groups, provenance)
@@ -143,8 +144,13 @@ def writing(
                 raise
             writer.finish()
     except OSError as error:
-        part.unlink(missing_ok=True)
-        raise RigError(f"{path}: cannot be written ({error.strerror}); choose another place") from error
+        if not part.exists():
+            raise RigError(f"{path}: cannot be written ({error.strerror}); choose another place") from error
+        raise CutOffError(
+            f"{path}: cannot be written on ({error.strerror}); make room and save what there is: rig recover {part}"
+        ) from error
+    except CutOffError:  # the disk of another file of the same recording
+        raise
     except BaseException:
         part.unlink(missing_ok=True)
         raise
@@ -195,76 +201,73 @@ def read_truth(path: Path) -> Recording:
     return _loaded(path)
 
 
+def with_history(provenance: Mapping[str, str], *steps: str) -> dict[str, str]:
+    """The provenance with what was done to the record since, one numbered entry a step."""
+    done = sum(key.startswith("history ") for key in provenance)
+    return {**provenance, **{f"history {done + k}": step for k, step in enumerate(steps, start=1)}}
+
+
 def truth_path(path: Path) -> Path:
     return path.with_name(path.name.removesuffix(".mcap") + ".truth.mcap")
 
 
-def _loaded(path: Path) -> Recording:
-    header, blocks = _scan(path)
-    if RIG_NAME not in header.attachments:
+@dataclass(frozen=True)
+class Contents:
+    """What the records of a file hold: the blocks of every group in the order of the file."""
+
+    attachments: dict[str, bytes]
+    provenance: dict[str, str]
+    groups: dict[str, Channels]
+    blocks: dict[str, list[messages.Block]]
+
+
+def gathered(records: Iterable[McapRecord]) -> Contents:
+    """Sorts the records of a file; raises ValueError or RigError, without the name of the file, if one is wrong."""
+    found = Contents({}, {}, {}, {})
+    numbers: dict[int, str] = {}
+    for record in records:
+        if isinstance(record, Attachment):
+            found.attachments[record.name] = record.data
+        elif isinstance(record, Metadata) and record.name == "provenance":
+            found.provenance.update(record.metadata)
+        elif isinstance(record, Channel) and record.id not in numbers:
+            parts = record.topic.split("/")
+            if len(parts) == 4 and parts[1] == "rig" and parts[3] == "block":
+                numbers[record.id] = parts[2]
+                found.groups[parts[2]] = _understood(record.topic, record.metadata)
+                found.blocks[parts[2]] = []
+        elif isinstance(record, Message) and record.channel_id in numbers:
+            found.blocks[numbers[record.channel_id]].append(messages.decode_block(record.data))
+    return found
+
+
+def rig_of(path: Path, contents: Contents) -> Rig:
+    if RIG_NAME not in contents.attachments:
         raise RigError(f"{path}: has no attachment {RIG_NAME}; add the description of the rig (see the README)")
-    rig = from_json(header.attachments[RIG_NAME], f"{path}: {RIG_NAME}")
-    signals = {name: _assembled(path, name, channels, blocks[name]) for name, channels in header.groups.items()}
+    return from_json(contents.attachments[RIG_NAME], f"{path}: {RIG_NAME}")
+
+
+def _loaded(path: Path) -> Recording:
+    with container.opened(path) as content:
+        try:
+            contents = gathered(container.whole(content))
+        except RigError as error:
+            raise RigError(f"{path}: {error}") from error
+        except container.DAMAGE as error:
+            reason = f"{type(error).__name__}: {error}".rstrip(": ")
+            raise RigError(f"{path}: is cut off or damaged ({reason}); try `rig recover`, or take a copy") from error
+    rig = rig_of(path, contents)
+    signals = {name: assembled(path, name, group, contents.blocks[name]) for name, group in contents.groups.items()}
     if "force" not in signals:
         raise RigError(f"{path}: has no channel /rig/force/block; record the exciting force too")
     lengths = {name: s.values.shape[1] for name, s in signals.items()}
     if len(set(lengths.values())) > 1:
         raise RigError(f"{path}: its groups differ in length ({lengths}); every group needs the same samples")
-    return Recording(rig, signals, header.provenance)
+    return Recording(rig, signals, contents.provenance)
 
 
-@dataclass(frozen=True)
-class _Header:
-    attachments: dict[str, bytes]
-    provenance: dict[str, str]
-    groups: dict[str, Channels]
-
-
-def _scan(path: Path) -> tuple[_Header, dict[str, list[messages.Block]]]:
-    """Reads every block; each way in which a file can be bad becomes one sentence."""
-    try:
-        content = path.open("rb")
-    except OSError as error:
-        raise RigError(f"{path}: cannot be opened ({error.strerror}); check the name") from error
-    with content:
-        start = content.read(8)
-        if not start:
-            raise RigError(f"{path}: is empty; record it again")
-        if start != b"\x89MCAP0\r\n":
-            raise RigError(f"{path}: is no MCAP file; give a recording made by `rig record` or `rig import`")
-        content.seek(0)
-        try:
-            return _read_all(path, content)
-        except ValueError as error:
-            if isinstance(error, RigError):
-                raise
-            raise RigError(f"{path}: is damaged ({error}); restore it from a copy") from error
-        except (McapError, struct.error, EOFError, OSError, RuntimeError, KeyError, IndexError) as error:
-            reason = f"{type(error).__name__}: {error}".rstrip(": ")
-            raise RigError(f"{path}: is cut off or damaged ({reason}); restore it from a copy") from error
-
-
-def _read_all(path: Path, content: Any) -> tuple[_Header, dict[str, list[messages.Block]]]:
-    reader = make_reader(content, validate_crcs=True)
-    summary = reader.get_summary()
-    if summary is None or summary.statistics is None:
-        raise RigError(f"{path}: is cut off, its index is missing; restore it from a copy")
-    attachments = {a.name: a.data for a in reader.iter_attachments()}
-    provenance = {k: v for m in reader.iter_metadata() if m.name == "provenance" for k, v in m.metadata.items()}
-    groups: dict[str, Channels] = {}
-    blocks: dict[str, list[messages.Block]] = {}
-    for channel in summary.channels.values():
-        parts = channel.topic.split("/")
-        if len(parts) == 4 and parts[1] == "rig" and parts[3] == "block":
-            groups[parts[2]] = _understood(path, channel.topic, channel.metadata)
-            blocks[parts[2]] = []
-    topics = [f"/rig/{name}/block" for name in groups]
-    for _, channel, message in reader.iter_messages(topics=topics, log_time_order=False) if topics else ():
-        blocks[channel.topic.split("/")[2]].append(messages.decode_block(message.data))
-    return _Header(attachments, provenance, groups), blocks
-
-
-def _assembled(path: Path, name: str, channels: Channels, blocks: list[messages.Block]) -> Signals:
+def assembled(path: Path, name: str, channels: Channels, blocks: list[messages.Block]) -> Signals:
+    """The samples of a group in one piece; raises RigError if there is a gap, or a value that is not finite."""
     blocks = sorted(blocks, key=lambda b: b.first_sample)
     expected = 0
     for block in blocks:
@@ -322,7 +325,7 @@ def _described(channels: Channels) -> dict[str, str]:
     }
 
 
-def _understood(path: Path, topic: str, metadata: Mapping[str, str]) -> Channels:
+def _understood(topic: str, metadata: Mapping[str, str]) -> Channels:
     try:
         names = tuple(str(n) for n in json.loads(metadata["names"]))
         places = json.loads(metadata["stations"])
@@ -332,4 +335,4 @@ def _understood(path: Path, topic: str, metadata: Mapping[str, str]) -> Channels
             raise ValueError(f"{len(names)} names, {len(stations)} stations, {rate} Hz")
         return Channels(metadata["quantity"], metadata["unit"], names, stations, rate)
     except (KeyError, TypeError, ValueError) as error:
-        raise RigError(f"{path}: the metadata of channel {topic} cannot be read ({error!r}); see the README") from error
+        raise RigError(f"the metadata of channel {topic} cannot be read ({error!r}); see the README") from error
