@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Complex, Float
+from scipy.fft import next_fast_len
 from scipy.ndimage import uniform_filter1d
 
 from identify.kinematics import Kinematics
@@ -16,6 +17,10 @@ from rig.errors import RigError
 from rig.oscillator import Oscillator
 
 SMOOTHED_HZ = 1.0
+TAPER_S = 0.5
+LEFT_OUT_S = 2.5
+"""At the end of a record, where the beams' ringing is cut off, the separated forces are wrong."""
+RING_S = 12.0
 
 Doubt = tuple[Float[np.ndarray, "contacts fewer"], Float[np.ndarray, "contacts samples"]]
 
@@ -76,18 +81,18 @@ def _between_beams(
 
     Raises RigError if the stations cannot tell the contacts apart.
     """
-    samples = motion.force_n.size - motion.force_n.size % factor
-    rate = motion.sample_rate_hz
-    lines = samples // factor // 2 + 1
-    omega = 2 * np.pi * np.arange(lines) * rate / samples
-    force = np.fft.rfft(motion.force_n[:samples])[:lines]
-    measured = np.fft.rfft(motion.acceleration_m_per_s2[:, :samples])[:, :lines]
+    samples, rate = motion.force_n.size, motion.sample_rate_hz
+    length = factor * next_fast_len(-(-(samples + round(RING_S * rate)) // factor), real=True)
+    kept = (samples - round(LEFT_OUT_S * rate)) // factor
+    lines = length // factor // 2 + 1
+    omega = 2 * np.pi * np.arange(lines) * rate / length
+    force, measured = (_spectrum(x, rate, length)[..., :lines] for x in (motion.force_n, motion.acceleration_m_per_s2))
     drives = _accelerances(rig, motion, omega)
     to_contacts = -drives[:, :, 1:]
     covariance = np.zeros((lines, *[len(motion.stations)] * 2), dtype=complex)
     index = np.arange(len(motion.stations))
     covariance[:, index, index] = (samples * noise**2)[None, :] + tolerances.gain**2 * _smoothed(
-        measured, rate, samples
+        measured, rate, length
     ).T
     of_sensors: list[Complex[np.ndarray, "stations lines"]] = (
         [tolerances.gain * measured[i] * (index == i)[:, None] for i in index] if tolerances.gain else []
@@ -95,7 +100,7 @@ def _between_beams(
     of_model: list[Complex[np.ndarray, "stations lines"]] = []
     for body in rig.bodies:
         rows, coordinates, slopes, shapes = _modal_response(rig, body, motion, measured)
-        power = _smoothed(coordinates, rate, samples)
+        power = _smoothed(coordinates, rate, length)
         covariance[:, rows, rows] += tolerances.position_m**2 * (slopes**2 @ power).T
         if tolerances.position_m:
             moved = slopes @ coordinates
@@ -127,13 +132,13 @@ def _between_beams(
     def in_time(spectra: Complex[np.ndarray, "stations lines"]) -> Float[np.ndarray, "contacts fewer"]:
         found = np.einsum("fjs,sf->jf", gain, spectra)
         found[:, 0] = found[:, 0].real
-        return np.asarray(np.fft.irfft(found, samples // factor) / factor)
+        return np.asarray(np.fft.irfft(found, length // factor)[:, :kept] / factor)
 
     return ContactForces(
         force_n=in_time(known),
         factor=factor,
         doubts=(
-            *((in_time(c), _eta_change(rig, motion, c, omega)) for c in of_sensors),
+            *((in_time(c), _eta_change(rig, motion, c, length)) for c in of_sensors),
             *((in_time(c), np.zeros((len(rig.contacts), motion.force_n.size))) for c in of_model),
         ),
         spring_n_per_m=0.0,
@@ -197,21 +202,30 @@ def _modal_response(
 
 
 def _eta_change(
-    rig: Rig, motion: Kinematics, change: Complex[np.ndarray, "stations lines"], omega: Float[np.ndarray, " lines"]
+    rig: Rig, motion: Kinematics, change: Complex[np.ndarray, "stations lines"], length: int
 ) -> Float[np.ndarray, "contacts samples"]:
     """What a change of the measured accelerations does to the relative displacements; slow motion aside."""
+    omega = 2 * np.pi * np.arange(change.shape[1]) * motion.sample_rate_hz / length
     high_pass = np.clip(omega / (2 * np.pi * 0.5) - 1, 0, 1)
-    displaced = -change * high_pass / np.where(omega > 0, omega, 1.0) ** 2
-    samples = motion.force_n.size
-    found = np.zeros((len(rig.contacts), samples))
+    displaced = np.zeros((change.shape[0], length // 2 + 1), dtype=complex)
+    displaced[:, : omega.size] = -change * high_pass / np.where(omega > 0, omega, 1.0) ** 2
+    found = np.zeros((len(rig.contacts), motion.force_n.size))
     for j, contact in enumerate(rig.contacts):
         for station, sign in ((contact.at, 1.0), (contact.against, -1.0)):
             row = None if station is None else motion.row(station)
-            if row is not None:
-                padded = np.zeros(samples // 2 + 1, dtype=complex)
-                padded[: omega.size] = displaced[row][: padded.size]
-                found[j] += sign * np.fft.irfft(padded, samples)
+            if row is not None and np.any(change[row]):
+                found[j] += sign * np.fft.irfft(displaced[row], length)[: motion.force_n.size]
     return found
+
+
+def _spectrum(
+    signals: Float[np.ndarray, "*rows samples"], rate: float, length: int
+) -> Complex[np.ndarray, "*rows lines"]:
+    """With its end tapered off and silence behind, so that what rings on after it does not wrap round to its start."""
+    fall = round(TAPER_S * rate)
+    taper = np.ones(signals.shape[-1])
+    taper[-fall:] = 0.5 * (1 + np.cos(np.pi * np.arange(1, fall + 1) / fall))
+    return np.asarray(np.fft.rfft(signals * taper, length))
 
 
 def _rows(body: Body, motion: Kinematics) -> list[int]:

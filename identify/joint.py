@@ -15,7 +15,7 @@ from rig.errors import RigError
 
 PARTS = 16
 STEPS = 30
-FINE_HZ = 4096.0
+FINE_HZ = 16384.0
 """The contact force is evaluated at this rate at least, so that its kinks do not alias."""
 CLEAR_SHARE = 0.1
 """A contact counts as clearly closed where its force exceeds this share of the force's 99.5 % quantile."""

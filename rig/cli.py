@@ -2,6 +2,8 @@
 
 import json
 import os
+from collections.abc import Mapping
+from functools import reduce
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,8 +15,10 @@ from rich.console import Console
 from rich.table import Table
 
 from rig.beam import Beam
+from rig.cli_files import export_, import_, recover
 from rig.command_line import StoppedError, progress_bar, refuse_existing, run
 from rig.description import Station
+from rig.effects import effect_named, effects
 from rig.errors import RigError
 from rig.plants import PLANTS, plant_named
 from rig.record import record as record_rig
@@ -33,15 +37,15 @@ def _group() -> None:
     """A virtual test rig: simulates a structure with clearances and records it as a laboratory would."""
 
 
-def _settings_text() -> str:
-    """Every setting of every scenario with its default, for the help."""
+def _settings_text(title: str, kinds: Mapping[str, type[msgspec.Struct]]) -> str:
+    """Every setting with its default, for the help."""
     return "\n\n".join(
-        f"Settings of {name}: " + ", ".join(f"{f.name}={f.default}" for f in msgspec.structs.fields(kind))
-        for name, kind in REFERENCES.items()
+        f"{title} {name}: " + ", ".join(f"{f.name}={f.default}" for f in msgspec.structs.fields(kind))
+        for name, kind in kinds.items()
     )
 
 
-@app.command(epilog=_settings_text())
+@app.command(epilog=_settings_text("Settings of", REFERENCES) + "\n\n" + _settings_text("Effect", effects()))
 def record(
     scenario: Annotated[str, typer.Argument(help=f"One of: {', '.join(REFERENCES)}.")],
     out: Annotated[Path, typer.Option(help="The recording to write; the truth file is written beside it.")],
@@ -50,6 +54,13 @@ def record(
     seed: Annotated[int | None, typer.Option(help="Seed of the force and of the sensors' noise.")] = None,
     settings: Annotated[
         list[str] | None, typer.Option("--set", help="A setting, KEY=VALUE; repeat it for more. They are listed below.")
+    ] = None,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="An effect that the rig has and its description in the recording does not, NAME[:PARAMETER=VALUE,...]; "
+            "repeat it for more. They are listed below."
+        ),
     ] = None,
     force: Force = False,
     as_json: Json = False,
@@ -73,18 +84,24 @@ def record(
         machine = reference(scenario, chosen)
     except RigError as error:
         raise typer.BadParameter(str(error), param_hint="--set") from error
+    rig = machine.rig()
+    try:
+        actual = reduce(lambda so_far, text: effect_named(text).applied_to(so_far), effect or [], rig)
+    except RigError as error:
+        raise typer.BadParameter(str(error), param_hint="--effect") from error
     for path in (out, truth_path(out)):
         refuse_existing(path, force)
     try:
         with progress_bar(f"recording {out.name} ({plant})") as progress:
             record_rig(
-                machine.rig(),
+                rig,
                 machine.force(),
                 plant=plant_named(plant),
                 duration_s=machine.duration_s,
                 step_s=machine.step_s,
                 path=out,
                 progress=progress,
+                actual=actual,
             )
     except KeyboardInterrupt:
         if not out.exists():
@@ -163,6 +180,11 @@ def view(
     print(f"{target}: written")
     if out is None and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         open_viewer(target)
+
+
+app.command()(recover)
+app.command("import")(import_)
+app.command("export")(export_)
 
 
 def _summary(recording: Recording) -> dict[str, Any]:

@@ -7,3 +7,7 @@ class RigError(ValueError):
 
 class CutOffError(RigError):
     """A recording that could not be written to its end, though what was written of it is kept."""
+
+    def __init__(self, sentence: str, strerror: str) -> None:
+        super().__init__(sentence)
+        self.strerror = strerror

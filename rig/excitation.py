@@ -2,7 +2,7 @@
 
 import msgspec
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 from scipy.signal import chirp
 
 from rig.errors import RigError
@@ -117,18 +117,25 @@ def force_history(excitation: Excitation, duration_s: float, step_s: float) -> F
     return np.concatenate([np.zeros(quiet), excitation.excited(samples - quiet, step_s)])
 
 
-def _noise(samples: int, step_s: float, band: _Band) -> Float[np.ndarray, " samples"]:
-    """Independent Gaussian lines at every multiple of 1/duration in the band, so that the step does not matter."""
+def noise_spectrum(
+    samples: int, step_s: float, low_hz: float, high_hz: float, seed: int
+) -> Complex[np.ndarray, " lines"]:
+    """Independent Gaussian lines at every multiple of 1/duration in the band, so that the step does not matter.
+
+    Raises RigError if no line lies in the band.
+    """
     period_s = samples * step_s
-    first, last = max(int(np.ceil(band.low_hz * period_s)), 1), int(np.floor(band.high_hz * period_s))
+    first, last = max(int(np.ceil(low_hz * period_s)), 1), int(np.floor(high_hz * period_s))
     if last < first:
-        raise RigError(
-            f"excitation: no line of {band.low_hz} to {band.high_hz} Hz fits {period_s:.3g} s; record longer"
-        )
-    lines = np.random.default_rng(band.seed).standard_normal((last - first + 1, 2))
+        raise RigError(f"excitation: no line of {low_hz} to {high_hz} Hz fits {period_s:.3g} s; record longer")
+    lines = np.random.default_rng(seed).standard_normal((last - first + 1, 2))
     spectrum = np.zeros(samples // 2 + 1, dtype=complex)
     spectrum[first : last + 1] = lines[:, 0] + 1j * lines[:, 1]
-    return np.fft.irfft(spectrum, samples)
+    return spectrum
+
+
+def _noise(samples: int, step_s: float, band: _Band) -> Float[np.ndarray, " samples"]:
+    return np.fft.irfft(noise_spectrum(samples, step_s, band.low_hz, band.high_hz, band.seed), samples)
 
 
 def _rise(samples: int, step_s: float) -> Float[np.ndarray, " samples"]:

@@ -61,8 +61,8 @@ def record(
     written = 0
     with (
         _interrupted_between_blocks() as check_interrupt,
-        writing(truth_path(path), actual, truth_groups(actual), provenance) as truth,
         writing(path, rig, channel_groups(rig), provenance) as recording,
+        writing(truth_path(path), actual, truth_groups(actual), provenance) as truth,
     ):
         for block in digitised(actual, plant(actual, force, step_s, progress), rng):
             keep = slice(0, samples - written)

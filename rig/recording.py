@@ -143,14 +143,12 @@ def writing(
                 part.replace(path)
                 raise
             writer.finish()
-    except OSError as error:
+    except (OSError, CutOffError) as error:  # CutOffError: the disk failed another file of the same recording
+        why = error.strerror or str(error)
         if not part.exists():
-            raise RigError(f"{path}: cannot be written ({error.strerror}); choose another place") from error
-        raise CutOffError(
-            f"{path}: cannot be written on ({error.strerror}); make room and save what there is: rig recover {part}"
-        ) from error
-    except CutOffError:  # the disk of another file of the same recording
-        raise
+            raise RigError(f"{path}: cannot be written ({why}); choose another place") from error
+        sentence = f"{path}: cannot be written to its end ({why}); make room and save what there is: rig recover {part}"
+        raise CutOffError(sentence, why) from error
     except BaseException:
         part.unlink(missing_ok=True)
         raise
@@ -254,8 +252,9 @@ def _loaded(path: Path) -> Recording:
         except RigError as error:
             raise RigError(f"{path}: {error}") from error
         except container.DAMAGE as error:
-            reason = f"{type(error).__name__}: {error}".rstrip(": ")
-            raise RigError(f"{path}: is cut off or damaged ({reason}); try `rig recover`, or take a copy") from error
+            state = "damaged" if isinstance(error, ValueError) else "cut off or damaged"
+            reason = str(error) or type(error).__name__
+            raise RigError(f"{path}: is {state} ({reason}); try `rig recover`, or restore a copy") from error
     rig = rig_of(path, contents)
     signals = {name: assembled(path, name, group, contents.blocks[name]) for name, group in contents.groups.items()}
     if "force" not in signals:

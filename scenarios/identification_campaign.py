@@ -107,7 +107,7 @@ def one_rig(task: Task) -> Outcome:
         record(
             believed,
             settings.force(),
-            plant=plant_named("ancf") if task.plant == "ancf" else partial(modal.simulate, modes=30),
+            plant=plant_named("ancf") if task.plant == "ancf" else partial(modal.simulate, modes=40),
             duration_s=settings.duration_s,
             step_s=settings.step_s,
             path=path,

@@ -1,7 +1,6 @@
 """The reference plant: Exudyn, beams of ANCF cable elements, dead-zone connectors. The only import of exudyn."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, no_type_check
 
@@ -10,10 +9,13 @@ from jaxtyping import Float
 from scipy.linalg import eigh
 
 from rig.beam import Beam
-from rig.contact import DAMPING_DEPTH_M, DeadZone
-from rig.description import Body, Rig, Station, contact_stations, stations_of
+from rig.contact import DAMPING_DEPTH_M, FRICTION_SPEED_M_PER_S, DeadZone
+from rig.description import Body, Rig, Station, stations_of
 from rig.errors import RigError
+from rig.modes import held_coordinates, with_attachments
 from rig.motion import Motion, Progress
+from rig.plants.loading import base_motion, connections, true_force
+from rig.plants.mesh import Mesh, by_node, coordinates_at_rest, inertia, mesh_positions, static_load, station_row
 
 ELEMENTS = 20
 BLOCK_STEPS = 4096
@@ -21,48 +23,15 @@ AXIAL_FACTOR = 1e-2
 """On the axial stiffness, whose waves would otherwise set the step; bending frequencies move by less than 1e-6."""
 
 
-@dataclass(frozen=True)
-class Mesh:
-    """A body in Exudyn: its nodes, where they stand, and which coordinates of a node are transverse (value, slope)."""
-
-    body: Body
-    positions_m: Float[np.ndarray, " nodes"]
-    nodes: tuple[int, ...]
-
-    def node_at(self, position_m: float) -> int:
-        return self.nodes[int(np.argmin(np.abs(self.positions_m - position_m)))]
-
-    def row(self, position_m: float) -> Float[np.ndarray, " transverse"]:
-        """Weights of (value, slope) of every node in the transverse motion at a position: cubic Hermite shapes."""
-        if not isinstance(self.body, Beam):
-            return np.ones(1)
-        x = self.positions_m
-        i = int(np.clip(np.searchsorted(x, position_m, side="right") - 1, 0, len(x) - 2))
-        h = x[i + 1] - x[i]
-        s = (position_m - x[i]) / h
-        weights = np.zeros(2 * len(x))
-        weights[2 * i : 2 * i + 4] = (
-            1 - 3 * s**2 + 2 * s**3,
-            h * (s - 2 * s**2 + s**3),
-            3 * s**2 - 2 * s**3,
-            h * (s**3 - s**2),
-        )
-        return weights
-
-    @property
-    def transverse(self) -> list[int]:
-        """Of a node's coordinates (x, y, slope x, slope y), those of the transverse motion."""
-        return [1, 3] if isinstance(self.body, Beam) else [0]
-
-
 def simulate(
     rig: Rig, force_n: Float[np.ndarray, " samples"], step_s: float, progress: Progress, elements: int = ELEMENTS
 ) -> Iterator[Motion]:
-    """The motion from rest, with about `elements` elements a beam and a node at every contact and at the force.
+    """The motion from rest, with about `elements` elements a beam and a node wherever something acts on it.
 
     Generalized-alpha (spectral radius 0.9) at a fixed step; use a dyadic one, so that time adds up exactly. Each beam
     has the damping matrix M Phi diag(2 zeta omega) Phi' M of its finite elements, hence the same damping ratio in
-    every elastic mode and none in the rigid ones. The solver runs in stretches of 4096 steps, each continued from the
+    every elastic mode and none in the rigid ones. Coordinates are taken relative to the base, whose motion is an
+    inertial load. The solver runs in stretches of 4096 steps, each continued from the
     coordinates, velocities and accelerations of the one before.
 
     Yields one Motion a stretch. Raises RigError if the solver fails or the motion is not finite.
@@ -71,10 +40,12 @@ def simulate(
 
     exu.config.printToConsole = False
     exu.config.suppressWarnings = True
+    base = base_motion(rig, len(force_n), step_s)
+    applied_n = true_force(rig, force_n, step_s)
     container = exu.SystemContainer()
     try:
         mbs = container.AddSystem()
-        meshes, connectors, load = build(exu, mbs, rig, float(force_n[0]), elements)
+        meshes, connectors, load = build(exu, mbs, rig, float(applied_n[0]), elements)
         kinds = ["displacement", *sorted({s.quantity for s in rig.sensors} - {"displacement"})]
         readers = {kind: _read_nodes(exu, mbs, meshes, kind) for kind in kinds}
         force_readers = [
@@ -83,17 +54,23 @@ def simulate(
                     objectNumber=c, storeInternal=True, outputVariableType=exu.OutputVariableType.Force
                 )
             )
-            for c in connectors
+            for c in connectors[: len(rig.contacts)]
         ]
+        set_base = _add_loads(mbs, rig, meshes) if rig.loads or base else None
 
         def apply_force(system: Any, time_s: float) -> bool:
-            system.SetLoadParameter(load, "load", float(force_n[round(time_s / step_s)]))
+            sample = round(time_s / step_s)
+            system.SetLoadParameter(load, "load", float(applied_n[sample]))
+            if base and set_base:
+                set_base(float(base["acceleration"][sample]))
             return True
 
         mbs.SetPreStepUserFunction(apply_force)
         mbs.Assemble()
+        if rig.loads:
+            mbs.systemData.SetODE2Coordinates(coordinates_at_rest(rig, meshes), exu.ConfigurationType.Initial)
         settings = _settings(exu, step_s)
-        rows = {s: _row(meshes, s) for s in {*stations_of(rig), *(sensor.station for sensor in rig.sensors)}}
+        rows = {s: station_row(meshes, s) for s in {*stations_of(rig), *(sensor.station for sensor in rig.sensors)}}
         for first in range(0, len(force_n) - 1, BLOCK_STEPS):
             last = min(first + BLOCK_STEPS, len(force_n) - 1)
             _advance(exu, mbs, settings, first, last, step_s)
@@ -105,12 +82,14 @@ def simulate(
                 )
             displaced = {s: row @ moved["displacement"] for s, row in rows.items()}
             count = moved["displacement"].shape[1]
+            now = slice(last + 1 - count, last + 1)
+            carried = {kind: base[kind][now] if base else 0.0 for kind in kinds}
             yield Motion(
                 start_s=(first + (0 if first == 0 else 1)) * step_s,
                 step_s=step_s,
-                force_n=force_n[last + 1 - count : last + 1],
-                sensed=_stack([rows[s.station] @ moved[s.quantity] for s in rig.sensors], count),
-                displacement_m=_stack([displaced[s] for s in stations_of(rig)], count),
+                force_n=force_n[now],
+                sensed=_stack([rows[s.station] @ moved[s.quantity] + carried[s.quantity] for s in rig.sensors], count),
+                displacement_m=_stack([displaced[s] + carried["displacement"] for s in stations_of(rig)], count),
                 eta_m=_stack(
                     [displaced[c.at] - (displaced[c.against] if c.against else 0) for c in rig.contacts], count
                 ),
@@ -122,11 +101,15 @@ def simulate(
 
 
 def build(exu: Any, mbs: Any, rig: Rig, first_force_n: float, elements: int) -> tuple[list[Mesh], list[int], int]:
-    """Bodies, damping, contacts and the load; returns the meshes, the contact connectors and the load's number."""
+    """Bodies, damping, contacts and the load; returns the meshes, the connectors and the load's number.
+
+    The connectors are those of the contacts, then those of the cubic springs.
+    """
     ground_node = mbs.AddNode(_item("NodePointGround")())
     ground = int(mbs.AddMarker(_item("MarkerNodeCoordinate")(nodeNumber=ground_node, coordinate=0)))
     meshes = [_add_body(mbs, rig, body, ground, elements) for body in rig.bodies]
-    _add_damping(mbs, meshes)
+    _add_attachments(mbs, rig, meshes)
+    _add_damping(mbs, rig, meshes)
 
     def marker(station: Station | None) -> int:
         if station is None:
@@ -140,7 +123,7 @@ def build(exu: Any, mbs: Any, rig: Rig, first_force_n: float, elements: int) -> 
             )
         )
 
-    connectors = [_add_contact(exu, mbs, marker(c.against), marker(c.at), c.law) for c in rig.contacts]
+    connectors = [_add_contact(exu, mbs, marker(c.against), marker(c.at), c.law) for c in connections(rig)]
     load = mbs.AddLoad(_item("LoadCoordinate")(markerNumber=marker(rig.force_at), load=first_force_n))
     return meshes, connectors, int(load)
 
@@ -152,16 +135,17 @@ def _add_body(mbs: Any, rig: Rig, body: Body, ground: int, elements: int) -> Mes
             mbs.AddObject(_item("CoordinateConstraint")(markerNumbers=[ground, marker]))
 
     if not isinstance(body, Beam):
+        whole = with_attachments(rig, body)
         node = int(mbs.AddNode(_item("Node1D")(referenceCoordinates=[0.0])))
-        mbs.AddObject(_item("Mass1D")(nodeNumber=node, physicsMass=body.mass_kg))
+        mbs.AddObject(_item("Mass1D")(nodeNumber=node, physicsMass=whole.mass_kg))
         marker = mbs.AddMarker(_item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=0))
         mbs.AddObject(
             _item("CoordinateSpringDamper")(
-                markerNumbers=[ground, marker], stiffness=body.stiffness_n_per_m, damping=body.damping_n_s_per_m
+                markerNumbers=[ground, marker], stiffness=whole.stiffness_n_per_m, damping=whole.damping_n_s_per_m
             )
         )
         return Mesh(body, np.zeros(1), (node,))
-    positions = _mesh_positions(rig, body, elements)
+    positions = mesh_positions(rig, body, elements)
     nodes = tuple(int(mbs.AddNode(_item("NodePoint2DSlope1")(referenceCoordinates=[x, 0, 1, 0]))) for x in positions)
     for (left, right), length in zip(pairwise(nodes), np.diff(positions), strict=True):
         mbs.AddObject(
@@ -174,21 +158,45 @@ def _add_body(mbs: Any, rig: Rig, body: Body, ground: int, elements: int) -> Mes
             )
         )
     if body.ends == "clamped-free":  # a free beam needs no hold lengthwise: no force acts there, its centre stays
-        fix(nodes[0], (0, 1, 3))
+        fix(nodes[0], (0, 1, 3)[: 1 + held_coordinates(rig, body)])
     return Mesh(body, positions, nodes)
 
 
-def _mesh_positions(rig: Rig, beam: Beam, elements: int) -> Float[np.ndarray, " nodes"]:
-    places = [s.position_m for c in rig.contacts for s in contact_stations(c) if s.body == beam.name]
-    if rig.force_at.body == beam.name:
-        places.append(rig.force_at.position_m)
-    corners = np.unique([0.0, beam.length_m, *places])
-    largest = beam.length_m / elements * (1 + 1e-9)
-    pieces = [np.linspace(a, b, int(np.ceil((b - a) / largest)) + 1)[:-1] for a, b in pairwise(corners)]
-    return np.append(np.concatenate(pieces), beam.length_m)
+def _add_attachments(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
+    """A beam's point masses, linear springs and clamps that give, as mass and stiffness of one node each."""
+
+    def add(station: Station, masses_kg: list[float], stiffness: list[float]) -> None:
+        mesh = next(m for m in meshes if m.body.name == station.body)
+        if isinstance(mesh.body, Beam):
+            node = mesh.node_at(station.position_m)
+            item = _item("ObjectGenericODE2")
+            mbs.AddObject(item(nodeNumbers=[node], massMatrix=np.diag(masses_kg), stiffnessMatrix=np.diag(stiffness)))
+
+    for point in rig.masses:
+        add(point.station, [point.mass_kg, point.mass_kg, 0, 0], [0.0] * 4)
+    for spring in rig.springs:
+        add(spring.station, [0.0] * 4, [0, spring.stiffness_n_per_m, 0, spring.rotational_n_m_per_rad])
+    for clamp in rig.clamps:
+        add(Station(clamp.body), [0.0] * 4, [0, 0, 0, clamp.rotational_n_m_per_rad])
 
 
-def _add_damping(mbs: Any, meshes: list[Mesh]) -> None:
+def _add_loads(mbs: Any, rig: Rig, meshes: list[Mesh]) -> Callable[[float], None]:
+    """Static loads and the base's inertial load; the returned function sets the base's acceleration."""
+    constant, carried = static_load(rig, meshes), inertia(rig, meshes)
+    item = _item("ObjectGenericODE2")
+    loaded = [
+        mbs.AddObject(item(nodeNumbers=list(mesh.nodes), forceVector=vector))
+        for mesh, vector in zip(meshes, by_node(meshes, constant), strict=True)
+    ]
+
+    def set_base(acceleration_m_per_s2: float) -> None:
+        for number, vector in zip(loaded, by_node(meshes, constant - carried * acceleration_m_per_s2), strict=True):
+            mbs.SetObjectParameter(number, "forceVector", vector)
+
+    return set_base
+
+
+def _add_damping(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
     """The same damping ratio for every elastic mode of the finite elements, as a damping matrix on the beam's nodes."""
     mbs.Assemble()
     mass, stiffness, _ = mbs.ComputeLinearizedSystem()
@@ -197,7 +205,7 @@ def _add_damping(mbs: Any, meshes: list[Mesh]) -> None:
         size = 4 * len(mesh.nodes) if isinstance(mesh.body, Beam) else 1
         if isinstance(mesh.body, Beam):
             transverse = np.array([4 * i + c for i in range(len(mesh.nodes)) for c in mesh.transverse])
-            free = transverse[2:] if mesh.body.ends == "clamped-free" else transverse
+            free = transverse[held_coordinates(rig, mesh.body) :]
             inside = np.ix_(first + free, first + free)
             squares, shapes = eigh(stiffness[inside], mass[inside])
             rate = 2 * mesh.body.damping_ratio * np.sqrt(np.maximum(squares, 0))
@@ -224,11 +232,18 @@ def _add_contact(exu: Any, mbs: Any, against: int, at: int, law: DeadZone) -> in
     def dead_zone(system, t, number, eta, rate, stiffness, damping, offset):  # noqa: ARG001
         def beyond(depth, size):
             share = symbolic.IfThenElse(size < DAMPING_DEPTH_M, size / DAMPING_DEPTH_M, symbolic.Real(1.0))
-            return stiffness * depth + damping * rate * share
+            elastic = (
+                (stiffness + law.cubic_n_per_m3 * depth * depth) * depth if law.cubic_n_per_m3 else stiffness * depth
+            )
+            return elastic + damping * rate * share
 
-        below, above = eta + law.lower_clearance_m, eta - law.upper_clearance_m
+        worn = law.wear_m_per_s * t
+        below, above = eta + (law.lower_clearance_m + worn), eta - (law.upper_clearance_m + worn)
         inside = symbolic.IfThenElse(below < 0.0, beyond(below, -1.0 * below), symbolic.Real(0.0))
-        return symbolic.IfThenElse(above > 0.0, beyond(above, above), inside)
+        force = symbolic.IfThenElse(above > 0.0, beyond(above, above), inside)
+        if law.friction_n:
+            force = force + law.friction_n * symbolic.tanh(rate / FRICTION_SPEED_M_PER_S)
+        return force
 
     function = CreateSymbolicUserFunction(mbs, dead_zone, "springForceUserFunction", connector)
     mbs.SetObjectParameter(connector, "springForceUserFunction", function)
@@ -251,15 +266,6 @@ def _read_nodes(exu: Any, mbs: Any, meshes: list[Mesh], kind: str) -> Callable[[
         return np.concatenate(stored)
 
     return read
-
-
-def _row(meshes: list[Mesh], station: Station) -> Float[np.ndarray, " rows"]:
-    return np.concatenate(
-        [
-            mesh.row(station.position_m if mesh.body.name == station.body else 0.0) * (mesh.body.name == station.body)
-            for mesh in meshes
-        ]
-    )
 
 
 def _settings(exu: Any, step_s: float) -> Any:

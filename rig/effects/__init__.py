@@ -1,0 +1,42 @@
+"""The library of unmodelled effects. One file each: adding an effect is adding a file, which is found by itself."""
+
+from importlib import import_module
+from pkgutil import iter_modules
+
+import msgspec
+
+from rig.effect import Effect
+from rig.errors import RigError
+
+
+def effects() -> dict[str, type[Effect]]:
+    """Every effect by its name, in alphabetical order."""
+    found = {}
+    for module in iter_modules(__path__, f"{__name__}."):
+        for kind in vars(import_module(module.name)).values():
+            if isinstance(kind, type) and issubclass(kind, Effect) and kind.__module__ == module.name:
+                found[kind.name] = kind
+    return dict(sorted(found.items()))
+
+
+def effect_named(text: str) -> Effect:
+    """The effect that a text NAME or NAME:PARAMETER=VALUE,... asks for; what is left out has its default.
+
+    Raises RigError for an unknown name or parameter and for a value that does not fit.
+    """
+    name, _, words = text.partition(":")
+    known = effects()
+    if name not in known:
+        raise RigError(f"no effect {name!r}; there are {', '.join(known)}")
+    kind, given = known[name], {}
+    for word in words.split(",") if words else []:
+        parameter, equals, value = word.partition("=")
+        if not equals:
+            raise RigError(f"effect {name}: {word!r} is not PARAMETER=VALUE")
+        if parameter not in kind.__struct_fields__:
+            raise RigError(f"effect {name} has no parameter {parameter!r}; it has {', '.join(kind.__struct_fields__)}")
+        given[parameter] = value
+    try:
+        return msgspec.convert(given, kind, strict=False)
+    except msgspec.ValidationError as error:
+        raise RigError(f"effect {name}: {error}") from error

@@ -1,0 +1,27 @@
+"""Stops that do not stand evenly."""
+
+from typing import Annotated, ClassVar
+
+from msgspec.structs import replace
+
+from rig.description import Rig
+from rig.effect import Effect, Parameter
+
+
+class AsymmetricClearance(Effect, frozen=True):
+    """The gap of a contact stands off centre: its upper clearance is larger by `shift_m`, its lower one smaller."""
+
+    name: ClassVar[str] = "asymmetric_clearance"
+    shift_m: Annotated[float, Parameter("m", -4e-3, 4e-3)] = 5e-4
+    contact: str | None = None
+
+    def applied_to(self, rig: Rig) -> Rig:
+        return self.with_laws(
+            rig,
+            self.contact,
+            lambda law: replace(
+                law,
+                lower_clearance_m=law.lower_clearance_m - self.shift_m,
+                upper_clearance_m=law.upper_clearance_m + self.shift_m,
+            ),
+        )

@@ -1,0 +1,28 @@
+"""A clamp that gives."""
+
+from typing import Annotated, ClassVar
+
+from msgspec.structs import replace
+
+from rig.description import Clamp, Rig
+from rig.effect import Effect, Parameter
+from rig.errors import RigError
+
+
+class ClampCompliance(Effect, frozen=True):
+    """The clamp turns under the bending moment like a rotational spring E I / (length * compliance)."""
+
+    name: ClassVar[str] = "clamp_compliance"
+    compliance: Annotated[float, Parameter("1", 0.002, 0.3)] = 0.03
+    beam: str | None = None
+
+    def applied_to(self, rig: Rig) -> Rig:
+        if self.compliance <= 0:
+            raise RigError(f"effect {self.name}: compliance is {self.compliance}; give a value above zero")
+        beams = self.beams_of(rig, self.beam, "clamped-free")
+        clamps = tuple(
+            Clamp(body=b.name, rotational_n_m_per_rad=b.bending_stiffness_n_m2 / b.length_m / self.compliance)
+            for b in beams
+        )
+        kept = tuple(c for c in rig.clamps if c.body not in {b.name for b in beams})
+        return replace(rig, clamps=kept + clamps)

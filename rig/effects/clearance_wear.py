@@ -1,0 +1,23 @@
+"""A play that grows."""
+
+from typing import Annotated, ClassVar
+
+from msgspec.structs import replace
+
+from rig.description import Rig
+from rig.effect import Effect, Parameter
+
+
+class ClearanceWear(Effect, frozen=True):
+    """Wear makes the clearance of a contact grow steadily, by this share of it a minute."""
+
+    name: ClassVar[str] = "clearance_wear"
+    growth_per_minute: Annotated[float, Parameter("1/min", 0.0, 0.5)] = 0.1
+    contact: str | None = None
+
+    def applied_to(self, rig: Rig) -> Rig:
+        return self.with_laws(
+            rig,
+            self.contact,
+            lambda law: replace(law, wear_m_per_s=law.wear_m_per_s + self.growth_per_minute * law.clearance_m / 60),
+        )

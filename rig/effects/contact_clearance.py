@@ -1,0 +1,27 @@
+"""A play other than believed."""
+
+from typing import Annotated, ClassVar
+
+from msgspec.structs import replace
+
+from rig.description import Rig
+from rig.effect import Effect, Parameter
+
+
+class ContactClearance(Effect, frozen=True):
+    """Both clearances of a contact are `factor` times what is believed."""
+
+    name: ClassVar[str] = "contact_clearance"
+    factor: Annotated[float, Parameter("1", 0.5, 2.0)] = 1.1
+    contact: str | None = None
+
+    def applied_to(self, rig: Rig) -> Rig:
+        return self.with_laws(
+            rig,
+            self.contact,
+            lambda law: replace(
+                law,
+                lower_clearance_m=law.lower_clearance_m * self.factor,
+                upper_clearance_m=law.upper_clearance_m * self.factor,
+            ),
+        )

@@ -1,0 +1,28 @@
+"""An overlap of the beams other than believed."""
+
+from typing import Annotated, ClassVar
+
+from msgspec.structs import replace
+
+from rig.description import Contact, Rig, Station
+from rig.effect import Effect, Parameter
+
+
+class ContactPosition(Effect, frozen=True):
+    """The bodies lie `shift_m` farther along each other than believed, so that the contacts strike at other places."""
+
+    name: ClassVar[str] = "contact_position"
+    shift_m: Annotated[float, Parameter("m", -0.05, 0.05)] = 0.01
+
+    def applied_to(self, rig: Rig) -> Rig:
+        self.beams_of(rig, None)
+        return replace(rig, contacts=tuple(self._moved(rig, c) for c in rig.contacts))
+
+    def _moved(self, rig: Rig, contact: Contact) -> Contact:
+        """A contact at one beam's end stays there and moves along the other; between the ends it stays on `at`."""
+        if contact.against is None:
+            return contact
+        at, against = contact.at, contact.against
+        if against.position_m in (0.0, rig.body(against.body).length_m):
+            return replace(contact, at=Station(at.body, at.position_m - self.shift_m))
+        return replace(contact, against=Station(against.body, against.position_m + self.shift_m))

@@ -1,0 +1,21 @@
+"""A stop stiffer or softer than believed."""
+
+from typing import Annotated, ClassVar
+
+from msgspec.structs import replace
+
+from rig.description import Rig
+from rig.effect import Effect, Parameter
+
+
+class ContactStiffness(Effect, frozen=True):
+    """The stops of a contact are `factor` times as stiff as believed."""
+
+    name: ClassVar[str] = "contact_stiffness"
+    factor: Annotated[float, Parameter("1", 0.3, 3.0)] = 1.3
+    contact: str | None = None
+
+    def applied_to(self, rig: Rig) -> Rig:
+        return self.with_laws(
+            rig, self.contact, lambda law: replace(law, stiffness_n_per_m=law.stiffness_n_per_m * self.factor)
+        )

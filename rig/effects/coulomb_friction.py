@@ -1,0 +1,19 @@
+"""Dry friction between the parts."""
+
+from typing import Annotated, ClassVar
+
+from msgspec.structs import replace
+
+from rig.description import Rig
+from rig.effect import Effect, Parameter
+
+
+class CoulombFriction(Effect, frozen=True):
+    """Dry friction of this force opposes the relative velocity across a contact, in and out of the gap."""
+
+    name: ClassVar[str] = "coulomb_friction"
+    force_n: Annotated[float, Parameter("N", 0.0, 5.0)] = 2.0
+    contact: str | None = None
+
+    def applied_to(self, rig: Rig) -> Rig:
+        return self.with_laws(rig, self.contact, lambda law: replace(law, friction_n=law.friction_n + self.force_n))

@@ -1,0 +1,19 @@
+"""A force cell whose calibration is off."""
+
+from typing import Annotated, ClassVar
+
+from msgspec.structs import replace
+
+from rig.description import Rig
+from rig.effect import Effect, Parameter
+
+
+class ForceGain(Effect, frozen=True):
+    """The measured force is `factor` times the true one."""
+
+    name: ClassVar[str] = "force_gain"
+    factor: Annotated[float, Parameter("1", 0.8, 1.2)] = 1.05
+
+    def applied_to(self, rig: Rig) -> Rig:
+        sensor = rig.force_sensor
+        return replace(rig, force_sensor=replace(sensor, gain=sensor.gain * self.factor))

@@ -1,0 +1,19 @@
+"""A sensor that is late."""
+
+from typing import Annotated, ClassVar
+
+from msgspec.structs import replace
+
+from rig.description import Rig
+from rig.effect import Effect, Parameter
+
+
+class SensorDelay(Effect, frozen=True):
+    """One sensor (the last unless one is named) shows the motion of `delay_s` ago."""
+
+    name: ClassVar[str] = "sensor_delay"
+    delay_s: Annotated[float, Parameter("s", -2e-3, 2e-3)] = 5e-4
+    sensor: str | None = None
+
+    def applied_to(self, rig: Rig) -> Rig:
+        return self.with_sensor(rig, self.sensor, lambda sensor: replace(sensor, delay_s=sensor.delay_s + self.delay_s))

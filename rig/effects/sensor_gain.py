@@ -1,0 +1,19 @@
+"""A sensor whose calibration is off."""
+
+from typing import Annotated, ClassVar
+
+from msgspec.structs import replace
+
+from rig.description import Rig
+from rig.effect import Effect, Parameter
+
+
+class SensorGain(Effect, frozen=True):
+    """One sensor (the last unless one is named) delivers `factor` times what its calibration says."""
+
+    name: ClassVar[str] = "sensor_gain"
+    factor: Annotated[float, Parameter("1", 0.8, 1.2)] = 1.05
+    sensor: str | None = None
+
+    def applied_to(self, rig: Rig) -> Rig:
+        return self.with_sensor(rig, self.sensor, lambda sensor: replace(sensor, gain=sensor.gain * self.factor))

@@ -1,0 +1,21 @@
+"""A structure that dissipates more or less than believed."""
+
+from typing import Annotated, ClassVar
+
+from msgspec.structs import replace
+
+from rig.description import Rig
+from rig.effect import Effect, Parameter
+
+
+class StructuralDamping(Effect, frozen=True):
+    """The modal damping ratios of a body (of all unless one is named) are `factor` times what is believed."""
+
+    name: ClassVar[str] = "structural_damping"
+    factor: Annotated[float, Parameter("1", 0.1, 15.0)] = 3.0
+    body: str | None = None
+
+    def applied_to(self, rig: Rig) -> Rig:
+        chosen = rig.bodies if self.body is None else (self.body_of(rig, self.body),)
+        bodies = (replace(b, damping_ratio=b.damping_ratio * self.factor) if b in chosen else b for b in rig.bodies)
+        return replace(rig, bodies=tuple(bodies))

@@ -1,0 +1,21 @@
+"""A material other than believed."""
+
+from typing import Annotated, ClassVar
+
+from msgspec.structs import replace
+
+from rig.description import Rig
+from rig.effect import Effect, Parameter
+
+
+class YoungsModulus(Effect, frozen=True):
+    """Young's modulus of one beam (the last unless one is named) is `factor` times what is believed."""
+
+    name: ClassVar[str] = "youngs_modulus"
+    factor: Annotated[float, Parameter("1", 0.8, 1.2)] = 0.95
+    beam: str | None = None
+
+    def applied_to(self, rig: Rig) -> Rig:
+        beam = self.beams_of(rig, self.beam)[-1]
+        other = replace(beam, youngs_modulus_pa=beam.youngs_modulus_pa * self.factor)
+        return replace(rig, bodies=tuple(other if b is beam else b for b in rig.bodies))

@@ -1,0 +1,121 @@
+"""What acts on a rig beside its measured force: the true force, base motion, cubic springs, static loads."""
+
+import numpy as np
+from jaxtyping import Complex, Float
+from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize
+
+from rig.contact import DeadZone
+from rig.description import Contact, Rig
+from rig.errors import RigError
+from rig.excitation import noise_spectrum
+
+BASE_RISE_S = 0.5
+_ORDERS = ("displacement", "velocity", "acceleration")
+
+
+def true_force(rig: Rig, measured_n: Float[np.ndarray, " samples"], step_s: float) -> Float[np.ndarray, " samples"]:
+    """The force on the rig, given the measured one at multiples of the step: F(t) = measured(t - lag) / gain."""
+    sensor = rig.force_sensor
+    if not sensor.lag_s:
+        return measured_n / sensor.gain
+    lag = sensor.lag_s / step_s
+    shifted = np.arange(measured_n.size) - lag
+    between = CubicSpline(np.arange(measured_n.size), measured_n)(np.maximum(shifted, 0.0))
+    return np.where(shifted < 0, measured_n[0], between) / sensor.gain
+
+
+def base_motion(rig: Rig, samples: int, step_s: float) -> dict[str, Float[np.ndarray, " samples"]]:
+    """Displacement, velocity and acceleration of the base at multiples of the step, each the other's derivative.
+
+    It sets in from rest over half a second. Raises RigError if the band does not fit the record or the step.
+    """
+    base = rig.base_motion
+    if base is None:
+        return {}
+    if base.high_hz * step_s > 0.25:
+        raise RigError(f"step is {step_s} s; a base motion up to {base.high_hz} Hz needs at most 1/(4 high_hz)")
+    spectrum = noise_spectrum(samples, step_s, base.low_hz, base.high_hz, base.seed)
+    omega = 2 * np.pi * np.fft.rfftfreq(samples, step_s)
+    velocity = np.divide(spectrum, 1j * omega, out=np.zeros_like(spectrum), where=omega > 0)
+    displacement = np.divide(velocity, 1j * omega, out=np.zeros_like(spectrum), where=omega > 0)
+    d, v, a = (_in_time(part, samples) for part in (displacement, velocity, spectrum))
+    scale = base.acceleration_rms_m_per_s2 / np.sqrt(np.mean(a**2))
+    s = np.clip(np.arange(samples) * step_s / BASE_RISE_S, 0, 1)
+    rise, slope, bend = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2, 60 * s * (1 - s) * (1 - 2 * s)
+    slope, bend = slope / BASE_RISE_S, bend / BASE_RISE_S**2
+    moved = (rise * d, slope * d + rise * v, bend * d + 2 * slope * v + rise * a)
+    return {order: scale * row for order, row in zip(_ORDERS, moved, strict=True)}
+
+
+def connections(rig: Rig) -> tuple[Contact, ...]:
+    """The contacts, then the cubic springs: a spring k3 w^3 to the ground is a dead zone without clearance."""
+    cubic = (s for s in rig.springs if s.cubic_n_per_m3)
+    springs = (
+        Contact(
+            name=f"spring {i}",
+            at=spring.station,
+            against=None,
+            law=DeadZone(
+                lower_clearance_m=0.0,
+                upper_clearance_m=0.0,
+                stiffness_n_per_m=0.0,
+                cubic_n_per_m3=spring.cubic_n_per_m3,
+            ),
+        )
+        for i, spring in enumerate(cubic)
+    )
+    return (*rig.contacts, *springs)
+
+
+def equilibrium(
+    stiffness: Float[np.ndarray, "n n"],
+    across: Float[np.ndarray, "connections n"],
+    laws: tuple[DeadZone, ...],
+    load_n: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, " n"]:
+    """Where the rig rests under a static load: the least of q'Kq/2 + sum U_j(across_j q) - load'q, a convex function.
+
+    A body that floats between its stops is pushed to where they hold it. Raises RigError if nothing holds it.
+    """
+    if not load_n.any():
+        return np.zeros(load_n.size)
+    scale = 1 / np.sqrt(np.maximum(np.diag(stiffness), 1.0))  # q = scale * y
+
+    def depths(q: Float[np.ndarray, " n"]) -> Float[np.ndarray, " connections"]:
+        return np.array([law.penetration_m(np.array([eta]))[0] for law, eta in zip(laws, across @ q, strict=True)])
+
+    k, cubic = np.array([[law.stiffness_n_per_m, law.cubic_n_per_m3] for law in laws]).reshape(-1, 2).T
+
+    def energy(y: Float[np.ndarray, " n"]) -> float:
+        q = scale * y
+        depth = depths(q)
+        return float(q @ stiffness @ q / 2 + np.sum(k * depth**2 / 2 + cubic * depth**4 / 4) - load_n @ q)
+
+    def gradient(y: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        q = scale * y
+        depth = depths(q)
+        return scale * (stiffness @ q + (k * depth + cubic * depth**3) @ across - load_n)
+
+    def hessian(y: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n n"]:
+        depth = depths(scale * y)
+        slopes = (k + 3 * cubic * depth**2) * (depth != 0)
+        return scale[:, None] * (stiffness + (across.T * slopes) @ across) * scale
+
+    found = minimize(
+        energy,
+        np.zeros(load_n.size),
+        jac=gradient,
+        hess=hessian,
+        method="trust-exact",
+        options={"initial_trust_radius": 1e-2, "max_trust_radius": 10.0, "gtol": 1e-7, "maxiter": 500},
+    ).x
+    for _ in range(3):  # the energy's rounding has left a little
+        found = found - np.linalg.lstsq(hessian(found), gradient(found), rcond=1e-12)[0]
+    if np.linalg.norm(gradient(found)) > 1e-6 * np.linalg.norm(scale * load_n):
+        raise RigError("nothing holds a body against its static load; add a spring or a contact, or take the load off")
+    return scale * found
+
+
+def _in_time(spectrum: Complex[np.ndarray, " lines"], samples: int) -> Float[np.ndarray, " samples"]:
+    return np.fft.irfft(spectrum, samples)

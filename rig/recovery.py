@@ -1,0 +1,86 @@
+"""Saving what is sound of a recording whose writer was killed, whose disk was full, or whose file was damaged."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from rig import container
+from rig.errors import RigError
+from rig.messages import Block
+from rig.recording import BLOCK, Channels, assembled, gathered, rig_of, with_history, writing
+
+
+@dataclass(frozen=True)
+class Loss:
+    """What of a group is in the recovered recording and what is not; asked is None if the file does not say it."""
+
+    group: str
+    sample_rate_hz: float
+    kept: int
+    found: int
+    asked: int | None
+
+    def __str__(self) -> str:
+        rate, lost = self.sample_rate_hz, max(self.found, self.asked or 0) - self.kept
+        whole = "" if self.asked is not None else ", besides what was never stored"
+        return (
+            f"{self.group}: {self.kept} samples kept ({self.kept / rate:g} s), {lost} lost ({lost / rate:g} s){whole}"
+        )
+
+
+def recover(bad: Path, good: Path) -> tuple[Loss, ...]:
+    """Writes what is sound of a recording from its start up to the first gap in any group, as a recording.
+
+    Every complete chunk whose checksum is right is read. What was kept and lost of each group is returned, and written
+    into the provenance. Raises RigError if there is no rig.json, no complete chunk, or the result cannot be written.
+    """
+    if container.part_of(good) == bad:
+        raise RigError(f"{good}: would be written over {bad}; give another name")
+    with container.opened(bad) as content:
+        try:
+            contents = gathered(container.complete(content))
+        except ValueError as error:
+            raise RigError(f"{bad}: cannot be recovered ({error}); restore it from a copy") from error
+    rig = rig_of(bad, contents)
+    blocks = {name: {b.first_sample: b for b in found} for name, found in contents.blocks.items()}
+    kept = min((_unbroken(found) for found in blocks.values()), default=0)
+    if not kept:
+        raise RigError(f"{bad}: holds no complete chunk of every group; there is nothing to recover")
+    asked_s = _asked(contents.provenance)
+    losses = tuple(_loss(channels, blocks[name], kept, asked_s) for name, channels in contents.groups.items())
+    signals = {
+        name: assembled(bad, name, channels, [b for first, b in blocks[name].items() if first < kept])
+        for name, channels in contents.groups.items()
+    }
+    history = with_history(contents.provenance, f"recovered from {bad.name}; " + "; ".join(map(str, losses)))
+    with writing(good, rig, contents.groups, history) as recording:
+        for first in range(0, kept, BLOCK):
+            for name, signal in signals.items():
+                recording.append(name, signal.values[:, first : min(first + BLOCK, kept)])
+    return losses
+
+
+def _unbroken(blocks: dict[int, Block]) -> int:
+    """How many samples there are from the start to the first gap."""
+    end = 0
+    while end in blocks and blocks[end].values.size:
+        end += blocks[end].values.shape[1]
+    return end
+
+
+def _asked(provenance: Mapping[str, str]) -> float | None:
+    """How long the recording was to be, if the file says so."""
+    try:
+        return float(provenance["asked_duration_s"])
+    except (KeyError, ValueError):
+        return None
+
+
+def _loss(channels: Channels, blocks: dict[int, Block], kept: int, asked_s: float | None) -> Loss:
+    return Loss(
+        group=channels.quantity,
+        sample_rate_hz=channels.sample_rate_hz,
+        kept=kept,
+        found=sum(b.values.shape[1] for b in blocks.values()),
+        asked=None if asked_s is None else round(asked_s * channels.sample_rate_hz),
+    )

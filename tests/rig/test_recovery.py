@@ -1,0 +1,253 @@
+"""A recording that was killed, cut, flipped or out of disk: what is brought back is exactly what was recorded."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.exceptions import McapError
+from mcap.reader import NonSeekingReader
+
+from rig.cli import main
+from rig.errors import RigError
+from rig.messages import decode_block
+from rig.recording import channel_groups, read, read_truth, truth_path, writing
+from rig.recovery import recover
+from rig.reference import Sdof
+
+RIG = Sdof().rig()
+DURATION_S = 90.0
+RECORDER = f"""
+import os, resource, sys, time
+from pathlib import Path
+from rig.errors import RigError
+from rig.excitation import BandLimitedGaussian
+from rig.plants import modal
+from rig.record import record
+from rig.reference import Sdof
+
+def recorded(path, pause_s):
+    record(Sdof().rig(), BandLimitedGaussian(rms_n=0.5, low_hz=0.0, high_hz=15.0), plant=modal.simulate,
+           duration_s={DURATION_S}, step_s=2.0**-13, path=Path(path), progress=lambda _: time.sleep(pause_s))
+
+for line in sys.stdin:
+    path, pause_s, limit = line.split()
+    child = os.fork() if limit != "whole" else 0
+    if child == 0:
+        if limit.isdigit():
+            resource.setrlimit(resource.RLIMIT_FSIZE, (int(limit), resource.RLIM_INFINITY))
+        try:
+            recorded(path, float(pause_s))
+        except RigError as error:
+            Path(path + ".said").write_text(str(error))
+        if limit != "whole":
+            os._exit(0)
+    print(child, flush=True)
+    if child:
+        os.waitpid(child, 0)
+"""
+
+
+@pytest.fixture(scope="module")
+def recorder():
+    """Starts recordings, each in a process of its own that has compiled already; gives that process's number."""
+    with subprocess.Popen(
+        [sys.executable, "-c", RECORDER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+
+        def start(path, pause_s=0.0, limit="none"):
+            process.stdin.write(f"{path} {pause_s} {limit}\n")
+            process.stdin.flush()
+            return int(process.stdout.readline())
+
+        yield start
+        process.stdin.close()
+
+
+@pytest.fixture(scope="module")
+def whole(recorder, tmp_path_factory):
+    path = tmp_path_factory.mktemp("whole") / "whole.mcap"
+    recorder(path, limit="whole")
+    return path
+
+
+def stored_samples(path):
+    """What another reader finds in the complete chunks: samples by topic."""
+    found = {}
+    with path.open("rb") as content:
+        try:
+            for _, channel, message in NonSeekingReader(content, validate_crcs=True).iter_messages(
+                log_time_order=False
+            ):
+                if channel.topic.endswith("/block"):
+                    found[channel.topic] = found.get(channel.topic, 0) + decode_block(message.data).values.shape[1]
+        except (McapError, ValueError, OSError, EOFError, ArithmeticError, RuntimeError):
+            pass
+        except Exception as error:
+            assert type(error).__name__ == "error"  # struct.error
+    return found
+
+
+def check_prefix(recovered, whole):
+    """Every group of the one is the beginning of the other."""
+    assert recovered.rig == whole.rig
+    assert set(recovered.signals) == set(whole.signals)
+    for group, signals in whole.signals.items():
+        np.testing.assert_array_equal(
+            recovered.signals[group].values, signals.values[:, : recovered.samples], strict=True
+        )
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_killed_recording_keeps_every_complete_chunk(recorder, whole, tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    path, saved = tmp_path / "r.mcap", tmp_path / "saved.mcap"
+    part = tmp_path / "r.mcap.part"
+    process = recorder(path, pause_s=0.02)
+    reached = rng.uniform(0.1, 0.9) * whole.stat().st_size
+    deadline = time.monotonic() + 30
+    while not part.exists() or part.stat().st_size < reached:
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+    time.sleep(rng.uniform(0, 0.03))
+    os.kill(process, signal.SIGKILL)
+    assert not path.exists()
+    losses = recover(part, saved)
+    stored = stored_samples(part)
+    check_prefix(read(saved), read(whole))
+    assert read(saved).samples == min(stored.values()) > 0
+    for loss in losses:
+        assert loss.found == stored[f"/rig/{loss.group}/block"]
+        assert loss.kept == read(saved).samples
+        assert loss.asked == DURATION_S * RIG.sample_rate_hz
+    recover(truth_path(path).with_name(truth_path(path).name + ".part"), tmp_path / "saved.truth.mcap")
+    check_prefix(read_truth(tmp_path / "saved.truth.mcap"), read_truth(truth_path(whole)))
+
+
+def test_a_full_disk_keeps_every_complete_chunk(recorder, whole, tmp_path):
+    path, limit = tmp_path / "r.mcap", whole.stat().st_size // 2
+    recorder(path, limit=limit)
+    said = tmp_path / "r.mcap.said"
+    recorder(tmp_path / "other.mcap", limit=1)  # answers when the one before has ended
+    assert f"{path}: cannot be written to its end (File too large); make room and save" in said.read_text()
+    assert not path.exists()
+    recover(tmp_path / "r.mcap.part", tmp_path / "saved.mcap")
+    saved = read(tmp_path / "saved.mcap")
+    check_prefix(saved, read(whole))
+    assert saved.samples > 0.4 * read(whole).samples
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    path = tmp_path_factory.mktemp("small") / "r.mcap"
+    rng = np.random.default_rng(1)
+    values = {name: rng.standard_normal((len(g.names), 30_000)) for name, g in channel_groups(RIG).items()}
+    with writing(path, RIG, channel_groups(RIG), {"made_by": "a test"}) as recording:
+        for first in range(0, 30_000, 1000):
+            for name, rows in values.items():
+                recording.append(name, rows[:, first : first + 1000])
+    return path, read(path)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=30)
+@given(st.floats(0, 1), st.floats(0, 1, exclude_max=True), st.integers(0, 255))
+def test_what_is_recovered_of_a_cut_and_flipped_file_is_true(small, tmp_path, end, place, change):
+    path, whole = small
+    content = bytearray(path.read_bytes())
+    content[int(place * len(content))] ^= change
+    bad, saved = tmp_path / "bad.mcap", tmp_path / "saved.mcap"
+    bad.write_bytes(content[: int(end * len(content))])
+    try:
+        recover(bad, saved)
+    except RigError as error:
+        assert "\n" not in str(error)
+        return
+    check_prefix(read(saved), whole)
+
+
+def test_a_sound_file_comes_back_whole_and_says_so(small, tmp_path):
+    path, whole = small
+    losses = recover(path, tmp_path / "saved.mcap")
+    back = read(tmp_path / "saved.mcap")
+    check_prefix(back, whole)
+    assert back.samples == whole.samples
+    assert all(loss.kept == loss.found == whole.samples for loss in losses)
+    assert back.provenance["made_by"] == "a test"
+    assert "recovered from r.mcap; force: 30000 samples kept (58.5938 s), 0 lost" in back.provenance["history 1"]
+
+
+def chunk_places(content):
+    """Where each chunk (opcode 6) of a file begins and ends."""
+    at, places = 8, []
+    while at < len(content) - 8:
+        end = at + 9 + int.from_bytes(content[at + 1 : at + 9], "little")
+        if content[at] == 6:
+            places.append((at, end))
+        at = end
+    return places
+
+
+def test_a_flipped_chunk_ends_what_is_recovered_and_what_lies_behind_is_counted_as_lost(small, tmp_path):
+    path, whole = small
+    content = bytearray(path.read_bytes())
+    (_, end), *_ = chunk_places(content)[2:]
+    content[end - 100] ^= 1
+    (tmp_path / "bad.mcap").write_bytes(content)
+    losses = recover(tmp_path / "bad.mcap", tmp_path / "saved.mcap")
+    check_prefix(read(tmp_path / "saved.mcap"), whole)
+    assert all(0 < loss.kept < loss.found < whole.samples for loss in losses)
+
+
+def test_what_cannot_be_recovered_is_refused(small, tmp_path):
+    path, _ = small
+    content = path.read_bytes()
+    first_chunk = chunk_places(content)[0]
+    bad = tmp_path / "bad.mcap"
+    for text, sentence in (
+        (b"", "is empty"),
+        (b"no mcap at all", "is no MCAP file"),
+        (content[:20], "has no attachment rig.json"),
+        (content[: first_chunk[1] - 1], "holds no complete chunk of every group"),
+    ):
+        bad.write_bytes(text)
+        with pytest.raises(RigError, match=sentence):
+            recover(bad, tmp_path / "saved.mcap")
+        assert not (tmp_path / "saved.mcap").exists()
+
+
+def test_the_file_being_saved_is_never_written_over(small, tmp_path):
+    part = tmp_path / "r.mcap.part"
+    part.write_bytes(small[0].read_bytes())
+    with pytest.raises(RigError, match="would be written over"):
+        recover(part, tmp_path / "r.mcap")
+    assert part.read_bytes() == small[0].read_bytes()
+
+
+def test_the_command(small, tmp_path, monkeypatch, capsys):
+    cut, saved = tmp_path / "cut.mcap", tmp_path / "saved.mcap"
+    content = small[0].read_bytes()
+    cut.write_bytes(content[: len(content) // 2])
+
+    def rig(*words):
+        monkeypatch.setattr(sys, "argv", ["rig", *map(str, words)])
+        with pytest.raises(SystemExit) as stopped:
+            main()
+        return stopped.value.code, *capsys.readouterr()
+
+    status, out, err = rig("recover", cut, "--out", saved)
+    assert (status, err) == (0, "")
+    samples = read(saved).samples
+    assert f"force: {samples} samples kept" in out
+    assert "besides what was never stored" in out
+    assert rig("check", saved)[0] == 0
+    status, out, err = rig("recover", cut, "--out", saved)
+    assert (status, out) == (1, "")
+    assert "exists already" in err
+    status, out, _ = rig("recover", cut, "--out", saved, "--force", "--json")
+    assert {group["kept"] for group in json.loads(out)["groups"]} == {samples}
