@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from identify.answers import Answer, find_contacts
 from identify.forces import ContactForces
-from identify.joint import Joint, Observed
+from identify.joint import Joint, Observed, law_force_n
 from identify.kinematics import Kinematics, Use
 from identify.modal import modal_equations, transformation, without_higher_modes
 from identify.nifo import Nifo, nifo
@@ -17,7 +17,6 @@ from identify.spectra import Averaging, blocks, force_band, penetration
 from identify.summary import contact_report
 from identify.surface import Stops, Surface, clearance_from_occurrence, fit_surface
 from identify.tolerances import LABORATORY, Tolerances
-from rig.contact import DAMPING_DEPTH_M, dead_zone
 from rig.description import Rig
 from rig.errors import RigError
 from rig.recording import Recording
@@ -130,11 +129,11 @@ def _with_law(
     force, depth = np.zeros_like(eta), np.zeros_like(eta)
     for j, (seen, found) in enumerate(zip(observed, answers, strict=True)):
         if isinstance(found, Joint):
-            lower, upper, stiffness, damping = (float(p) for p in found.parameters)
+            lower, upper = (float(p) for p in found.parameters[:2])
             eta[j] += found.drift_m
             depth[j] = penetration(eta[j], lower, upper)
-            damped = np.minimum(1.0, np.abs(dead_zone(eta[j], lower, upper)) / DAMPING_DEPTH_M)
-            force[j] = stiffness * depth[j] + damping * damped * (seen.velocity_m_per_s + found.drift_m_per_s)
+            velocity = seen.velocity_m_per_s + found.drift_m_per_s
+            force[j] = law_force_n(found.parameters, eta[j], velocity)
     return eta, force, depth
 
 

@@ -83,6 +83,17 @@ class Joint:
         return float(np.sqrt(self.covariance[:2, :2].sum()) / 2)
 
 
+def law_force_n(
+    parameters: Float[np.ndarray, "4"],
+    eta_m: Float[np.ndarray, " samples"],
+    rate_m_per_s: Float[np.ndarray, " samples"],
+) -> Float[np.ndarray, " samples"]:
+    """k depth + c rate, the latter setting in over the first 10 um: `rig.contact.DeadZone`, with any sign of c."""
+    lower, upper, stiffness, damping = parameters
+    depth = dead_zone(eta_m, float(lower), float(upper))
+    return np.asarray(stiffness * depth + damping * rate_m_per_s * np.minimum(1.0, np.abs(depth) / DAMPING_DEPTH_M))
+
+
 def fit_joint(seen: Observed, doubts: Sequence[Doubt] = ()) -> Joint:
     """Gauss-Newton on the low-passed residual, with a cubic spline b(t) for the drift and a spring to the ground:
 
@@ -117,7 +128,8 @@ def fit_joint(seen: Observed, doubts: Sequence[Doubt] = ()) -> Joint:
     inverse = splu(hessian).solve(chosen)
     influence = (_jacobian(state, curve, tie * scale) @ inverse) * weights[:, None] ** 2  # of residuals on parameters
     parts = zip(np.array_split(influence, PARTS), np.array_split(state.residual, PARTS), strict=True)
-    scores = np.array([i.T @ r for i, r in parts])
+    few = np.sqrt(PARTS / (PARTS - len(free)))  # parts are few against the parameters
+    scores = few * np.array([i.T @ r for i, r in parts])
     for force, eta in doubts:
         moved = force - state.by_eta * eta[:: seen.factor][: force.size]
         scores = np.concatenate([scores, (influence.T @ moved)[None, :]])
@@ -208,7 +220,7 @@ def _start(seen: Observed, curve: Spline) -> tuple[Float[np.ndarray, "4"], Float
 def _linearised(
     seen: Observed, curve: Spline, law: Float[np.ndarray, "4"], knots: Float[np.ndarray, " knots"]
 ) -> _State:
-    lower, upper, stiffness, damping = law
+    lower, upper, stiffness, _ = law
     eta, velocity = seen.eta_m + curve.value @ knots, seen.velocity_m_per_s + curve.rate @ knots
     above, below = eta > upper, eta < -lower
     outside = (above | below).astype(float)
@@ -217,11 +229,8 @@ def _linearised(
     parts = np.stack([stiffness * below, -stiffness * above, into, damped, stiffness * outside])
     low_passed = decimated(parts, seen.factor)[:, : seen.force_n.size]
     fine = max(1, round(FINE_HZ / seen.sample_rate_hz))
-    depth = low_passed[2]
-    if fine > 1:
-        finer = dead_zone(oversampled(eta, fine), lower, upper)
-        depth = decimated(finer, fine * seen.factor)[: seen.force_n.size]
-    fitted = stiffness * depth + damping * low_passed[3]
+    finer = oversampled(np.stack([eta, velocity]), fine)
+    fitted = decimated(law_force_n(law, *finer), fine * seen.factor)[: seen.force_n.size]
     at_force = curve.value[:: seen.factor][: seen.force_n.size]
     residual = seen.force_n - fitted - seen.spring_n_per_m * (at_force @ knots)
     return _State(law, knots, fitted, residual, low_passed[:4].T, low_passed[4] + seen.spring_n_per_m, at_force)

@@ -114,10 +114,11 @@ def penetration(eta_m: Float[np.ndarray, " samples"], lower_m: float, upper_m: f
     return decimated(dead_zone(oversampled(eta_m, OVERSAMPLING), lower_m, upper_m), OVERSAMPLING)[: eta_m.size]
 
 
-def oversampled(signal: Float[np.ndarray, " samples"], times: int) -> Float[np.ndarray, " more"]:
-    """A band-limited signal at `times` its rate."""
-    ramps = _ramped(signal, 1)
-    return np.asarray(resample(ramps, times * ramps.size)[times * RAMP : times * (RAMP + signal.size)])
+def oversampled(signals: Float[np.ndarray, "*rows samples"], times: int) -> Float[np.ndarray, "*rows more"]:
+    """Band-limited signals at `times` their rate."""
+    ramps = _ramped(signals, 1)
+    fine = resample(ramps, times * ramps.shape[-1], axis=-1)
+    return np.asarray(fine[..., times * RAMP : times * (RAMP + signals.shape[-1])])
 
 
 def decimated(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows fewer"]:
