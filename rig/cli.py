@@ -58,7 +58,7 @@ def record(
     effect: Annotated[
         list[str] | None,
         typer.Option(
-            help="An effect that the rig has and its description in the recording does not, NAME[:PARAMETER=VALUE,...]; "
+            help="What the rig has but its description in the recording does not: NAME[:PARAMETER=VALUE,...]; "
             "repeat it for more. They are listed below."
         ),
     ] = None,

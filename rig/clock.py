@@ -77,7 +77,10 @@ def _examined(time_s: Float[np.ndarray, " samples"]) -> tuple[float, str]:
                 f"its time stamps have a gap of {steps_s[widest]:.6g} s after {time_s[widest]:.6f} s; cut the record "
                 "there and import the longer part"
             )
-        return 1 / interval_s, f"its time stamps have {gaps.size} gaps, the first after {time_s[gaps[0]]:.6f} s"
+        intervals = np.round(steps_s / interval_s).sum()
+        return intervals / float(time_s[-1] - time_s[0]), (
+            f"its time stamps have {gaps.size} gaps, the first after {time_s[gaps[0]]:.6f} s"
+        )
     rate_hz = (time_s.size - 1) / float(time_s[-1] - time_s[0])
     strays = np.abs((time_s - time_s[0]) * rate_hz - np.arange(time_s.size))
     worst = int(np.argmax(strays))

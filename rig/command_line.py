@@ -55,7 +55,7 @@ def refuse_existing(path: Path, force: bool) -> None:
     part = part_of(path)
     if path.exists() and not force:
         raise RigError(f"{path}: exists already; give another name, or --force to overwrite it")
-    if part.exists() and not force:
+    if path.suffix == ".mcap" and part.exists() and not force:
         raise RigError(
             f"{part}: is being written or was cut off; save it by `rig recover` under another name, or give --force"
         )

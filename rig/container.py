@@ -22,6 +22,7 @@ MAX_BYTES = 64 * 1024 * 1024
 """The largest record, and the largest content of a chunk, that is read."""
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
 _KINDS = {
     Opcode.ATTACHMENT: Attachment,
     Opcode.CHANNEL: Channel,
@@ -63,15 +64,16 @@ def whole(content: BufferedIOBase) -> Iterator[McapRecord]:
 
     A record that is refused for its size or name raises RigError, without the name of the file.
     """
-    running, messages = zlib.crc32(_MAGIC), 0
-    for opcode, body, before in _split(content, running):
+    crc, messages = zlib.crc32(_MAGIC), 0
+    for opcode, body in _split(content):
         for record in records(opcode, body):
-            if isinstance(record, DataEnd) and record.data_section_crc not in (0, before):
+            if isinstance(record, DataEnd) and record.data_section_crc not in (0, crc):
                 raise ValueError("the checksum of its data is wrong")
             if isinstance(record, Statistics) and record.message_count != messages:
                 raise ValueError(f"{messages} messages where its statistics count {record.message_count}")
             messages += isinstance(record, Message)
             yield record
+        crc = zlib.crc32(body, zlib.crc32(_HEAD.pack(opcode, len(body)), crc))
         if opcode == Opcode.FOOTER:
             if content.read() != _MAGIC:
                 break
@@ -82,7 +84,7 @@ def whole(content: BufferedIOBase) -> Iterator[McapRecord]:
 def complete(content: BufferedIOBase) -> Iterator[McapRecord]:
     """Every sound record of a file that `opened` gave, cut off or damaged as it may be."""
     try:
-        for opcode, body, _ in _split(content, 0):
+        for opcode, body in _split(content):
             try:
                 found = list(records(opcode, body))
             except DAMAGE:
@@ -100,11 +102,13 @@ def records(opcode: int, body: bytes) -> Iterator[McapRecord]:
     Raises one of DAMAGE if the checksum is wrong or the content is no such record, RigError if it is refused.
     """
     if opcode == Opcode.CHUNK:
-        for inner, content, _ in _split(BytesIO(_decompressed(Chunk.read(ReadDataStream(BytesIO(body))))), 0):
-            if inner in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+        for inner, content in _split(BytesIO(_decompressed(Chunk.read(ReadDataStream(BytesIO(body)))))):
+            if inner == Opcode.MESSAGE:
+                yield _message(content)
+            elif inner in (Opcode.SCHEMA, Opcode.CHANNEL):
                 yield from records(inner, content)
     elif opcode == Opcode.MESSAGE:
-        yield Message.read(ReadDataStream(BytesIO(body)), len(body))
+        yield _message(body)
     elif opcode in _KINDS:
         record = _KINDS[Opcode(opcode)].read(ReadDataStream(BytesIO(body)))
         if isinstance(record, Attachment):
@@ -112,8 +116,13 @@ def records(opcode: int, body: bytes) -> Iterator[McapRecord]:
         yield record
 
 
-def _split(content: BufferedIOBase, running: int) -> Iterator[tuple[int, bytes, int]]:
-    """Opcode, body and the checksum of all that came before."""
+def _message(body: bytes) -> Message:
+    channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(body)
+    return Message(channel, log_time, body[_MESSAGE.size :], publish_time, sequence)
+
+
+def _split(content: BufferedIOBase) -> Iterator[tuple[int, bytes]]:
+    """Opcode and body of every record."""
     while head := content.read(_HEAD.size):
         opcode, length = _HEAD.unpack(head)
         if opcode == 0:
@@ -123,8 +132,7 @@ def _split(content: BufferedIOBase, running: int) -> Iterator[tuple[int, bytes, 
         body = content.read(length)
         if len(body) < length:
             raise EOFError(f"a record of {length} bytes ends after {len(body)}")
-        yield opcode, body, running
-        running = zlib.crc32(body, zlib.crc32(head, running))
+        yield opcode, body
 
 
 def _decompressed(chunk: Chunk) -> bytes:

@@ -81,7 +81,8 @@ def _write_uff(recording: Recording, path: Path) -> None:
         }
         for group, number, name, row in _rows(recording)
     ]
-    pyuff.UFF(str(path)).write_sets(datasets, mode="overwrite")
+    path.unlink(missing_ok=True)
+    pyuff.UFF(str(path)).write_sets(datasets, mode="add")  # its "overwrite" loses the first binary header
 
 
 def _write_mat(recording: Recording, path: Path) -> None:

@@ -76,7 +76,7 @@ def statistics(plant: Plant, settings: BarrelCradle, seed: int, description: str
             acceleration_squares.append(np.sum(acceleration**2) / len(acceleration))
     samples = settings.duration_s * settings.sample_rate_hz
     return Statistics(
-        contact_fraction=sum(closed) / samples,
+        contact_fraction=float(sum(closed) / samples),
         contact_force_n=float(np.sqrt(sum(force_squares) / samples)),
         acceleration_m_per_s2=float(np.sqrt(sum(acceleration_squares) / samples)),
     )

@@ -165,19 +165,19 @@ def _add_body(mbs: Any, rig: Rig, body: Body, ground: int, elements: int) -> Mes
 def _add_attachments(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
     """A beam's point masses, linear springs and clamps that give, as mass and stiffness of one node each."""
 
-    def add(station: Station, masses_kg: list[float], stiffness: list[float]) -> None:
+    def add(station: Station, **matrices: Float[np.ndarray, "4 4"]) -> None:
         mesh = next(m for m in meshes if m.body.name == station.body)
         if isinstance(mesh.body, Beam):
-            node = mesh.node_at(station.position_m)
-            item = _item("ObjectGenericODE2")
-            mbs.AddObject(item(nodeNumbers=[node], massMatrix=np.diag(masses_kg), stiffnessMatrix=np.diag(stiffness)))
+            mbs.AddObject(_item("ObjectGenericODE2")(nodeNumbers=[mesh.node_at(station.position_m)], **matrices))
 
     for point in rig.masses:
-        add(point.station, [point.mass_kg, point.mass_kg, 0, 0], [0.0] * 4)
+        add(point.station, massMatrix=np.diag([point.mass_kg, point.mass_kg, 0.0, 0.0]))
     for spring in rig.springs:
-        add(spring.station, [0.0] * 4, [0, spring.stiffness_n_per_m, 0, spring.rotational_n_m_per_rad])
+        add(
+            spring.station, stiffnessMatrix=np.diag([0.0, spring.stiffness_n_per_m, 0.0, spring.rotational_n_m_per_rad])
+        )
     for clamp in rig.clamps:
-        add(Station(clamp.body), [0.0] * 4, [0, 0, 0, clamp.rotational_n_m_per_rad])
+        add(Station(clamp.body), stiffnessMatrix=np.diag([0.0, 0.0, 0.0, clamp.rotational_n_m_per_rad]))
 
 
 def _add_loads(mbs: Any, rig: Rig, meshes: list[Mesh]) -> Callable[[float], None]:

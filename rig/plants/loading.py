@@ -3,7 +3,6 @@
 import numpy as np
 from jaxtyping import Complex, Float
 from scipy.interpolate import CubicSpline
-from scipy.optimize import minimize
 
 from rig.contact import DeadZone
 from rig.description import Contact, Rig
@@ -69,52 +68,55 @@ def connections(rig: Rig) -> tuple[Contact, ...]:
 
 
 def equilibrium(
-    stiffness: Float[np.ndarray, "n n"],
-    across: Float[np.ndarray, "connections n"],
+    squares: Float[np.ndarray, " modes"],
+    across: Float[np.ndarray, "connections modes"],
     laws: tuple[DeadZone, ...],
-    load_n: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, " n"]:
-    """Where the rig rests under a static load: the least of q'Kq/2 + sum U_j(across_j q) - load'q, a convex function.
+    load: Float[np.ndarray, " modes"],
+) -> Float[np.ndarray, " modes"]:
+    """Where the rig rests under a static load, in modal coordinates, `squares` being omega^2.
 
-    A body that floats between its stops is pushed to where they hold it. Raises RigError if nothing holds it.
+    It is the least of the convex energy sum omega^2 q^2 / 2 + sum U_j(across_j q) - load q, reached by proximal steps
+    from zero: what floats unloaded stays, and what floats under a load is pushed to where the stops hold it. Raises
+    RigError if nothing does.
     """
-    if not load_n.any():
-        return np.zeros(load_n.size)
-    scale = 1 / np.sqrt(np.maximum(np.diag(stiffness), 1.0))  # q = scale * y
-
-    def depths(q: Float[np.ndarray, " n"]) -> Float[np.ndarray, " connections"]:
-        return np.array([law.penetration_m(np.array([eta]))[0] for law, eta in zip(laws, across @ q, strict=True)])
-
+    q = np.zeros(load.size)
+    if not load.any():
+        return q
     k, cubic = np.array([[law.stiffness_n_per_m, law.cubic_n_per_m3] for law in laws]).reshape(-1, 2).T
 
-    def energy(y: Float[np.ndarray, " n"]) -> float:
-        q = scale * y
-        depth = depths(q)
-        return float(q @ stiffness @ q / 2 + np.sum(k * depth**2 / 2 + cubic * depth**4 / 4) - load_n @ q)
+    def depths(at: Float[np.ndarray, " modes"]) -> Float[np.ndarray, " connections"]:
+        return np.array([law.penetration_m(np.array([eta]))[0] for law, eta in zip(laws, across @ at, strict=True)])
 
-    def gradient(y: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        q = scale * y
-        depth = depths(q)
-        return scale * (stiffness @ q + (k * depth + cubic * depth**3) @ across - load_n)
+    def energy(at: Float[np.ndarray, " modes"]) -> float:
+        depth = depths(at)
+        return float(squares @ at**2 / 2 + np.sum(k * depth**2 / 2 + cubic * depth**4 / 4) - load @ at)
 
-    def hessian(y: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n n"]:
-        depth = depths(scale * y)
-        slopes = (k + 3 * cubic * depth**2) * (depth != 0)
-        return scale[:, None] * (stiffness + (across.T * slopes) @ across) * scale
+    def slopes(at: Float[np.ndarray, " modes"]) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"]]:
+        depth = depths(at)
+        tangent = (k + 3 * cubic * depth**2) * (depth != 0)
+        force = squares * at + (k * depth + cubic * depth**3) @ across - load
+        return force, np.diag(squares) + (across.T * tangent) @ across
 
-    found = minimize(
-        energy,
-        np.zeros(load_n.size),
-        jac=gradient,
-        hess=hessian,
-        method="trust-exact",
-        options={"initial_trust_radius": 1e-2, "max_trust_radius": 10.0, "gtol": 1e-7, "maxiter": 500},
-    ).x
-    for _ in range(3):  # the energy's rounding has left a little
-        found = found - np.linalg.lstsq(hessian(found), gradient(found), rcond=1e-12)[0]
-    if np.linalg.norm(gradient(found)) > 1e-6 * np.linalg.norm(scale * load_n):
+    for hold in 100.0 * 0.7 ** np.arange(60):  # stiffness that ties every mode to where it was before
+        anchor = q
+        for _ in range(30):
+            force, stiffness = slopes(q)
+            force = force + hold * (q - anchor)
+            if np.linalg.norm(force) < 1e-9 * np.linalg.norm(load):
+                break
+            step = np.linalg.solve(stiffness + hold * np.eye(q.size), force)
+            before = energy(q) + hold * np.sum((q - anchor) ** 2) / 2
+            while energy(q - step) + hold * np.sum((q - step - anchor) ** 2) / 2 > before + 1e-12 * abs(before):
+                step = step / 2
+            q = q - step
+        if np.linalg.norm(q - anchor) < 1e-12 * np.linalg.norm(q):
+            break
+    for _ in range(3):
+        force, stiffness = slopes(q)
+        q = q - np.linalg.lstsq(stiffness, force, rcond=1e-12)[0]
+    if np.linalg.norm(slopes(q)[0]) > 1e-6 * np.linalg.norm(load):
         raise RigError("nothing holds a body against its static load; add a spring or a contact, or take the load off")
-    return scale * found
+    return q
 
 
 def _in_time(spectrum: Complex[np.ndarray, " lines"], samples: int) -> Float[np.ndarray, " samples"]:

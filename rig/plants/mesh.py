@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, eigh
 
 from rig.beam import Beam
 from rig.description import Body, Rig, Station, contact_stations
@@ -99,7 +99,8 @@ def coordinates_at_rest(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " coo
 
 def _at_rest(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
     load = static_load(rig, meshes)
-    stiffness = block_diag(*(matrices(rig, mesh.body, mesh.positions_m)[1] for mesh in meshes))
+    pairs = [matrices(rig, mesh.body, mesh.positions_m) for mesh in meshes]
+    mass, stiffness = (block_diag(*parts) for parts in zip(*pairs, strict=True))
     held, first = [], 0
     for mesh in meshes:
         held += list(range(first, first + held_coordinates(rig, mesh.body)))
@@ -109,6 +110,8 @@ def _at_rest(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
     across = np.array(
         [station_row(meshes, c.at) - (station_row(meshes, c.against) if c.against else 0) for c in both]
     ).reshape(len(both), load.size)
+    squares, shapes = eigh(stiffness[np.ix_(free, free)], mass[np.ix_(free, free)])
+    laws = tuple(c.law for c in both)
     found = np.zeros(load.size)
-    found[free] = equilibrium(stiffness[np.ix_(free, free)], across[:, free], tuple(c.law for c in both), load[free])
+    found[free] = shapes @ equilibrium(np.maximum(squares, 0), across[:, free] @ shapes, laws, shapes.T @ load[free])
     return found

@@ -101,7 +101,7 @@ def _model(rig: Rig, step_s: float, modes: int) -> dict[str, Any]:
             f"a contact is too stiff for the step of {step_s} s (loop gain {loop.max():.2g}); use a smaller step"
         )
     static = np.zeros(omega.size) + sum(load.force_n * rows[load.station] for load in rig.loads)
-    at_rest = equilibrium(np.diag(omega**2), across, laws, static)
+    at_rest = equilibrium(omega**2, across, laws, static)
     holding = [law.force_n(np.array([eta]), np.zeros(1))[0] for law, eta in zip(laws, across @ at_rest, strict=True)]
     kernel = (propagate, from_start, from_end, across, table, reach, omega, zeta)
     return {

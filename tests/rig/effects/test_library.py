@@ -1,0 +1,167 @@
+"""The library as a whole: every effect is found, described, read from text, and applied without touching the rest."""
+
+import msgspec
+import numpy as np
+import pytest
+
+import rig.effects
+from rig.description import from_json, to_json
+from rig.effect import parameters_of
+from rig.effects import effect_named, effects
+from rig.errors import RigError
+from rig.reference import BarrelCradle, Sdof
+
+NAMES = sorted(effects())
+NOT_FOR_ONE_MASS = {"clamp_compliance", "contact_position", "youngs_modulus"}
+RIGS = {"barrel_cradle": BarrelCradle().rig(), "sdof": Sdof().rig()}
+WANTED = {
+    "contact": "contact_clearance contact_stiffness contact_damping coulomb_friction nonlinear_contact "
+    "asymmetric_clearance clearance_wear contact_position",
+    "structure": "clamp_compliance added_mass youngs_modulus structural_damping hardening_spring",
+    "loads": "preload base_motion",
+    "instruments": "sensor_gain sensor_delay force_gain actuator_lag",
+}
+
+
+def test_the_library_holds_what_the_design_asks_for():
+    assert set(" ".join(WANTED.values()).split()) <= set(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_effect_says_what_it_is(name):
+    kind = effects()[name]
+    assert kind.__module__ == f"rig.effects.{name}"
+    sentence = kind.__doc__
+    assert sentence.endswith(".")
+    assert "\n" not in sentence
+    parameters = parameters_of(kind)
+    assert parameters
+    default = kind()
+    for field, about in parameters.items():
+        assert about.low <= getattr(default, field) <= about.high, field
+        assert about.unit
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("which", RIGS)
+def test_every_effect_changes_the_rig_or_says_why_not(name, which):
+    machine, effect = RIGS[which], effects()[name]()
+    if which == "sdof" and name in NOT_FOR_ONE_MASS:
+        with pytest.raises(RigError, match=f"effect {name}: rig 'sdof' has no .*beam; choose another place"):
+            effect.applied_to(machine)
+        return
+    changed = effect.applied_to(machine)
+    assert changed != machine
+    assert from_json(to_json(changed), "text") == changed
+    assert [s.name for s in changed.sensors] == [s.name for s in machine.sensors]
+    assert [c.name for c in changed.contacts] == [c.name for c in machine.contacts]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_effect_is_read_from_its_text(name):
+    kind = effects()[name]
+    assert effect_named(name) == kind()
+    middles = {field: (about.low + about.high) / 2 for field, about in parameters_of(kind).items()}
+    text = ",".join(f"{field}={value}" for field, value in middles.items())
+    assert effect_named(f"{name}:{text}") == kind(**middles)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("wind", "no effect 'wind'; there are actuator_lag, added_mass"),
+        ("preload:weight=1", "effect preload has no parameter 'weight'; it has force_n, relative_position, body"),
+        ("preload:force_n", "effect preload: 'force_n' is not PARAMETER=VALUE"),
+        ("preload:force_n=much", "effect preload: Expected `float`, got `str` - at `$.force_n`"),
+        ("preload:force_n=inf", "force_n is inf; give a finite value"),
+    ],
+)
+def test_a_text_that_asks_for_nothing_known_is_refused(text, sentence):
+    with pytest.raises(RigError) as caught:
+        effect_named(text)
+    assert sentence in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("contact_stiffness:contact=nose", "rig 'barrel_cradle' has no contact 'nose'"),
+        ("added_mass:body=nose", "has no body 'nose'"),
+        ("added_mass:relative_position=1.5", "relative_position is 1.5; give 0 to 1"),
+        ("youngs_modulus:beam=nose", "has no beam 'nose'"),
+        ("clamp_compliance:beam=barrel", "has no clamped-free beam 'barrel'"),
+        ("clamp_compliance:compliance=0", "compliance is 0.0; give a value above zero"),
+        ("sensor_gain:sensor=nose", "has no sensor 'nose'"),
+        ("asymmetric_clearance:shift_m=0.006", "lower_clearance_m is -0.001; give"),
+        ("contact_position:shift_m=0.6", "stands at 1.05 m, off 'cradle'; give 0 to 1.0 m"),
+        ("base_motion:low_hz=20", "the band 20.0 to 12.0 Hz is empty"),
+        ("force_gain:factor=0", "force sensor: gain is 0.0"),
+    ],
+)
+def test_an_effect_that_the_rig_cannot_have_is_refused(text, sentence):
+    with pytest.raises(RigError) as caught:
+        effect_named(text).applied_to(RIGS["barrel_cradle"])
+    assert sentence in str(caught.value)
+
+
+def test_an_effect_acts_on_the_place_that_it_names():
+    machine = RIGS["barrel_cradle"]
+    one = effect_named("contact_stiffness:factor=2,contact=contact_2").applied_to(machine)
+    assert one.contact("contact_1") == machine.contact("contact_1")
+    assert one.contact("contact_2").law.stiffness_n_per_m == 2 * machine.contact("contact_2").law.stiffness_n_per_m
+    cradle = effect_named("youngs_modulus:beam=cradle").applied_to(machine)
+    assert cradle.body("barrel") == machine.body("barrel")
+    assert cradle.body("cradle") != machine.body("cradle")
+
+
+def test_effects_add_up():
+    machine = RIGS["barrel_cradle"]
+    for name in ("added_mass", "preload", "hardening_spring", "coulomb_friction", "actuator_lag"):
+        effect = effects()[name]()
+        once, twice = effect.applied_to(machine), effect.applied_to(effect.applied_to(machine))
+        assert twice not in (once, machine), name
+    with pytest.raises(RigError, match="the base of rig 'barrel_cradle' moves already"):
+        effect_named("base_motion").applied_to(effect_named("base_motion").applied_to(machine))
+
+
+NEW = '''
+"""A rig in which everything is painted."""
+
+from typing import Annotated, ClassVar
+
+from msgspec.structs import replace
+
+from rig.effect import Effect, Parameter
+
+
+class Paint(Effect, frozen=True):
+    """Every body is `factor` times as dense."""
+
+    name: ClassVar[str] = "paint"
+    factor: Annotated[float, Parameter("1", 0.9, 1.2)] = 1.01
+
+    def applied_to(self, rig):
+        bodies = tuple(replace(b, density_kg_per_m3=b.density_kg_per_m3 * self.factor) for b in rig.bodies)
+        return replace(rig, bodies=bodies)
+'''
+
+
+def test_a_new_file_is_a_new_effect(tmp_path, monkeypatch):
+    (tmp_path / "paint.py").write_text(NEW)
+    monkeypatch.setattr(rig.effects, "__path__", [*rig.effects.__path__, str(tmp_path)])
+    assert set(effects()) == {*NAMES, "paint"}
+    machine = RIGS["barrel_cradle"]
+    painted = effect_named("paint:factor=1.1").applied_to(machine)
+    for body, heavier in zip(machine.bodies, painted.bodies, strict=True):
+        assert heavier.mass_kg == pytest.approx(1.1 * body.mass_kg)
+
+
+def test_a_rig_without_effects_reads_as_before():
+    text = msgspec.json.decode(to_json(RIGS["barrel_cradle"]))
+    for field in ("masses", "springs", "clamps", "loads", "base_motion", "force_sensor"):
+        del text[field]
+    for contact in text["contacts"]:
+        for field in ("cubic_n_per_m3", "friction_n", "wear_m_per_s"):
+            assert contact["law"].pop(field) == 0
+    assert from_json(msgspec.json.encode(text), "text") == RIGS["barrel_cradle"]
+    assert np.all([about.low < about.high for kind in effects().values() for about in parameters_of(kind).values()])

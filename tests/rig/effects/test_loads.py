@@ -1,0 +1,143 @@
+"""Static loads bend and press, and the base carries what stands on it but not what floats."""
+
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+import pytest
+
+from rig.description import Sensor, StaticLoad, Station
+from rig.effects import effect_named
+from rig.errors import RigError
+from rig.excitation import QUIET_S
+from rig.plants.loading import BASE_RISE_S, base_motion, true_force
+from rig.reference import BarrelCradle, Sdof
+
+MACHINE = BarrelCradle(stations=4).rig()
+STEP_S = 2.0**-12
+QUANTITIES = ("displacement", "velocity", "acceleration")
+
+
+@pytest.mark.parametrize("force_n", [3.0, -3.0])
+def test_a_preload_bends_the_cradle_and_stays(run, force_n):
+    """F x^2 (3 l - x) / 6 E I."""
+    machine = effect_named(f"preload:force_n={force_n},body=cradle,relative_position=1").applied_to(MACHINE)
+    motion = run(machine, np.zeros(400), STEP_S)
+    cradle = machine.body("cradle")
+    for sensor, row in zip(machine.sensors, motion.sensed, strict=True):
+        x, length = sensor.station.position_m, cradle.length_m
+        expected = force_n * x**2 * (3 * length - x) / (6 * cradle.bending_stiffness_n_m2)
+        if sensor.station.body == "barrel" or sensor.quantity == "acceleration":
+            expected = 0.0
+        scale = abs(force_n) / (3 * cradle.bending_stiffness_n_m2)
+        scale *= (2 * np.pi * cradle.frequencies_hz(1)[0]) ** 2 if sensor.quantity == "acceleration" else 1.0
+        np.testing.assert_allclose(row, expected, atol=2e-3 * scale)
+
+
+def test_a_preload_on_one_mass(run):
+    machine = effect_named("preload:force_n=0.4").applied_to(Sdof(sensors="displacement").rig())
+    expected = 0.4 / machine.bodies[0].stiffness_n_per_m
+    np.testing.assert_allclose(run(machine, np.zeros(99), STEP_S).sensed[0], expected, rtol=1e-6)
+
+
+def test_a_load_that_nothing_holds_is_refused(run):
+    load = StaticLoad(station=Station("barrel", 0.5), force_n=1.0)
+    with pytest.raises(RigError, match="nothing holds a body against its static load; add a spring or a contact"):
+        run(msgspec.structs.replace(MACHINE, contacts=(), loads=(load,)), np.zeros(9), STEP_S)
+
+
+def test_the_base_moves_as_it_is_told():
+    machine = effect_named("base_motion:acceleration_rms_m_per_s2=0.3,low_hz=5,high_hz=9").applied_to(MACHINE)
+    samples = round(8 / STEP_S)
+    base = base_motion(machine, samples, STEP_S)
+    assert all(base[q][0] == 0 for q in QUANTITIES)
+    assert np.sqrt(np.mean(base["acceleration"] ** 2)) == pytest.approx(0.3, rel=0.05)
+    for lower, higher in pairwise(QUANTITIES):
+        slope = np.gradient(base[lower], STEP_S)
+        error = np.abs(slope - base[higher])[1:-1].max()
+        assert error < 1e-3 * np.abs(base[higher]).max()
+    settled = base["acceleration"][round(BASE_RISE_S / STEP_S) :]
+    spectrum = np.abs(np.fft.rfft(settled * np.hanning(settled.size))) ** 2
+    frequency_hz = np.fft.rfftfreq(settled.size, STEP_S)
+    inside = (frequency_hz > 4.5) & (frequency_hz < 9.5)
+    assert spectrum[~inside].sum() < 1e-3 * spectrum.sum()
+    again, other = (
+        base_motion(effect_named(f"base_motion:low_hz=5,high_hz=9,seed={seed}").applied_to(MACHINE), samples, STEP_S)
+        for seed in (1, 2)
+    )
+    np.testing.assert_allclose(again["acceleration"] * 0.6, base["acceleration"])
+    assert np.corrcoef(again["acceleration"], other["acceleration"])[0, 1] < 0.5
+    finer = base_motion(machine, 2 * samples, STEP_S / 2)
+    np.testing.assert_allclose(
+        finer["displacement"][::2], base["displacement"], atol=1e-9 * np.abs(base["displacement"]).max()
+    )
+
+
+def test_a_base_motion_that_does_not_fit_is_refused():
+    machine = effect_named("base_motion:low_hz=10.1,high_hz=10.2").applied_to(MACHINE)
+    with pytest.raises(RigError, match=r"no line of 10\.1 to 10\.2 Hz fits 1 s; record longer"):
+        base_motion(machine, 4096, STEP_S)
+    with pytest.raises(RigError, match=r"a base motion up to 10\.2 Hz needs at most 1/\(4 high_hz\)"):
+        base_motion(machine, 4096, 0.1)
+
+
+def with_all_quantities(machine):
+    stations = dict.fromkeys(s.station for s in machine.sensors)
+    sensors = (Sensor(name=f"{k}{q}", station=s, quantity=q) for k, s in enumerate(stations) for q in QUANTITIES)
+    return msgspec.structs.replace(machine, sensors=tuple(sensors))
+
+
+def test_a_shaking_base_drives_one_mass_by_its_spring(run):
+    """m a + c (v - v_base) + k (w - w_base) = 0 with all that the sensors show, which is motion in space."""
+    machine = with_all_quantities(effect_named("base_motion").applied_to(Sdof(clearance_m=1.0).rig()))
+    body, samples = machine.bodies[0], round(2 / STEP_S)
+    base = base_motion(machine, samples, STEP_S)
+    motion = run(machine, np.zeros(samples), STEP_S)
+    displacement, velocity, acceleration = motion.sensed
+    spring = body.stiffness_n_per_m * (displacement - base["displacement"])
+    damper = body.damping_n_s_per_m * (velocity - base["velocity"])
+    rest = body.mass_kg * acceleration + damper + spring
+    assert np.linalg.norm(rest[2:]) < 2e-3 * np.linalg.norm(spring)
+    np.testing.assert_allclose(motion.eta_m[0], displacement - base["displacement"], atol=1e-12)
+    assert np.abs(acceleration[: round(QUIET_S / STEP_S)]).max() > 0.1 * np.abs(acceleration).max()
+
+
+def test_a_shaking_base_moves_the_cradle_but_not_the_floating_barrel(run):
+    machine = effect_named("base_motion:low_hz=1,high_hz=2,acceleration_rms_m_per_s2=0.1").applied_to(MACHINE)
+    machine = with_all_quantities(
+        msgspec.structs.replace(machine, contacts=tuple(msgspec.structs.replace(c, law=WIDE) for c in machine.contacts))
+    )
+    samples = round(2 / STEP_S)
+    base = base_motion(machine, samples, STEP_S)
+    motion = run(machine, np.zeros(samples), STEP_S)
+    for sensor, row in zip(machine.sensors, motion.sensed, strict=True):
+        scale = np.abs(base[sensor.quantity]).max()
+        if sensor.station.body == "barrel":
+            assert np.abs(row).max() < 2e-3 * scale
+        elif sensor.station.position_m < 0.3:  # near the clamp
+            np.testing.assert_allclose(row, base[sensor.quantity], atol=0.1 * scale)
+    tip = next(
+        row
+        for s, row in zip(machine.sensors, motion.sensed, strict=True)
+        if s.station == Station("cradle", 1.0) and s.quantity == "displacement"
+    )
+    bent = tip - base["displacement"]
+    first = machine.body("cradle").frequencies_hz(1)[0]
+    assert np.abs(bent).max() < 3 * np.abs(base["acceleration"]).max() / (2 * np.pi * first) ** 2
+    assert np.abs(bent).max() > np.abs(base["acceleration"]).max() / (2 * np.pi * first) ** 2
+
+
+WIDE = msgspec.structs.replace(MACHINE.contacts[0].law, lower_clearance_m=1.0, upper_clearance_m=1.0)
+
+
+def test_the_true_force_is_the_measured_one_of_a_while_ago_without_its_gain():
+    time_s = np.arange(4000) * STEP_S
+    force_n = np.sin(2 * np.pi * 40 * time_s) ** 3
+    for lag_steps in (3, 2.5):
+        lag_s = lag_steps * STEP_S
+        machine = effect_named("force_gain:factor=1.1").applied_to(
+            effect_named(f"actuator_lag:lag_s={lag_s}").applied_to(MACHINE)
+        )
+        found = true_force(machine, force_n, STEP_S)
+        expected = np.where(time_s < lag_s, 0.0, np.sin(2 * np.pi * 40 * (time_s - lag_s)) ** 3) / 1.1
+        np.testing.assert_allclose(found, expected, atol=1e-5)
