@@ -18,7 +18,8 @@ class Motion:
     """True motion over a stretch of time, sampled at the plant's own step.
 
     sensed has one row per sensor of the rig, in the sensor's quantity, before any instrument; displacement one row per
-    station of `stations_of(rig)`; eta (relative displacement) and contact_force one row per contact.
+    station of `stations_of(rig)`, both in space, also where the base moves; eta (relative displacement) and
+    contact_force one row per contact. force is the measured one.
     """
 
     start_s: float
@@ -32,7 +33,7 @@ class Motion:
 
 @runtime_checkable
 class Plant(Protocol):
-    """How a rig is simulated: from rest, under a force given at multiples of the step."""
+    """How a rig is simulated: from rest, with the measured force given at multiples of the step."""
 
     def __call__(
         self, rig: Rig, force_n: Float[np.ndarray, " samples"], step_s: float, progress: Progress

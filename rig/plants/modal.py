@@ -148,20 +148,6 @@ def _compiled() -> Any:
 
     @numba.njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
     @no_type_check  # numba compiles the plain function only
-    def law_force(eta, rate, law, time_s):
-        lower, upper, stiffness, damping = law[0], law[1], law[2], law[3]
-        cubic, friction, wear = law[4], law[5], law[6]
-        depth = max(eta - upper - wear * time_s, 0.0) + min(eta + lower + wear * time_s, 0.0)
-        force = 0.0
-        if depth != 0.0:
-            force = (stiffness + cubic * depth**2) * depth
-            force += damping * rate * min(1.0, abs(depth) / DAMPING_DEPTH_M)
-        if friction != 0.0:
-            force += friction * np.tanh(rate / FRICTION_SPEED_M_PER_S)
-        return force
-
-    @numba.njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
-    @no_type_check
     def advance(
         state,
         contact_n,
@@ -206,7 +192,12 @@ def _compiled() -> Any:
                     for k in range(count):
                         e -= reach[0, j, k] * end_force[k]
                         r -= reach[1, j, k] * end_force[k]
-                    f = law_force(e, r, laws[j], (first + n) * step_s)
+                    worn = laws[j, 6] * (first + n) * step_s
+                    depth = max(e - laws[j, 1] - worn, 0.0) + min(e + laws[j, 0] + worn, 0.0)
+                    f = (laws[j, 2] + laws[j, 4] * depth**2) * depth
+                    f += laws[j, 3] * r * min(1.0, abs(depth) / DAMPING_DEPTH_M)
+                    if laws[j, 5] != 0.0:
+                        f += laws[j, 5] * np.tanh(r / FRICTION_SPEED_M_PER_S)
                     change = max(change, abs(f - end_force[j]))
                     end_force[j] = f
                 if change <= TOLERANCE_N:

@@ -26,7 +26,7 @@ MACHINES = {
     ).rig(),
     "sdof": Sdof(clearance_m=SMALL * 1e-3, sensors="displacement").rig(),
 }
-STEP_S = 2.0**-14
+STEP_S = 2.0**-13
 NOT_FOR_ONE_MASS = {"clamp_compliance", "contact_position", "youngs_modulus"}
 CASES = [
     (which, name)

@@ -1,5 +1,7 @@
 """The library as a whole: every effect is found, described, read from text, and applied without touching the rest."""
 
+from pathlib import Path
+
 import msgspec
 import numpy as np
 import pytest
@@ -154,6 +156,24 @@ def test_a_new_file_is_a_new_effect(tmp_path, monkeypatch):
     painted = effect_named("paint:factor=1.1").applied_to(machine)
     for body, heavier in zip(machine.bodies, painted.bodies, strict=True):
         assert heavier.mass_kg == pytest.approx(1.1 * body.mass_kg)
+
+
+def test_the_readme_lists_every_effect_with_its_parameters():
+    lines = (Path(rig.effects.__file__).parents[2] / "README.md").read_text(encoding="utf-8").splitlines()
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("| ")]
+    listed, name = {}, ""
+    for row in cells:
+        name = row[0].strip("`") or name
+        if name in NAMES:
+            listed.setdefault(name, []).append(tuple(row[2:]))
+    expected = {
+        name: [
+            (f"`{field}`", about.unit, f"{getattr(kind(), field):g}", f"{about.low:g} to {about.high:g}")
+            for field, about in parameters_of(kind).items()
+        ]
+        for name, kind in effects().items()
+    }
+    assert listed == expected
 
 
 def test_a_rig_without_effects_reads_as_before():

@@ -107,7 +107,7 @@ def test_a_shaking_base_moves_the_cradle_but_not_the_floating_barrel(run):
     machine = with_all_quantities(
         msgspec.structs.replace(machine, contacts=tuple(msgspec.structs.replace(c, law=WIDE) for c in machine.contacts))
     )
-    samples = round(2 / STEP_S)
+    samples = round(1.2 / STEP_S)
     base = base_motion(machine, samples, STEP_S)
     motion = run(machine, np.zeros(samples), STEP_S)
     for sensor, row in zip(machine.sensors, motion.sensed, strict=True):
