@@ -21,6 +21,9 @@ SEPARATED_TO = 4.0
 LOOSE = 0.1
 """An estimate whose standard error is a larger share of it is no answer."""
 
+QUIETEST = 1e-5
+"""No accelerometer is believed to be quieter, m/s^2/sqrt(Hz): then other errors than noise make the drift."""
+
 Answer = Joint | str
 """What is known of a contact, or why nothing is."""
 
@@ -75,7 +78,7 @@ def _observed(
             of_both = np.hypot.reduce([noise[motion.stations.index(s)] for s in stations])
             drift = Drift(
                 acceleration_m_per_s2=(slow[0] - (slow[1] if len(slow) > 1 else 0.0))[:samples],
-                noise_density=max(float(of_both) / np.sqrt(motion.sample_rate_hz / 2), 1e-7),
+                noise_density=max(float(of_both) / np.sqrt(motion.sample_rate_hz / 2), QUIETEST),
                 spring_n_per_m=separated.spring_n_per_m,
             )
         found.append(

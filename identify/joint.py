@@ -114,13 +114,16 @@ def fit_joint(seen: Observed, doubts: Sequence[Doubt] = ()) -> Joint:
     if not seen.sides_known:
         tie[1, 0] = 1.0
     law, knots = _start(seen, curve)
-    state = _linearised(seen, curve, law, knots)
-    weights = _weights(seen, state, 0.02 * float(np.std(seen.force_n)))
-    for _ in range(4):
-        state = _descended(seen, curve, state, tie, weights)
-        before, weights = weights, _weights(seen, state, _scatter(state))
-        if np.allclose(weights, before, rtol=0.1):
+    for begin in (knots, np.zeros_like(knots)):  # rarely, the regression's drift leads astray
+        state, weights = _fitted(seen, curve, tie, _linearised(seen, curve, law, begin))
+        if _strain(curve, state) <= STRAINED:
             break
+    else:
+        raise RigError(
+            "the drift that would explain it is larger than the noise of the accelerometers allows; check their noise "
+            "and gains, or excite the rig more strongly"
+        )
+    _check_bridged(seen, state)
     scale = _scales(state, free)
     hessian, _ = _normal(state, curve, tie * scale, weights)
     chosen = np.zeros((hessian.shape[0], len(free)))
@@ -133,7 +136,6 @@ def fit_joint(seen: Observed, doubts: Sequence[Doubt] = ()) -> Joint:
     for force, eta in doubts:
         moved = force - state.by_eta * eta[:: seen.factor][: force.size]
         scores = np.concatenate([scores, (influence.T @ moved)[None, :]])
-    _check_drift(seen, curve, state)
     from_drift = curve.curvature @ inverse[: curve.knots]  # each row of the prior is uncertain by one
     spread = tie * scale
     return Joint(
@@ -163,21 +165,20 @@ def _closed(seen: Observed) -> Bool[np.ndarray, " fewer"]:
     return size > max(CLEAR_SHARE * float(np.quantile(size, 0.995)), ABOVE_NOISE * seen.quiet_n)
 
 
-def _check_drift(seen: Observed, curve: Spline, state: _State) -> None:
-    """Raises RigError if the drift found, or the wandering between closures, is more than can be told."""
-    if seen.drift is None:
+def _strain(curve: Spline, state: _State) -> float:
+    """Mean square of the drift's curvature less what was measured of it, in its standard deviations; about 1 to 2."""
+    return float(np.mean((curve.curvature @ state.knots - curve.target) ** 2)) if curve.knots else 0.0
+
+
+def _check_bridged(seen: Observed, state: _State) -> None:
+    """Raises RigError if between closures the integrated noise wanders too far for them to be put in their places."""
+    if seen.drift is None or seen.drift.spring_n_per_m > 0:
         return
-    strain = float(np.mean((curve.curvature @ state.knots - curve.target) ** 2))
-    if strain > STRAINED:
-        raise RigError(
-            "the drift that would explain it is larger than the noise of the accelerometers allows; check their noise "
-            "and gains, or excite the rig more strongly"
-        )
     closed = _closed(seen)
     between_s = np.diff(np.flatnonzero(np.diff(closed.astype(int)) == 1)) * seen.factor / seen.sample_rate_hz
     wander_m = seen.drift.noise_density * np.sqrt(np.mean(between_s**3) / 6) if between_s.size else np.inf
     depth_m = float(np.median(np.abs(seen.force_n[closed]))) / state.law[2]
-    if seen.drift.spring_n_per_m == 0 and wander_m > LOST * depth_m:
+    if wander_m > LOST * depth_m:
         raise RigError(
             "it closes too rarely for accelerometers to bridge the time between (their noise wanders by "
             f"{1e6 * wander_m:.0f} um, the penetration is {1e6 * depth_m:.0f} um); excite the rig more strongly, or "
@@ -234,6 +235,17 @@ def _linearised(
     at_force = curve.value[:: seen.factor][: seen.force_n.size]
     residual = seen.force_n - fitted - seen.spring_n_per_m * (at_force @ knots)
     return _State(law, knots, fitted, residual, low_passed[:4].T, low_passed[4] + seen.spring_n_per_m, at_force)
+
+
+def _fitted(seen: Observed, curve: Spline, tie: Float[np.ndarray, "4 free"], state: _State) -> tuple[_State, Weights]:
+    """Descends, with the weights renewed from the scatter that is left until they stand."""
+    weights = _weights(seen, state, 0.02 * float(np.std(seen.force_n)))
+    for _ in range(4):
+        state = _descended(seen, curve, state, tie, weights)
+        before, weights = weights, _weights(seen, state, _scatter(state))
+        if np.allclose(weights, before, rtol=0.1):
+            break
+    return state, weights
 
 
 def _descended(

@@ -76,7 +76,6 @@ def test_results_are_not_overwritten_unless_forced(identify, recording, tmp_path
         (("--averages", 1), "averages is 1; give 2 or more"),
         (("--block", 1000), "a block of 1000 s does not fit a record with"),
         (("--overlap", 1.5), "overlap is 1.5; give a value from 0 to below 1"),
-        (("--window", "box"), "no window 'box'; there are hann, sin4, sin6"),
         (("--band", 5, 4), "the band 5.0 to 4.0 Hz is empty"),
         (("--use", "velocity"), "the recording has no velocity sensors"),
         (("--equation", "barrel 3"), "no modal equation 'barrel 3' with a measured force; there are mass 1"),
