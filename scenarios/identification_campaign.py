@@ -73,8 +73,8 @@ def campaign(
         table.add_column(heading, justify="left" if heading in ("", "quantity") else "right")
     tasks = [
         Task(seed + i, "ancf" if ancf_every and i % ancf_every == 0 else "modal", stations, jitter, duration)
-        for stations, jitter in kinds.values()
         for i in range(rigs)
+        for stations, jitter in kinds.values()
     ]
     outcomes = run_tasks(one_rig, tasks, Outcome, out)
     for kind, (stations, jitter) in kinds.items():
