@@ -5,14 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from identify.drift import Drift
+from identify.drift import KNOT_S, Drift
 from identify.forces import ContactForces, separated_forces
 from identify.joint import Joint, Observed, fit_joint
 from identify.kinematics import Kinematics, Use, acceleration_noise, kinematics
 from identify.modal import relative_displacements, relative_velocities
-from identify.spectra import force_band
+from identify.spectra import decimated, force_band
 from identify.tolerances import Tolerances
-from rig.description import Rig, contact_stations
+from rig.description import Rig, Station, contact_stations
 from rig.errors import RigError
 from rig.recording import Recording
 
@@ -52,13 +52,17 @@ def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Con
     factor = max(1, int(motion.sample_rate_hz / 2 / min(SEPARATED_TO * high_hz, motion.trusted_hz[1])))
     noise = acceleration_noise(motion, rig)
     separated = separated_forces(rig, motion, factor, noise, tolerances)
-    observed = _observed(rig, motion, noise, separated)
+    observed = _observed(rig, motion, noise, separated, tolerances)
     answers = tuple(_answer(o, separated, j) for j, o in enumerate(observed))
     return Contacts(rig, motion, separated, tuple(observed), answers)
 
 
 def _observed(
-    rig: Rig, motion: Kinematics, noise: Float[np.ndarray, " stations"], separated: ContactForces
+    rig: Rig,
+    motion: Kinematics,
+    noise: Float[np.ndarray, " stations"],
+    separated: ContactForces,
+    tolerances: Tolerances,
 ) -> list[Observed]:
     samples = separated.force_n.shape[1] * separated.factor
     samples = min(samples, motion.force_n.size)
@@ -75,10 +79,10 @@ def _observed(
                     "its drift cannot be told: put an accelerometer there"
                 )
             slow = [motion.lost_m_per_s2[motion.stations.index(s)] for s in stations]
-            of_both = np.hypot.reduce([noise[motion.stations.index(s)] for s in stations])
+            densities = [_density(motion, s, noise, tolerances) for s in stations]
             drift = Drift(
                 acceleration_m_per_s2=(slow[0] - (slow[1] if len(slow) > 1 else 0.0))[:samples],
-                noise_density=max(float(of_both) / np.sqrt(motion.sample_rate_hz / 2), QUIETEST),
+                noise_density=max(float(np.hypot.reduce(densities)), QUIETEST),
                 spring_n_per_m=separated.spring_n_per_m,
             )
         found.append(
@@ -95,6 +99,27 @@ def _observed(
             )
         )
     return found
+
+
+def _density(
+    motion: Kinematics, station: Station, noise: Float[np.ndarray, " stations"], tolerances: Tolerances
+) -> float:
+    """One-sided density of a station's acceleration error where the drift follows it, m/s^2/sqrt(Hz).
+
+    The sensor's noise, and what the tolerances of its gain and of its position make of the slow acceleration there.
+    """
+    row = motion.stations.index(station)
+    own = [i for i, s in enumerate(motion.stations) if s.body == station.body]
+    own.sort(key=lambda i: motion.stations[i].position_m)
+    acceleration = motion.acceleration_m_per_s2[own]
+    followed_hz = 0.5 / KNOT_S
+    factor = max(1, int(motion.sample_rate_hz / (2 * followed_hz)))
+    slow = decimated(acceleration, factor)
+    error = tolerances.gain**2 * np.mean(slow[own.index(row)] ** 2)
+    if len(own) > 1:
+        slope = np.gradient(slow, [motion.stations[i].position_m for i in own], axis=0)[own.index(row)]
+        error += tolerances.position_m**2 * np.mean(slope**2)
+    return float(np.sqrt(2 * noise[row] ** 2 / motion.sample_rate_hz + error / followed_hz))
 
 
 def _answer(observed: Observed, separated: ContactForces, contact: int) -> Answer:

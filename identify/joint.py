@@ -19,7 +19,7 @@ FINE_HZ = 16384.0
 """The contact force is evaluated at this rate at least, so that its kinks do not alias."""
 CLEAR_SHARE = 0.1
 """A contact counts as clearly closed where its force exceeds this share of the force's 99.5 % quantile."""
-STRAINED = 9.0
+STRAINED = 25.0
 """A drift whose curvature is on average more than the root of this away from what was measured is no drift."""
 LOST = 3.0
 """If between two closures the noise, integrated twice, wanders by more than this multiple of the median penetration,
