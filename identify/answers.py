@@ -12,7 +12,7 @@ from identify.kinematics import Kinematics, Use, acceleration_noise, kinematics
 from identify.modal import relative_displacements, relative_velocities
 from identify.spectra import decimated, force_band
 from identify.tolerances import Tolerances
-from rig.description import Rig, Station, contact_stations
+from rig.description import ForceSensor, Rig, Station, contact_stations
 from rig.errors import RigError
 from rig.recording import Recording
 
@@ -20,7 +20,6 @@ SEPARATED_TO = 4.0
 """Contact forces are separated up to this multiple of the force's highest frequency."""
 LOOSE = 0.1
 """An estimate whose standard error is a larger share of it is no answer."""
-
 QUIETEST = 1e-5
 """No accelerometer is believed to be quieter, m/s^2/sqrt(Hz): then other errors than noise make the drift."""
 
@@ -47,6 +46,7 @@ def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Con
     rig = recording.rig
     if not rig.contacts:
         raise RigError(f"rig {rig.name!r} has no contacts; describe them in rig.json")
+    _check_known(rig)
     motion = kinematics(recording, use)
     high_hz = force_band(motion.force_n, motion.sample_rate_hz)[1]
     factor = max(1, int(motion.sample_rate_hz / 2 / min(SEPARATED_TO * high_hz, motion.trusted_hz[1])))
@@ -55,6 +55,16 @@ def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Con
     observed = _observed(rig, motion, noise, separated, tolerances)
     answers = tuple(_answer(o, separated, j) for j, o in enumerate(observed))
     return Contacts(rig, motion, separated, tuple(observed), answers)
+
+
+def _check_known(rig: Rig) -> None:
+    """Raises RigError if the description holds something that the linear model of the identification leaves out."""
+    for what in ("masses", "springs", "clamps", "loads", "base_motion", "force_sensor"):
+        if getattr(rig, what) not in ((), None, ForceSensor()):
+            raise RigError(
+                f"rig.json of {rig.name!r} has {what}, which the identification does not know; it takes uniform beams "
+                "or one mass on a spring, without attachments"
+            )
 
 
 def _observed(
@@ -68,6 +78,8 @@ def _observed(
     samples = min(samples, motion.force_n.size)
     eta, velocity = relative_displacements(rig, motion), relative_velocities(rig, motion)
     found = []
+    quiet = separated.force_n[:, : motion.excited_from // separated.factor]
+    quiet_n = quiet.std(axis=1) if quiet.shape[1] else np.zeros(len(rig.contacts))
     for j, contact in enumerate(rig.contacts):
         drift = None
         if not motion.zero_known:
@@ -92,9 +104,7 @@ def _observed(
                 sample_rate_hz=motion.sample_rate_hz,
                 force_n=separated.force_n[j],
                 factor=separated.factor,
-                quiet_n=float(np.std(separated.force_n[j, : motion.excited_from // separated.factor]))
-                if motion.excited_from
-                else 0.0,
+                quiet_n=float(quiet_n[j]),
                 drift=drift,
             )
         )

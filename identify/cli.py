@@ -15,7 +15,7 @@ from identify.kinematics import Use
 from identify.results import ContactReport, Estimate, LawReport, write_json
 from identify.spectra import POWERS, Averaging
 from identify.tolerances import NAMED
-from rig.command_line import progress_bar, refuse_existing, run
+from rig.command_line import Force, Json, progress_bar, refuse_existing, run
 from rig.recording import read
 
 app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False)
@@ -40,8 +40,8 @@ def contact(
         str, typer.Option(help="How exactly rig.json is believed, for the standard errors: laboratory or exact.")
     ] = "laboratory",
     band: Annotated[tuple[float, float] | None, typer.Option(help="Band of NIFO, Hz; otherwise the force's.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print contact.json on standard output.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite results in the folder.")] = False,
+    as_json: Json = False,
+    force: Force = False,
 ) -> None:
     """Clearance and stiffness of every contact of a recording.
 
@@ -83,7 +83,7 @@ def law(
     seconds: Annotated[float, typer.Option(help="Longest search, s, shared by the contacts.")] = 60.0,
     seed: Annotated[int, typer.Option(help="Of the search and of the points drawn for it.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print law.json on standard output.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite results in the folder.")] = False,
+    force: Force = False,
 ) -> None:
     """The contact law found, not assumed: a formula for the separated force of every contact, by symbolic regression.
 

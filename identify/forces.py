@@ -7,8 +7,8 @@ from jaxtyping import Complex, Float
 from scipy.fft import next_fast_len
 from scipy.ndimage import uniform_filter1d
 
-from identify.kinematics import Kinematics
-from identify.modal import contact_shapes, transformation
+from identify.kinematics import CORNER_HZ, TAPER_S, Kinematics, integrated, taper
+from identify.modal import contact_shapes, receptance, shape_at, transformation
 from identify.spectra import decimated
 from identify.tolerances import Tolerances
 from rig.beam import MAX_MODES, Beam
@@ -17,7 +17,6 @@ from rig.errors import RigError
 from rig.oscillator import Oscillator
 
 SMOOTHED_HZ = 1.0
-TAPER_S = 0.5
 LEFT_OUT_S = 2.5
 """At the end of a record, where the beams' ringing is cut off, the separated forces are wrong."""
 RING_S = 12.0
@@ -155,21 +154,21 @@ def _accelerances(
         rows = _rows(body, motion)
         modes = MAX_MODES if isinstance(body, Beam) else 1
         shapes = body.shapes(np.array([motion.stations[i].position_m for i in rows]), modes)
-        at_force = (
-            body.shapes(np.array([rig.force_at.position_m]), modes)[0]
-            if rig.force_at.body == body.name
-            else np.zeros(modes)
+        drive = np.stack(
+            [
+                shape_at(body, rig.force_at, modes),
+                *(contact_shapes(rig, body, j, modes) for j in range(len(rig.contacts))),
+            ]
         )
-        drive = np.stack([at_force, *(contact_shapes(rig, body, j, modes) for j in range(len(rig.contacts)))])
         found[:, rows] = np.einsum("sm,mf,im->fsi", shapes, _accelerance(body, modes, omega), drive)
     return found
 
 
 def _accelerance(body: Body, modes: int, omega: Float[np.ndarray, " lines"]) -> Complex[np.ndarray, "modes lines"]:
     """q'' per modal force: -omega^2 / (omega_m^2 - omega^2 + 2 i zeta omega_m omega); 1 for a rigid mode."""
-    natural, damping = 2 * np.pi * body.frequencies_hz(modes)[:, None], body.damping_ratios(modes)[:, None]
-    below = natural**2 - omega**2 + 2j * damping * natural * omega
-    return np.asarray(np.where(natural == 0, 1.0, -(omega**2) / np.where(below == 0, 1.0, below)))
+    natural_hz = body.frequencies_hz(modes)
+    response = -(omega**2) * receptance(natural_hz, body.damping_ratios(modes), omega / (2 * np.pi))
+    return np.asarray(np.where(natural_hz[:, None] == 0, 1.0, response))
 
 
 def _mode_change(
@@ -177,9 +176,9 @@ def _mode_change(
 ) -> Complex[np.ndarray, "modes lines"]:
     """Relative change of a mode's response for small relative changes of its frequency and damping."""
     natural, zeta = 2 * np.pi * body.frequencies_hz(modes)[:, None], body.damping_ratios(modes)[:, None]
-    below = natural**2 - omega**2 + 2j * zeta * natural * omega
     change = 2 * frequency * (natural**2 + 1j * zeta * natural * omega) + 2j * damping * zeta * natural * omega
-    return np.asarray(-change / np.where(below == 0, 1.0, below) * (natural > 0))
+    response = receptance(body.frequencies_hz(modes), body.damping_ratios(modes), omega / (2 * np.pi))
+    return np.asarray(np.where(natural > 0, -change * response, 0.0))
 
 
 def _modal_response(
@@ -206,9 +205,8 @@ def _eta_change(
 ) -> Float[np.ndarray, "contacts samples"]:
     """What a change of the measured accelerations does to the relative displacements; slow motion aside."""
     omega = 2 * np.pi * np.arange(change.shape[1]) * motion.sample_rate_hz / length
-    high_pass = np.clip(omega / (2 * np.pi * 0.5) - 1, 0, 1)
     displaced = np.zeros((change.shape[0], length // 2 + 1), dtype=complex)
-    displaced[:, : omega.size] = -change * high_pass / np.where(omega > 0, omega, 1.0) ** 2
+    displaced[:, : omega.size] = change * integrated(omega, -2, CORNER_HZ)
     found = np.zeros((len(rig.contacts), motion.force_n.size))
     for j, contact in enumerate(rig.contacts):
         for station, sign in ((contact.at, 1.0), (contact.against, -1.0)):
@@ -222,10 +220,7 @@ def _spectrum(
     signals: Float[np.ndarray, "*rows samples"], rate: float, length: int
 ) -> Complex[np.ndarray, "*rows lines"]:
     """With its end tapered off and silence behind, so that what rings on after it does not wrap round to its start."""
-    fall = round(TAPER_S * rate)
-    taper = np.ones(signals.shape[-1])
-    taper[-fall:] = 0.5 * (1 + np.cos(np.pi * np.arange(1, fall + 1) / fall))
-    return np.asarray(np.fft.rfft(signals * taper, length))
+    return np.asarray(np.fft.rfft(signals * taper(signals.shape[-1], round(TAPER_S * rate)), length))
 
 
 def _rows(body: Body, motion: Kinematics) -> list[int]:

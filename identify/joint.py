@@ -10,7 +10,7 @@ from scipy.sparse.linalg import splu, spsolve
 
 from identify.drift import Drift, Spline, spline
 from identify.spectra import decimated, oversampled
-from rig.contact import DAMPING_DEPTH_M, dead_zone
+from rig.contact import damping_share, dead_zone
 from rig.errors import RigError
 
 PARTS = 16
@@ -19,15 +19,15 @@ FINE_HZ = 16384.0
 """The contact force is evaluated at this rate at least, so that its kinks do not alias."""
 CLEAR_SHARE = 0.1
 """A contact counts as clearly closed where its force exceeds this share of the force's 99.5 % quantile."""
+ABOVE_NOISE = 8.0
+"""... and this many standard deviations of the force in the quiet seconds before the excitation."""
+LEAST_CLOSED = 1e-3
+"""A stop that is clearly touched for a smaller share of the record is not told by it."""
 STRAINED = 25.0
 """A drift whose curvature is on average more than the root of this away from what was measured is no drift."""
 LOST = 3.0
 """If between two closures the noise, integrated twice, wanders by more than this multiple of the median penetration,
 the fit cannot tell which closure belongs where."""
-ABOVE_NOISE = 8.0
-"""... and this many standard deviations of the force in the quiet seconds before the excitation."""
-LEAST_CLOSED = 1e-3
-"""A stop that is clearly touched for a smaller share of the record is not told by it."""
 
 Weights = Float[np.ndarray, " fewer"]
 Doubt = tuple[Float[np.ndarray, " fewer"], Float[np.ndarray, " samples"]]
@@ -91,7 +91,7 @@ def law_force_n(
     """k depth + c rate, the latter setting in over the first 10 um: `rig.contact.DeadZone`, with any sign of c."""
     lower, upper, stiffness, damping = parameters
     depth = dead_zone(eta_m, float(lower), float(upper))
-    return np.asarray(stiffness * depth + damping * rate_m_per_s * np.minimum(1.0, np.abs(depth) / DAMPING_DEPTH_M))
+    return np.asarray(stiffness * depth + damping * rate_m_per_s * damping_share(depth))
 
 
 def fit_joint(seen: Observed, doubts: Sequence[Doubt] = ()) -> Joint:
@@ -226,7 +226,7 @@ def _linearised(
     above, below = eta > upper, eta < -lower
     outside = (above | below).astype(float)
     into = dead_zone(eta, lower, upper)
-    damped = velocity * np.minimum(1.0, np.abs(into) / DAMPING_DEPTH_M)
+    damped = velocity * damping_share(into)
     parts = np.stack([stiffness * below, -stiffness * above, into, damped, stiffness * outside])
     low_passed = decimated(parts, seen.factor)[:, : seen.force_n.size]
     fine = max(1, round(FINE_HZ / seen.sample_rate_hz))

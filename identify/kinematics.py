@@ -72,7 +72,7 @@ def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNE
             f"the record lasts {recording.duration_s:.3g} s, of which {left_out:.3g} s at its end cannot be used; "
             "record longer or raise the corner frequency"
         )
-    taper = _taper(recording.samples, round(TAPER_S * rate))
+    ending = taper(recording.samples, round(TAPER_S * rate))
     # silence behind the record, as the Fourier transform wraps its end, which integration falsifies, round to its start
     length = next_fast_len(recording.samples + round(2 * left_out * rate), real=True)
     omega = 2 * np.pi * np.fft.rfftfreq(length, 1 / rate)
@@ -83,9 +83,9 @@ def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNE
         for order, motion in rows.items():
             sensor = _nearest(chosen[station], order)
             if sensor.name not in spectra:
-                padded = np.pad(_channel(recording, sensor) * taper, (0, length - recording.samples))
+                padded = np.pad(_channel(recording, sensor) * ending, (0, length - recording.samples))
                 spectra[sensor.name] = _undone(sensor, padded, omega)
-            factor = _power(omega, order - _ORDER[sensor.quantity], corner_hz)
+            factor = integrated(omega, order - _ORDER[sensor.quantity], corner_hz)
             motion.append(np.fft.irfft(spectra[sensor.name] * factor, length)[:usable])
         below = 0.0 if "displacement" in chosen[station] else 1 - _high_pass(omega, corner_hz)
         slow = spectra[sensor.name] * factor * below  # the last sensor gave the acceleration
@@ -138,8 +138,8 @@ def _undone(
     return np.asarray(np.fft.rfft(delivered) * np.exp(1j * omega * sensor.delay_s) / sensor.gain)
 
 
-def _power(omega: Float[np.ndarray, " lines"], power: int, corner_hz: float) -> Complex[np.ndarray, " lines"]:
-    """(i omega)^power; where that integrates, zero below half the corner and whole from the corner on."""
+def integrated(omega: Float[np.ndarray, " lines"], power: int, corner_hz: float) -> Complex[np.ndarray, " lines"]:
+    """(i omega)^power; a negative power integrates: zero below half the corner and whole from the corner on."""
     if power >= 0:
         return np.asarray((1j * omega) ** power)
     safe = np.where(omega > 0, omega, 1.0)
@@ -150,7 +150,8 @@ def _high_pass(omega: Float[np.ndarray, " lines"], corner_hz: float) -> Float[np
     return np.sin(np.pi / 2 * np.clip(2 * omega / (2 * np.pi * corner_hz) - 1, 0, 1)) ** 2
 
 
-def _taper(samples: int, fall: int) -> Float[np.ndarray, " samples"]:
-    taper = np.ones(samples)
-    taper[samples - fall :] = 0.5 * (1 + np.cos(np.pi * (np.arange(fall) + 1) / fall))
-    return taper
+def taper(samples: int, fall: int) -> Float[np.ndarray, " samples"]:
+    """One, falling smoothly to zero over the last `fall` samples."""
+    weights = np.ones(samples)
+    weights[samples - fall :] = 0.5 * (1 + np.cos(np.pi * (np.arange(fall) + 1) / fall))
+    return weights

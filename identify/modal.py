@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 
 from identify.kinematics import Kinematics
 from rig.beam import MAX_MODES, Beam
@@ -89,7 +89,7 @@ def modal_equations(rig: Rig, motion: Kinematics, body: Body, modes: int = 4) ->
         transform.inverse[:modes] @ rows[list(transform.rows)]
         for rows in (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
     ]
-    at_force = _shape(body, rig.force_at, modes)
+    at_force = shape_at(body, rig.force_at, modes)
     at_contacts = np.array([contact_shapes(rig, body, j, modes) for j in range(len(rig.contacts))]).reshape(-1, modes)
     largest = np.abs(body.shapes(np.linspace(0, body.length_m, 101), modes)).max(axis=0)
     return tuple(
@@ -119,7 +119,7 @@ def without_higher_modes(
     needs the motion as it was.
     """
     keep = motion.force_n.size - round(0.25 * motion.sample_rate_hz)
-    omega = 2 * np.pi * np.fft.rfftfreq(motion.force_n.size, 1 / motion.sample_rate_hz)
+    at_hz = np.fft.rfftfreq(motion.force_n.size, 1 / motion.sample_rate_hz)
     force = np.fft.rfft(motion.force_n)
     contact = np.fft.rfft(contact_force_n)
     rows = [
@@ -130,18 +130,19 @@ def without_higher_modes(
         if not isinstance(body, Beam) or len(stations) >= MAX_MODES:
             continue
         beyond = slice(len(stations), MAX_MODES)
-        natural, damping = 2 * np.pi * body.frequencies_hz(MAX_MODES), body.damping_ratios(MAX_MODES)
         places = np.array([motion.stations[i].position_m for i in stations])
         shapes = body.shapes(places, MAX_MODES)[:, beyond]
-        drive = [_shape(body, rig.force_at, MAX_MODES)] + [
+        drive = [shape_at(body, rig.force_at, MAX_MODES)] + [
             -contact_shapes(rig, body, j, MAX_MODES) for j in range(len(rig.contacts))
         ]
         modal_force = np.array(drive)[:, beyond].T @ np.concatenate([force[None, :], contact])
-        response = modal_force / (
-            natural[beyond, None] ** 2 - omega**2 + 2j * (damping * natural)[beyond, None] * omega
+        response = modal_force * receptance(
+            body.frequencies_hz(MAX_MODES)[beyond], body.damping_ratios(MAX_MODES)[beyond], at_hz
         )
         for order, row in enumerate(rows):
-            row[stations] -= np.fft.irfft(shapes @ response * (1j * omega) ** order, motion.force_n.size)[:, :keep]
+            row[stations] -= np.fft.irfft(shapes @ response * (2j * np.pi * at_hz) ** order, motion.force_n.size)[
+                :, :keep
+            ]
     return replace(
         motion,
         force_n=motion.force_n[:keep],
@@ -152,11 +153,22 @@ def without_higher_modes(
     )
 
 
+def receptance(
+    frequency_hz: float | Float[np.ndarray, " modes"],
+    damping_ratio: float | Float[np.ndarray, " modes"],
+    at_hz: Float[np.ndarray, " lines"],
+) -> Complex[np.ndarray, "*modes lines"]:
+    """q over the modal force: 1 / (omega_0^2 - omega^2 + 2 i zeta omega_0 omega), s^2; infinite at 0 Hz if rigid."""
+    natural, omega = 2 * np.pi * np.asarray(frequency_hz)[..., None], 2 * np.pi * at_hz
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(1 / (natural**2 - omega**2 + 2j * np.asarray(damping_ratio)[..., None] * natural * omega))
+
+
 def contact_shapes(rig: Rig, body: Body, contact: int, modes: int) -> Float[np.ndarray, " modes"]:
     """How the body's modes enter the relative displacement of a contact: plus at its station, minus against it."""
     both = rig.contacts[contact]
-    against = _shape(body, both.against, modes) if both.against else 0.0
-    return np.asarray(_shape(body, both.at, modes) - against)
+    against = shape_at(body, both.against, modes) if both.against else 0.0
+    return np.asarray(shape_at(body, both.at, modes) - against)
 
 
 def relative_displacements(rig: Rig, motion: Kinematics) -> Float[np.ndarray, "contacts samples"]:
@@ -178,13 +190,14 @@ def _relative(
             return rows[row]
         body = rig.body(station.body)
         transform = transformation(rig, body, motion)
-        shape = _shape(body, station, transform.inverse.shape[0])
+        shape = shape_at(body, station, transform.inverse.shape[0])
         return np.asarray(shape @ transform.inverse @ rows[list(transform.rows)])
 
     return np.stack([at(c.at) - (at(c.against) if c.against else 0.0) for c in rig.contacts])
 
 
-def _shape(body: Body, station: Station, modes: int) -> Float[np.ndarray, " modes"]:
+def shape_at(body: Body, station: Station, modes: int) -> Float[np.ndarray, " modes"]:
+    """The body's shapes at a station; zero at a station of another body."""
     return body.shapes(np.array([station.position_m]), modes)[0] if station.body == body.name else np.zeros(modes)
 
 
@@ -194,13 +207,13 @@ def _lost(
     fitted = inverse.shape[0]
     if not isinstance(body, Beam) or fitted >= MAX_MODES:
         return np.zeros(fitted)
-    natural = 2 * np.pi * body.frequencies_hz(MAX_MODES)
-    damping = body.damping_ratios(MAX_MODES)
-    omega = np.linspace(0.01, 1, 500) * natural[fitted - 1]
-    receptance = 1 / (natural[:, None] ** 2 - omega**2 + 2j * damping[:, None] * natural[:, None] * omega)
+    natural_hz = body.frequencies_hz(MAX_MODES)
+    response = receptance(
+        natural_hz, body.damping_ratios(MAX_MODES), np.linspace(0.01, 1, 500) * natural_hz[fitted - 1]
+    )
     pushed = [s for c in rig.contacts for s in contact_stations(c) if s.body == body.name]
     pushed += [rig.force_at] if rig.force_at.body == body.name else []
     drive = body.shapes(np.array([s.position_m for s in pushed]), MAX_MODES)
-    covariance = (receptance @ receptance.conj().T).real * (drive.T @ drive)
+    covariance = (response @ response.conj().T).real * (drive.T @ drive)
     error = inverse @ body.shapes(places, MAX_MODES) - np.eye(fitted, MAX_MODES)
     return np.asarray(np.sqrt(np.diag(error @ covariance @ error.T) / np.diag(covariance)[:fitted]))

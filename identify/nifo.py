@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Complex, Float
 
-from identify.modal import ModalEquation
+from identify.modal import ModalEquation, receptance
 from identify.spectra import Blocks
 from rig.errors import RigError
 
@@ -42,7 +42,7 @@ class Nifo:
 
     def true_frf(self) -> Complex[np.ndarray, " lines"]:
         """The FRF that the rig's description believes in."""
-        return modal_frf(self.equation.frequency_hz, self.equation.damping_ratio, self.frequency_hz)
+        return receptance(self.equation.frequency_hz, self.equation.damping_ratio, self.frequency_hz)
 
 
 def nifo(
@@ -98,15 +98,6 @@ def nifo(
         averages=len(blocks.starts),
         resolution_hz=blocks.resolution_hz,
     )
-
-
-def modal_frf(
-    frequency_hz: float, damping_ratio: float, at_hz: Float[np.ndarray, " lines"]
-) -> Complex[np.ndarray, " lines"]:
-    """1 / (omega_0^2 - omega^2 + 2 i zeta omega_0 omega), s^2; infinite nowhere but at zero of a rigid mode."""
-    natural, omega = 2 * np.pi * frequency_hz, 2 * np.pi * at_hz
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(1 / (natural**2 - omega**2 + 2j * damping_ratio * natural * omega))
 
 
 def fitted_mode(result: Nifo) -> tuple[float, float]:

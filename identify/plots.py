@@ -14,7 +14,7 @@ from scipy.signal import welch
 from identify.contact import Identification
 from identify.joint import Joint
 from identify.law import FoundLaw
-from identify.nifo import modal_frf
+from identify.modal import receptance
 from rig.contact import dead_zone
 
 Marks = Mapping[str, tuple[float, float]]
@@ -79,14 +79,14 @@ def _new_figure() -> Any:
     return figure
 
 
-def _outputs(figure: Any, found: Identification, marks: Marks, marks_name: str) -> None:  # noqa: ARG001
+def _outputs(figure: Any, found: Identification, _marks: Marks, _marks_name: str) -> None:
     """Figures 4 and 12: the main modal coordinate as measured, and as it would be without contact."""
     equation, rate = found.surface.equation, found.motion.sample_rate_hz
     measured = equation.displacement
     low_hz = max(found.weak.frequency_hz[0], found.motion.trusted_hz[0])
     spectrum = np.fft.rfft(equation.shape_at_force * found.motion.force_n, 2 * measured.size)
     at_hz = np.fft.rfftfreq(2 * measured.size, 1 / rate)
-    frf = np.where(at_hz >= low_hz, modal_frf(equation.frequency_hz, equation.damping_ratio, at_hz), 0.0)
+    frf = np.where(at_hz >= low_hz, receptance(equation.frequency_hz, equation.damping_ratio, at_hz), 0.0)
     free = np.fft.irfft(spectrum * frf)[: measured.size]
     time = np.arange(measured.size) / rate
     shown_s = min(3.0, 15 / max(equation.frequency_hz, 5.0))
@@ -233,7 +233,7 @@ def _stiffness(figure: Any, found: Identification, marks: Marks, marks_name: str
     figure.suptitle(f"Contact stiffness, modal equation {found.weak.equation.name}")
 
 
-def _frf(figure: Any, found: Identification, marks: Marks, marks_name: str) -> None:  # noqa: ARG001
+def _frf(figure: Any, found: Identification, _marks: Marks, _marks_name: str) -> None:
     """Figures 8 and 9: the linear FRF's magnitude and phase."""
     upper, lower = figure.subplots(2, 1, sharex=True)
     weak, paper = found.weak, found.paper

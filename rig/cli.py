@@ -16,7 +16,7 @@ from rich.table import Table
 
 from rig.beam import Beam
 from rig.cli_files import export_, import_, recover
-from rig.command_line import StoppedError, progress_bar, refuse_existing, run
+from rig.command_line import Force, Json, StoppedError, progress_bar, refuse_existing, run
 from rig.description import Station
 from rig.effects import effect_named, effects
 from rig.errors import RigError
@@ -28,8 +28,6 @@ from rig.reference import REFERENCES, reference
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 
 File = Annotated[Path, typer.Argument(help="The recording, an .mcap file.")]
-Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output, and nothing else.")]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
 
 
 @app.callback()

@@ -7,14 +7,11 @@ from typing import Annotated
 import msgspec
 import typer
 
-from rig.command_line import refuse_existing
+from rig.command_line import Force, Json, refuse_existing
 from rig.exporting import WRITERS, export
 from rig.importing import import_file
 from rig.recording import read
 from rig.recovery import recover as recover_recording
-
-Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output, and nothing else.")]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
 
 
 def recover(

@@ -4,6 +4,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -13,6 +14,9 @@ from rig.container import part_of
 from rig.errors import RigError
 
 INTERRUPTED = 130
+
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output, and nothing else.")]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
 
 
 class StoppedError(Exception):

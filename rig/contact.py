@@ -60,13 +60,17 @@ class DeadZone(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         time_s: float | Float[np.ndarray, "*shape"] = 0.0,
     ) -> Float[np.ndarray, "*shape"]:
         depth = self.penetration_m(eta_m, time_s)
-        damped = np.minimum(1.0, np.abs(depth) / DAMPING_DEPTH_M)
         return (
             self.stiffness_n_per_m * depth
             + self.cubic_n_per_m3 * depth**3
-            + self.damping_n_s_per_m * rate_m_per_s * damped
+            + self.damping_n_s_per_m * rate_m_per_s * damping_share(depth)
             + self.friction_n * np.tanh(rate_m_per_s / FRICTION_SPEED_M_PER_S)
         )
+
+
+def damping_share(depth_m: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+    """How far the damping has set in at a penetration: min(1, |depth| / 10 um)."""
+    return np.minimum(1.0, np.abs(depth_m) / DAMPING_DEPTH_M)
 
 
 def dead_zone(eta_m: Float[np.ndarray, "*shape"], lower_m: float, upper_m: float) -> Float[np.ndarray, "*shape"]:

@@ -23,7 +23,6 @@ from rig.reference import BarrelCradle, Sdof
 class Comparison:
     """An identification and the contact laws that made its recording, by contact."""
 
-    use: str
     found: Identification
     true: dict[str, DeadZone]
 
@@ -59,7 +58,7 @@ def identified_against_true(path: Path, *, use: Use, out: Path, equation: str | 
     true = {c.name: c.law for c in read_truth(truth_path(path)).rig.contacts}
     write_figures(found, out, {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in true.items()}, "true")
     write_json(found.report, out / "contact.json")
-    return Comparison(use, found, true)
+    return Comparison(found, true)
 
 
 def shown(title: str, comparison: Comparison) -> None:

@@ -6,7 +6,7 @@ python -m scenarios.identification_campaign --out out/campaign
 import tempfile
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import matplotlib as mpl
 import msgspec
@@ -37,7 +37,7 @@ class Task(msgspec.Struct, frozen=True):
 
     seed: int
     plant: str
-    stations: int
+    stations: Literal[4, 6]
     jitter: bool
     duration_s: float
 
@@ -63,9 +63,10 @@ def campaign(
     ancf_every: Annotated[int, typer.Option(help="Every how manyth rig is simulated with Exudyn; 0 for none.")] = 4,
 ) -> None:
     """Records and identifies the rigs exactly as described, with jitter, and with four stations a beam."""
+    words: dict[str, Literal[4, 6]] = {"six": 6, "four": 4}
     kinds = {
         f"{word} stations{', jitter' if jitter else ''}": (count, jitter)
-        for word, count in (("six", 6), ("four", 4))
+        for word, count in words.items()
         for jitter in (False, True)
     }
     table = Table(title=f"Error of {rigs} rigs, accelerometers only, noise 1e-3 m/s2/sqrt(Hz)")
@@ -90,7 +91,7 @@ def one_rig(task: Task) -> Outcome:
     rng = np.random.default_rng(task.seed)
     rms_n = float(rng.uniform(10, 40))
     settings = BarrelCradle(
-        stations=task.stations,  # type: ignore[arg-type]
+        stations=task.stations,
         sensors="acceleration",
         noise_density=1e-3,
         rms_n=rms_n,

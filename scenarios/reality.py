@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 
 from rig.beam import Beam
-from rig.description import Body, Rig, Sensor, Station
+from rig.description import Body, Rig, Station
 
 
 def jittered(rig: Rig, rng: np.random.Generator) -> Rig:
@@ -24,12 +24,6 @@ def jittered(rig: Rig, rng: np.random.Generator) -> Rig:
         for s in rig.sensors
     )
     return msgspec.structs.replace(rig, bodies=bodies, sensors=sensors)
-
-
-def with_sensors(rig: Rig, keep: str) -> Rig:
-    """The rig with the sensors of one quantity only."""
-    sensors: tuple[Sensor, ...] = tuple(s for s in rig.sensors if s.quantity == keep)
-    return msgspec.structs.replace(rig, sensors=sensors)
 
 
 def _body(body: Body, rng: np.random.Generator) -> Body:

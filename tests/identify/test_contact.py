@@ -12,6 +12,7 @@ import identify
 from identify.contact import identify_contact
 from identify.tolerances import EXACT
 from rig.contact import DeadZone
+from rig.description import PointMass, Station
 from rig.errors import RigError
 from rig.plants import modal
 from rig.record import record
@@ -114,6 +115,14 @@ def test_progress_only_grows(known, progress):
     assert known.report.contacts
     assert progress == sorted(progress)
     assert 0 < progress[0] <= progress[-1] <= 1
+
+
+def test_what_the_linear_model_leaves_out_is_refused(without_truth):
+    heavier = msgspec.structs.replace(
+        without_truth.rig, masses=(PointMass(station=Station("barrel", 0.5), mass_kg=0.5),)
+    )
+    with pytest.raises(RigError, match="'barrel_cradle' has masses, which the identification does not know"):
+        identify_contact(replace(without_truth, rig=heavier))
 
 
 def test_accelerometers_alone_tell_the_play_but_not_its_sides(without_truth):

@@ -86,7 +86,6 @@ def stiffening(x):
 
 @pytest.fixture(scope="module")
 def clearance():
-    pytest.importorskip("pyoperon")
     return identify_law(mass_with(gap), seconds=SECONDS).found[0]
 
 
@@ -127,7 +126,6 @@ def test_the_text_of_a_formula_says_what_it_computes(seed):
 
 
 def test_the_search_finds_a_dead_zone_and_repeats_itself(monkeypatch):
-    pytest.importorskip("pyoperon")
     monkeypatch.setattr(symbolic, "GENERATIONS", 60)
     rng = np.random.default_rng(3)
     x = np.linspace(-1, 1, 1000)
@@ -198,7 +196,6 @@ def test_the_dead_zone_of_one_mass_is_found_exactly(clearance):
 
 
 def test_straight_pieces_lose_against_a_stiffening_law():
-    pytest.importorskip("pyoperon")
     law = identify_law(mass_with(stiffening), seconds=SECONDS).report.laws[0]
     assert law.best in (CUBIC, FORMULA)
     assert law.verdict.startswith("a freely fitted piecewise-linear law is not the best")
@@ -207,7 +204,6 @@ def test_straight_pieces_lose_against_a_stiffening_law():
 
 
 def test_damping_in_the_contact_is_told_from_the_scatter():
-    pytest.importorskip("pyoperon")
     damped = identify_law(mass_with(gap, damping_n_s_per_m=5.0), seconds=1.0).report.laws[0]
     assert damped.hysteresis_share > 0.9
     assert [k.value for k in damped.fitted_knees_m] == pytest.approx([-LOWER_M, UPPER_M], rel=1e-2)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from identify.kinematics import kinematics
-from identify.modal import ModalEquation, modal_equations
-from identify.nifo import Nifo, fitted_mode, modal_frf, nifo
+from identify.modal import ModalEquation, modal_equations, receptance
+from identify.nifo import Nifo, fitted_mode, nifo
 from identify.spectra import Averaging, blocks, penetration
 from identify.surface import clearance_from_occurrence, fit_surface
 from rig.errors import RigError
@@ -112,14 +112,14 @@ def test_more_blocks_than_unknowns_are_needed(form, unknowns):
 
 def test_a_modes_frequency_and_damping_from_its_frf():
     found = nifo(*transient(), cut_of(30_000))
-    exact = replace(found, frf=modal_frf(13.0, 0.07, found.frequency_hz))
+    exact = replace(found, frf=receptance(13.0, 0.07, found.frequency_hz))
     assert fitted_mode(exact) == pytest.approx((13.0, 0.07))
     assert fitted_mode(found) == pytest.approx((NATURAL_HZ, ZETA), rel=1e-3)
 
 
 def test_a_rigid_modes_frf_is_a_masses():
     frequency_hz = np.array([0.5, 2.0, 30.0])
-    np.testing.assert_allclose(modal_frf(0.0, 0.0, frequency_hz), -1 / (2 * np.pi * frequency_hz) ** 2)
+    np.testing.assert_allclose(receptance(0.0, 0.0, frequency_hz), -1 / (2 * np.pi * frequency_hz) ** 2)
 
 
 def test_mean_and_spread_over_frequency():

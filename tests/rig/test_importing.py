@@ -12,7 +12,6 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
 from rig.cli import main
-from rig.clock import even
 from rig.description import to_json
 from rig.errors import RigError
 from rig.exporting import WRITERS, export
@@ -20,7 +19,6 @@ from rig.importing import import_file
 from rig.recording import channel_groups, read, writing
 from rig.reference import BarrelCradle, Sdof
 from rig.tables import TextForm, columns_of
-from rig.units import FACTORS, si_factor
 
 RIG = Sdof().rig()
 RATE_HZ = RIG.sample_rate_hz
@@ -305,37 +303,6 @@ def test_another_rate_is_reached_by_a_filter_that_keeps_the_passband_and_nothing
     np.testing.assert_allclose(recording.force_n[inside], expected[inside], atol=1e-3 * SI["force"])
     assert np.abs(recording.signals["acceleration"].values[0, inside]).max() < 1e-3 * SI[A]
     assert recording.provenance["history 3"] == "resampled from 800 to 512 Hz by a linear-phase filter"
-
-
-def test_even_stamps_are_left_alone():
-    rows = np.stack(list(VALUES.values()))
-    rounded_s = np.round(TIME_S, 6)  # as most programs print them
-    values, done = even(rows, rounded_s, RATE_HZ, resample=True)
-    assert values is rows
-    assert done == ()
-
-
-@pytest.mark.parametrize(
-    ("quantity", "unit", "other", "ratio"),
-    [
-        ("acceleration", "g", "m/s^2", 9.80665),
-        ("acceleration", "m/s²", "mm / s**2", 1e3),
-        ("displacement", "µm", "nm", 1e3),
-        ("displacement", "in", "mm", 25.4),
-        ("velocity", "m/s", "mm/s", 1e3),
-        ("force", "lbf", "N", 0.45359237 * 9.80665),
-        ("time", "min", "ms", 60e3),
-    ],
-)
-def test_units_are_what_they_are_defined_to_be(quantity, unit, other, ratio):
-    assert si_factor(quantity, unit) / si_factor(quantity, other) == pytest.approx(ratio, rel=1e-15)
-
-
-def test_every_unit_of_another_quantity_is_refused():
-    for quantity, units in FACTORS.items():
-        for other in {u for q, known in FACTORS.items() if q != quantity for u in known} - set(units):
-            with pytest.raises(RigError, match=f"is no unit of {quantity}"):
-                si_factor(quantity, other)
 
 
 def test_the_commands(folder, monkeypatch, capsys):
