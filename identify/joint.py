@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.sparse import csc_matrix, csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import splu, spsolve
+from scipy.stats import norm, t
 
 from identify.drift import Drift, Spline, spline
 from identify.spectra import decimated, oversampled
@@ -131,7 +132,8 @@ def fit_joint(seen: Observed, doubts: Sequence[Doubt] = ()) -> Joint:
     inverse = splu(hessian).solve(chosen)
     influence = (_jacobian(state, curve, tie * scale) @ inverse) * weights[:, None] ** 2  # of residuals on parameters
     parts = zip(np.array_split(influence, PARTS), np.array_split(state.residual, PARTS), strict=True)
-    few = np.sqrt(PARTS / (PARTS - len(free)))  # parts are few against the parameters
+    left = PARTS - len(free)  # parts are few: Student's t, so that 1.96 standard errors cover 95 %
+    few = np.sqrt(PARTS / left) * t.ppf(0.975, left) / norm.ppf(0.975)
     scores = few * np.array([i.T @ r for i, r in parts])
     for force, eta in doubts:
         moved = force - state.by_eta * eta[:: seen.factor][: force.size]

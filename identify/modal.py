@@ -158,10 +158,10 @@ def receptance(
     damping_ratio: float | Float[np.ndarray, " modes"],
     at_hz: Float[np.ndarray, " lines"],
 ) -> Complex[np.ndarray, "*modes lines"]:
-    """q over the modal force: 1 / (omega_0^2 - omega^2 + 2 i zeta omega_0 omega), s^2; infinite at 0 Hz if rigid."""
+    """q over the modal force: 1 / (omega_0^2 - omega^2 + 2 i zeta omega_0 omega), s^2; zero at 0 Hz if rigid."""
     natural, omega = 2 * np.pi * np.asarray(frequency_hz)[..., None], 2 * np.pi * at_hz
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(1 / (natural**2 - omega**2 + 2j * np.asarray(damping_ratio)[..., None] * natural * omega))
+    stiff = natural**2 - omega**2 + 2j * np.asarray(damping_ratio)[..., None] * natural * omega
+    return np.divide(1, stiff, out=np.zeros_like(stiff), where=stiff != 0)
 
 
 def contact_shapes(rig: Rig, body: Body, contact: int, modes: int) -> Float[np.ndarray, " modes"]:
