@@ -89,8 +89,8 @@ def planned(cases: int, seed: int, folder: Path, duration_s: float, step_s: floa
     kinds += [("single", (name,)) for name in _spread(library, cases - len(kinds), rng)]
     order = rng.permutation(len(kinds))
     return [
-        Planned(str(folder), f"case_{i:03d}", (seed, i), *kinds[k], duration_s, step_s, elements)
-        for i, k in enumerate(order)
+        Planned(str(folder), f"case_{i:03d}", (seed, i), kind, names, duration_s, step_s, elements)
+        for i, (kind, names) in enumerate(kinds[k] for k in order)
     ]
 
 

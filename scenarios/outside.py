@@ -17,6 +17,9 @@ from rig.motion import Motion, Plant, Progress
 from rig.plants import ancf
 from rig.plants.connectors import ChangingModulus, Extra, GroundedForce
 
+MOVING = 0.6
+"""From this share of their length on, both beams of the barrel-cradle move by some millimetres."""
+
 
 class Outside(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """An effect outside the library: extra forces for the ancf plant, or something between it and the sensors."""
@@ -53,8 +56,8 @@ class QuadraticDrag(OnBody, frozen=True):
 
     name: ClassVar[str] = "quadratic_drag"
     magnitude: ClassVar[str] = "drag_n_s2_per_m2"
-    weak: ClassVar[float] = 1.0
-    strong: ClassVar[float] = 8.0
+    weak: ClassVar[float] = 4.0
+    strong: ClassVar[float] = 15.0
     drag_n_s2_per_m2: float
 
     @no_type_check
@@ -67,8 +70,8 @@ class MainsForce(OnBody, frozen=True):
 
     name: ClassVar[str] = "mains_force"
     magnitude: ClassVar[str] = "amplitude_n"
-    weak: ClassVar[float] = 0.2
-    strong: ClassVar[float] = 2.0
+    weak: ClassVar[float] = 0.1
+    strong: ClassVar[float] = 1.0
     amplitude_n: float
 
     @no_type_check
@@ -81,7 +84,7 @@ class ThirdContact(OnBody, frozen=True):
 
     name: ClassVar[str] = "third_contact"
     magnitude: ClassVar[str] = "stiffness_n_per_m"
-    weak: ClassVar[float] = 3e3
+    weak: ClassVar[float] = 1e3
     strong: ClassVar[float] = 1e5
     stiffness_n_per_m: float
     clearance_m: float
@@ -113,7 +116,7 @@ class ThermalDrift(Outside, frozen=True):
 
     name: ClassVar[str] = "thermal_drift"
     magnitude: ClassVar[str] = "fall"
-    weak: ClassVar[float] = 0.05
+    weak: ClassVar[float] = 0.06
     strong: ClassVar[float] = 0.2
     fall: float
     beam: str
@@ -128,7 +131,7 @@ class LooseSensor(Outside, frozen=True):
 
     name: ClassVar[str] = "loose_sensor"
     magnitude: ClassVar[str] = "frequency_hz"
-    weak: ClassVar[float] = 150.0
+    weak: ClassVar[float] = 300.0
     strong: ClassVar[float] = 60.0
     frequency_hz: float
     damping_ratio: float
@@ -164,13 +167,14 @@ OUTSIDE: dict[str, type[Outside]] = {
 def outside_drawn(name: str, rig: Rig, duration_s: float, rng: np.random.Generator) -> Outside:
     """One of that name, its magnitude log-uniform from weak to strong, its place among the rig's."""
     kind = OUTSIDE[name]
+    body = rig.bodies[int(rng.integers(len(rig.bodies)))]
     given: dict[str, Any] = {
         kind.magnitude: float(kind.weak * (kind.strong / kind.weak) ** rng.uniform()),
-        "body": str(rng.choice([b.name for b in rig.bodies])),
-        "position_m": float(rng.uniform(0.3, 1.0)),
-        "beam": str(rng.choice([b.name for b in rig.bodies])),
+        "body": body.name,
+        "position_m": float(rng.uniform(MOVING, 1.0) * body.length_m),
+        "beam": body.name,
         "sensor": str(rng.choice([s.name for s in rig.sensors])),
-        "clearance_m": float(rng.uniform(2e-3, 6e-3)),
+        "clearance_m": float(rng.uniform(2e-3, 5e-3)),
         "yield_m": float(rng.uniform(1e-3, 4e-3)),
         "damping_ratio": float(rng.uniform(0.02, 0.05)),
         "duration_s": duration_s,
