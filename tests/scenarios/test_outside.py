@@ -48,7 +48,7 @@ def simulated(outside, rig, force_n, step_s):
     "outside",
     [
         QuadraticDrag(body="beam", position_m=1.0, drag_n_s2_per_m2=5.0),
-        MainsForce(body="beam", position_m=1.0, amplitude_n=3.0),
+        MainsForce(body="beam", position_m=1.0, amplitude_n=30.0),
         ThirdContact(body="beam", position_m=1.0, stiffness_n_per_m=5e3, clearance_m=3e-3),
         SofteningSupport(body="beam", position_m=1.0, stiffness_n_per_m=2e3, yield_m=2e-3),
     ],
