@@ -11,7 +11,7 @@ from rig.beam import Beam
 from rig.description import Rig
 from rig.effect import Effect, Parameter, parameters_of
 from rig.effects import effects
-from rig.errors import RigError
+from rig.errors import CutOffError, RigError
 from rig.record import record
 from rig.recording import truth_path
 from rig.reference import BarrelCradle
@@ -104,6 +104,8 @@ def made(plan: Planned) -> Case:
         drawn = drawn_of(plan, draw)
         try:
             hashes = _recorded(plan, drawn)
+        except CutOffError:  # the disk's fault, not the draw's
+            raise
         except RigError as error:
             refused.append(f"{', '.join(_texts(drawn))}: {error}")
             continue
