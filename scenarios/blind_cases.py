@@ -104,8 +104,8 @@ def made(plan: Planned) -> Case:
         drawn = drawn_of(plan, draw)
         try:
             hashes = _recorded(plan, drawn)
-        except CutOffError:  # the disk's fault, not the draw's
-            raise
+        except CutOffError as error:  # the disk's fault, not the draw's; this error does not pass between processes
+            raise RigError(str(error)) from error
         except RigError as error:
             refused.append(f"{', '.join(_texts(drawn))}: {error}")
             continue
