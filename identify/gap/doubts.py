@@ -79,7 +79,9 @@ def doubts_of(record: Record, model: Linear, tolerances: Tolerances) -> Doubts:
         left, force = model.projected(change)
         residual.append(scale * record.in_time(left))
         forces.append(record.in_time(force))
-        eta.append(np.zeros_like(forces[-1]) if displaced is None else record.in_time(_at_contacts(record, model, displaced)))
+        eta.append(
+            np.zeros_like(forces[-1]) if displaced is None else record.in_time(_at_contacts(record, model, displaced))
+        )
     return Doubts(tuple(names), np.array(residual), np.array(forces), np.array(eta))
 
 

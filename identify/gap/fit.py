@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse.linalg import SuperLU
 
-from identify.gap.residual import Base, Residual, residual_of
+from identify.gap.residual import STRICT, Base, Residual, residual_of
 from rig.description import Rig
 from rig.errors import RigError
 
@@ -50,9 +50,7 @@ class Normal:
         return [start - coupled @ step for start, coupled in self.eliminated]
 
 
-def derivative(
-    base: Base, build: Build, moved: Float[np.ndarray, " parameters"], at: Residual
-) -> Column:
+def derivative(base: Base, build: Build, moved: Float[np.ndarray, " parameters"], at: Residual) -> Column:
     """What moving the parameters so takes off the linear and the contact residuals."""
     there = residual_of(base, build(moved), at.doubts, tuple(c.unknowns for c in at.contacts), like=at)
     contacts = [a.residual - b.residual for a, b in zip(at.contacts, there.contacts, strict=True)]
@@ -97,8 +95,8 @@ class Reduced:
 def reduced(base: Base, at: Residual) -> Reduced:
     """The doubts' part of the normal equations."""
     count = len(base.doubts.names)
-    matrix = base.doubts_gram + np.eye(count)
-    gradient = base.doubts.residual.reshape(count, at.linear.size) @ at.linear.ravel() - at.doubts
+    matrix = base.doubts_gram + STRICT * np.eye(count)
+    gradient = base.doubts.residual.reshape(count, at.linear.size) @ at.linear.ravel() - STRICT * at.doubts
     every, solvers = [], []
     for j, contact in enumerate(at.contacts):
         weights = base.seen[j].weights

@@ -1,6 +1,6 @@
 """The one residual of the diagnosis: a rig against a record, with everything that is always in doubt left free.
 
-    cost = |linear residual|^2 + sum over contacts |contact residual|^2 + |doubts|^2 + log determinant
+cost = |linear residual|^2 + sum over contacts |contact residual|^2 + strictness |doubts|^2 + log determinant
 """
 
 from dataclasses import dataclass
@@ -15,6 +15,8 @@ from identify.gap.spectra import Record
 from identify.tolerances import LABORATORY
 from rig.description import Rig
 
+STRICT = 300.0
+"""Weight of the tolerances against the samples, which model errors make far fewer than they are."""
 MODEL_ERROR = 5e-4
 """Share of each acceleration that no model of this kind explains."""
 
@@ -46,18 +48,18 @@ class Residual:
     @property
     def cost(self) -> float:
         return (
-            float(np.sum(self.linear**2) + self.doubts @ self.doubts)
+            float(np.sum(self.linear**2) + STRICT * self.doubts @ self.doubts)
             + sum(c.cost for c in self.contacts)
-            + self.model.log_determinant
+            + self.model.log_determinant * self.linear.shape[1] / self.model.spread.shape[1]
         )
 
 
-def base_of(record: Record, rig: Rig) -> Base:
-    """The linearisation about a rig."""
+def base_of(record: Record, rig: Rig, seen: tuple[Seen, ...] | None = None) -> Base:
+    """The linearisation about a rig; `seen` of another base of the record keeps their costs comparable."""
     model = linear_model(record, rig, MODEL_ERROR)
     doubts = doubts_of(record, model, LABORATORY)
     columns = doubts.residual.reshape(len(doubts.names), -1)
-    return Base(record, rig, model, seen_contacts(record, model), doubts, columns @ columns.T)
+    return Base(record, rig, model, seen or seen_contacts(record, model), doubts, columns @ columns.T)
 
 
 def residual_of(

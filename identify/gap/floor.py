@@ -1,0 +1,144 @@
+"""The floor: what null recordings (the believed rig, as a laboratory builds it) leave of residual in the same chain.
+
+Integration, chaos, sensors and a laboratory's tolerances are in it. It is made once for a rig and a simulator, and kept.
+"""
+
+import hashlib
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+
+from identify.gap.candidates import candidates
+from identify.gap.residual import Base, Residual, base_of
+from identify.gap.search import fitted_rig, looks
+from identify.gap.shaking import shaken
+from identify.gap.spectra import Record, record_of
+from identify.tolerances import jittered
+from rig.description import Rig, to_json
+from rig.recording import Recording, read
+
+NULLS = 12
+BAND_HZ = 2.0
+MARGIN = 3.0
+"""A gain counts from this multiple of the largest that a null recording showed for that effect."""
+SPREAD = 1.5
+"""A remainder is at the floor up to this multiple of the largest among the nulls."""
+
+Simulate = Callable[[Rig, int, Path], None]
+"""Records a rig (first) in a laboratory's way, from a seed, to a file: the simulator that the diagnosis is handed."""
+
+
+class Floor(msgspec.Struct, frozen=True):
+    """Mean squares of null residuals by band (2 Hz) and sensor, and by contact; what their remainders and gains reach.
+
+    remainders are the largest of the nulls' own `Remainder`: overall, in the worst band, in the worst contact.
+    """
+
+    rig_sha256: str
+    nulls: int
+    sensors: list[str]
+    linear: list[list[float]]
+    contacts: list[float]
+    remainders: tuple[float, float, float]
+    gains: dict[str, float]
+
+
+class Remainder(msgspec.Struct, frozen=True):
+    """A residual in units of the floor: overall, in the worst 2 Hz, and in the worst contact."""
+
+    overall: float
+    band: float
+    contact: float
+
+    def at_floor(self, floor: Floor, more: float = 0.0) -> bool:
+        """Whether each is within the floor's own spread, or `more` above it."""
+        pairs = zip((self.overall, self.band, self.contact), floor.remainders, strict=True)
+        return all(mine <= SPREAD * largest + more for mine, largest in pairs)
+
+
+def remainder(base: Base, at: Residual, floor: Floor) -> Remainder:
+    """What a residual leaves, by the floor."""
+    own = [floor.sensors.index(s.name) for s in base.record.sensors]
+    levels, nulls = band_levels(base.record, at), np.array(floor.linear)[:, own]
+    bands = min(len(levels), len(nulls))
+    linear = levels[:bands] / nulls[:bands]
+    contacts = [level / null for level, null in zip(contact_levels(base, at), floor.contacts, strict=True)]
+    return Remainder(
+        float(linear.mean()), float(linear.mean(axis=1).max(initial=0.0)), float(max(contacts, default=0.0))
+    )
+
+
+def band_levels(record: Record, at: Residual) -> Float[np.ndarray, "bands sensors"]:
+    """Mean square of the linear residual in bands of 2 Hz."""
+    rows = at.linear[: len(record.sensors)]
+    power = np.abs(np.fft.rfft(rows, axis=1)) ** 2 / rows.shape[1]
+    band = (np.fft.rfftfreq(rows.shape[1], 1 / record.rate_hz) / BAND_HZ).astype(int)
+    count = np.bincount(band)
+    return np.array([np.bincount(band, row) / count for row in power]).T
+
+
+def contact_levels(base: Base, at: Residual) -> list[float]:
+    """Mean square of each contact's residual."""
+    return [float(np.mean(c.residual[: s.weights.size] ** 2)) for c, s in zip(at.contacts, base.seen, strict=True)]
+
+
+def floor_of(rig: Rig, simulate: Simulate, progress: Callable[[float], None], folder: Path | None = None) -> Floor:
+    """The floor of a rig by a simulator; kept in the folder, if one is given, under the rig's hash."""
+    name = hashlib.sha256(to_json(rig)).hexdigest()
+    kept = folder / f"{name[:16]}.floor.json" if folder else None
+    if kept and kept.exists():
+        return msgspec.json.decode(kept.read_bytes(), type=Floor)
+    bands, contacts, gains = [], [], {}
+    for i in range(NULLS):
+        with tempfile.TemporaryDirectory() as place:
+            path = Path(place) / "null.mcap"
+            simulate(jittered(rig, np.random.default_rng([i, 77])), i, path)
+            seen = read(path)
+        record = record_of(Recording(rig, seen.signals, seen.provenance))
+        base = base_of(record, rig)
+        at = fitted_rig(base).residual
+        bands.append(band_levels(record, at))
+        contacts.append(contact_levels(base, at))
+        for kind, gain in null_gains(base, at).items():
+            gains[kind] = max(gains.get(kind, 0.0), gain)
+        progress((i + 1) / NULLS)
+    fewest = min(len(b) for b in bands)
+    levels, own = np.array([b[:fewest] for b in bands]), np.array(contacts).reshape(NULLS, -1)
+    mean, mean_contact = levels.mean(axis=0), own.mean(axis=0)
+    relative = levels / mean
+    floor = Floor(
+        rig_sha256=name,
+        nulls=NULLS,
+        sensors=[s.name for s in record.sensors],
+        linear=mean.tolist(),
+        contacts=mean_contact.tolist(),
+        remainders=(
+            float(relative.mean(axis=(1, 2)).max()),
+            float(relative.mean(axis=2).max()),
+            float((own / mean_contact).max(initial=0.0)),
+        ),
+        gains=gains,
+    )
+    if kept:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        part = kept.with_suffix(".part")
+        part.write_bytes(msgspec.json.encode(floor))
+        part.replace(kept)
+    return floor
+
+
+def null_gains(base: Base, at: Residual) -> dict[str, float]:
+    """What each effect gains on a recording that has none, by its name."""
+    known = candidates(base.rig, [s.name for s in base.record.sensors], base.record.zero_known)
+    gains: dict[str, float] = {}
+    steady = [c for c in known if c.kind.name != "base_motion"]
+    for look in looks(base, at, steady):
+        gains[look.candidate.kind.name] = max(gains.get(look.candidate.kind.name, 0.0), look.gain)
+    for candidate in known:
+        if candidate not in steady and (found := shaken(base, at, candidate)):
+            gains[candidate.kind.name] = max(found.gain, 0.0)
+    return gains
