@@ -8,8 +8,9 @@ from jaxtyping import Float
 
 from identify.gap.candidates import Candidate, candidates
 from identify.gap.fit import STEPS, Fit, fit
-from identify.gap.floor import MARGIN, Floor, Remainder, remainder
+from identify.gap.floor import MARGIN, SPREAD, Floor, Remainder, remainder
 from identify.gap.residual import Base, Residual, base_of
+from identify.gap.results import Verdict
 from identify.gap.search import Found, fitted_rig, search
 from identify.gap.shaking import shaken
 from identify.gap.spectra import Record
@@ -45,7 +46,7 @@ class Explanation:
 class Outcome:
     """What was found: explanations best first by the validation record, and the believed rig's own remainders."""
 
-    verdict: str
+    verdict: Verdict
     explanations: tuple[Explanation, ...]
     probabilities: tuple[float, ...]
     nominal: Residual
@@ -67,7 +68,9 @@ def diagnosed(
     judge = base_of(validation, rig)
     judged = fitted_rig(judge).residual
     before = remainder(judge, judged, floor)
-    fits = [((f.candidate,), f.fitted) for f in worthwhile(base, at, known, floor)]
+    fits: list[tuple[tuple[Candidate, ...], Fit]] = [
+        ((f.candidate,), f.fitted) for f in worthwhile(base, at, known, floor)
+    ]
     progress(0.4)
     pairs = []
     for i, (parts, first) in enumerate(fits[:TRIED]):
@@ -75,7 +78,7 @@ def diagnosed(
         if remainder(about, first.residual, floor).at_floor(floor):
             break
         for second in worthwhile(about, first.residual, known, floor)[:TRIED]:
-            if second.gain > WORTHWHILE * _excess(first.residual, floor, about):
+            if second.gain > WORTHWHILE * _excess(first.residual, floor):
                 pairs.append(_together(base, (*parts, second.candidate), first, second))
         progress(0.4 + 0.25 * (i + 1))
     explanations = []
@@ -111,7 +114,7 @@ def worthwhile(base: Base, at: Residual, known: Sequence[Candidate], floor: Floo
     return sorted(count, key=lambda f: -f.gain)
 
 
-def _excess(at: Residual, floor: Floor, base: Base) -> float:
+def _excess(at: Residual, floor: Floor) -> float:
     """The cost that a residual has beyond what nulls have."""
     rows, times = at.linear.shape
     expected = float(np.mean(floor.linear)) * rows * times
@@ -145,7 +148,7 @@ def _validated(judge: Base, parts: tuple[Candidate, ...], fitted: Fit, rig: Rig,
 
 def _verdict(
     explanations: Sequence[Explanation], before: Remainder, floor: Floor, judged: Residual
-) -> tuple[str, tuple[float, ...]]:
+) -> tuple[Verdict, tuple[float, ...]]:
     """The verdict, and the probabilities of the explanations; what they lack of one is that of none of them."""
     helpful = [e for e in explanations if e.validated.cost < judged.cost]
     if not helpful:
@@ -162,8 +165,6 @@ def _verdict(
 
 def explained(after: Remainder, before: Remainder, floor: Floor) -> bool:
     """Whether what an effect leaves is at the floor, up to the share of the gap that no effect explains."""
-    from identify.gap.floor import SPREAD
-
     for left, gap, largest in zip(
         (after.overall, after.band, after.contact),
         (before.overall, before.band, before.contact),

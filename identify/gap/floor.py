@@ -1,16 +1,16 @@
-"""The floor: what null recordings (the believed rig, as a laboratory builds it) leave of residual in the same chain.
+"""The floor: what null recordings (of the believed rig as a laboratory builds it) leave in the same chain.
 
-Integration, chaos, sensors and a laboratory's tolerances are in it. It is made once for a rig and a simulator, and kept.
+Integration, chaos, sensors and a laboratory's tolerances are in it. Made once for a rig and a simulator, it is kept.
 """
 
 import hashlib
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
 import numpy as np
 from jaxtyping import Float
+from scipy.signal.windows import hann
 
 from identify.gap.candidates import candidates
 from identify.gap.residual import Base, Residual, base_of
@@ -19,17 +19,22 @@ from identify.gap.shaking import shaken
 from identify.gap.spectra import Record, record_of
 from identify.tolerances import jittered
 from rig.description import Rig, to_json
-from rig.recording import Recording, read
+from rig.errors import RigError
+from rig.recording import Recording
 
 NULLS = 12
 BAND_HZ = 2.0
+SEGMENT_S = 1.0
+LEVELS = (1.0, 1.25, 1.5)
+"""Nulls are made with the force times these: large motion is less linear, and a validation record may be larger."""
 MARGIN = 3.0
 """A gain counts from this multiple of the largest that a null recording showed for that effect."""
 SPREAD = 1.5
 """A remainder is at the floor up to this multiple of the largest among the nulls."""
 
-Simulate = Callable[[Rig, int, Path], None]
-"""Records a rig (first) in a laboratory's way, from a seed, to a file: the simulator that the diagnosis is handed."""
+Simulate = Callable[[Rig, Rig, Float[np.ndarray, " samples"], int], Recording]
+"""The recording of the believed rig (first) that the actual one makes under a measured force, noise from a seed: the
+simulator that the diagnosis is handed."""
 
 
 class Floor(msgspec.Struct, frozen=True):
@@ -73,32 +78,49 @@ def remainder(base: Base, at: Residual, floor: Floor) -> Remainder:
 
 
 def band_levels(record: Record, at: Residual) -> Float[np.ndarray, "bands sensors"]:
-    """Mean square of the linear residual in bands of 2 Hz."""
+    """Mean square of the linear residual in bands of 2 Hz: the median over seconds, as large motion comes in bursts."""
     rows = at.linear[: len(record.sensors)]
-    power = np.abs(np.fft.rfft(rows, axis=1)) ** 2 / rows.shape[1]
-    band = (np.fft.rfftfreq(rows.shape[1], 1 / record.rate_hz) / BAND_HZ).astype(int)
-    count = np.bincount(band)
-    return np.array([np.bincount(band, row) / count for row in power]).T
+    length = round(SEGMENT_S * record.rate_hz)
+    count = rows.shape[1] // length
+    pieces = rows[:, : count * length].reshape(len(rows), count, length)
+    weights = hann(length, sym=False)
+    power = np.median(np.abs(np.fft.rfft(pieces * weights)) ** 2, axis=1) / np.sum(weights**2)
+    wide = round(BAND_HZ * SEGMENT_S)
+    bands = power.shape[1] // wide
+    return np.asarray(power[:, : bands * wide].reshape(len(rows), bands, wide).mean(axis=2).T)
 
 
 def contact_levels(base: Base, at: Residual) -> list[float]:
-    """Mean square of each contact's residual."""
-    return [float(np.mean(c.residual[: s.weights.size] ** 2)) for c, s in zip(at.contacts, base.seen, strict=True)]
+    """Mean square of each contact's residual: the median over seconds."""
+    length = round(SEGMENT_S * base.record.rate_hz)
+    found = []
+    for contact, seen in zip(at.contacts, base.seen, strict=True):
+        squares = contact.residual[: seen.weights.size] ** 2
+        count = squares.size // length
+        found.append(float(np.median(squares[: count * length].reshape(count, length).mean(axis=1))))
+    return found
 
 
-def floor_of(rig: Rig, simulate: Simulate, progress: Callable[[float], None], folder: Path | None = None) -> Floor:
-    """The floor of a rig by a simulator; kept in the folder, if one is given, under the rig's hash."""
+def floor_of(
+    rig: Rig,
+    force_n: Float[np.ndarray, " samples"],
+    simulate: Simulate,
+    progress: Callable[[float], None],
+    kept: Path | None = None,
+) -> Floor:
+    """The floor of a rig by a simulator under such a force; read from the file `kept`, if one is given and is there.
+
+    Raises RigError if that file is of another rig.
+    """
     name = hashlib.sha256(to_json(rig)).hexdigest()
-    kept = folder / f"{name[:16]}.floor.json" if folder else None
     if kept and kept.exists():
-        return msgspec.json.decode(kept.read_bytes(), type=Floor)
-    bands, contacts, gains = [], [], {}
+        return _read(kept, name)
+    bands, contacts = [], []
+    gains: dict[str, float] = {}
     for i in range(NULLS):
-        with tempfile.TemporaryDirectory() as place:
-            path = Path(place) / "null.mcap"
-            simulate(jittered(rig, np.random.default_rng([i, 77])), i, path)
-            seen = read(path)
-        record = record_of(Recording(rig, seen.signals, seen.provenance))
+        record = record_of(
+            simulate(rig, jittered(rig, np.random.default_rng([i, 77])), LEVELS[i % len(LEVELS)] * force_n, i)
+        )
         base = base_of(record, rig)
         at = fitted_rig(base).residual
         bands.append(band_levels(record, at))
@@ -128,6 +150,16 @@ def floor_of(rig: Rig, simulate: Simulate, progress: Callable[[float], None], fo
         part = kept.with_suffix(".part")
         part.write_bytes(msgspec.json.encode(floor))
         part.replace(kept)
+    return floor
+
+
+def _read(path: Path, rig_sha256: str) -> Floor:
+    try:
+        floor = msgspec.json.decode(path.read_bytes(), type=Floor)
+    except (OSError, msgspec.DecodeError) as error:
+        raise RigError(f"{path}: no floor can be read from it ({error}); remove it, and it is made anew") from error
+    if floor.rig_sha256 != rig_sha256:
+        raise RigError(f"{path}: is the floor of another rig; name another file, or remove it")
     return floor
 
 
