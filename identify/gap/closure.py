@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import csd, welch
 
-from identify.gap.floor import Floor, Simulate
+from identify.gap.floor import NOTHING, Floor, Simulate
 from identify.gap.residual import Base, Residual, base_of
 from identify.gap.results import Closure, Curve, Likeness
 from identify.gap.search import fitted_rig
@@ -26,7 +26,7 @@ def closure(judge: Base, before: Residual, after: Residual, floor: Floor, simula
     before is that of the believed rig, after that of the corrected one; floor that of the corrected one on its own
     simulation under the validation record's force. The interval draws sixteenths of the record with replacement.
     """
-    own = base_of(record_of(simulated), after.rig)
+    own = base_of(record_of(simulated), after.rig, levels=floor.contacts)
     lowest = float(np.mean(_parts(own, fitted_rig(own).residual, floor)))
     parts = [_parts(judge, at, floor) for at in (before, after)]
     size_before, size_after = (float(np.mean(p)) for p in parts)
@@ -44,10 +44,10 @@ def closure(judge: Base, before: Residual, after: Residual, floor: Floor, simula
 def _parts(base: Base, at: Residual, floor: Floor) -> Float[np.ndarray, " parts"]:
     """Mean squares of sixteenths of the record, in units of what nulls leave: sensors and contacts count alike."""
     own = [floor.sensors.index(s.name) for s in base.record.sensors]
-    nulls = np.array(floor.linear)[:, own].mean(axis=0)
+    nulls = np.maximum(np.array(floor.linear)[:, own].mean(axis=0), NOTHING)
     rows = [*(at.linear[: len(own)] ** 2 / nulls[:, None])]
-    for contact, seen, null in zip(at.contacts, base.seen, floor.contacts, strict=True):
-        rows.append(contact.residual[: seen.weights.size] ** 2 / null)
+    for contact, seen in zip(at.contacts, base.seen, strict=True):
+        rows.append(contact.residual[: seen.weights.size] ** 2)
     return np.array([float(np.mean(part)) for part in np.array_split(np.mean(rows, axis=0), PARTS)])
 
 

@@ -61,11 +61,11 @@ def diagnosed(
 ) -> Outcome:
     """Searches on one record, decides on the other."""
     rig = fit_record.rig
-    base = base_of(fit_record, rig)
+    base = base_of(fit_record, rig, levels=floor.contacts)
     at = fitted_rig(base).residual
     known = candidates(rig, [s.name for s in fit_record.sensors], fit_record.zero_known)
     progress(0.05)
-    judge = base_of(validation, rig)
+    judge = base_of(validation, rig, levels=floor.contacts)
     judged = fitted_rig(judge).residual
     before = remainder(judge, judged, floor)
     fits: list[tuple[tuple[Candidate, ...], Fit]] = [
@@ -118,7 +118,7 @@ def _excess(at: Residual, floor: Floor) -> float:
     """The cost that a residual has beyond what nulls have."""
     rows, times = at.linear.shape
     expected = float(np.mean(floor.linear)) * rows * times
-    expected += sum(level * times for level in floor.contacts)
+    expected += times * len(floor.contacts)
     return max(at.cost - expected, 0.0)
 
 

@@ -14,7 +14,9 @@ from rig.beam import Beam
 from rig.description import Contact
 
 BEYOND = 1.3
-"""Modes up to this multiple of the highest frequency are in doubt."""
+"""Modes up to this multiple of the highest frequency are in doubt, each by itself, ..."""
+SINGLY = 0.5
+"""... by this share of what is in doubt of all modes of a body together."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,7 @@ class Doubts:
 
 
 def doubts_of(record: Record, model: Linear, tolerances: Tolerances) -> Doubts:
-    """One column for each gain and position, and for frequency and damping of each elastic mode in the band."""
+    """One column for each gain and position; for frequency and damping of each body, and of each mode in the band."""
     names: list[str] = []
     changes: list[Complex[np.ndarray, "sensors lines"]] = []
     moved: list[Complex[np.ndarray, "sensors lines"] | None] = []
@@ -56,23 +58,21 @@ def doubts_of(record: Record, model: Linear, tolerances: Tolerances) -> Doubts:
                 moved.append(changes[-1] * twice)
         shapes = response.shapes([s.station for s in record.sensors])
         natural_hz, zeta = response.modes.frequencies_hz(response.count), response.modes.damping_ratios(response.count)
-        if isinstance(body, Beam):
-            stiff = (2 * np.pi * natural_hz[:, None]) ** 2
-            change = -2 * tolerances.frequency * stiff * receptance(natural_hz, zeta, omega / (2 * np.pi)) * motion
-            names.append(f"modulus of {body.name}")
+        flexible = receptance(natural_hz, zeta, omega / (2 * np.pi)) * motion
+        natural = 2 * np.pi * natural_hz[:, None]
+        loss = 1j * zeta[:, None] * natural * omega
+        of_each = {
+            "frequency": -2 * tolerances.frequency * (natural**2 + loss) * flexible,
+            "damping": -2 * tolerances.damping * loss * flexible,
+        }
+        elastic = np.flatnonzero((natural_hz > 0) & (natural_hz < BEYOND * omega[-1] / (2 * np.pi)))
+        for what, change in of_each.items():
+            names.append(f"{what} of {body.name}")
             changes.append(shapes @ change)
-            moved.append(None)
-        for m in np.flatnonzero((natural_hz > 0) & (natural_hz < BEYOND * omega[-1] / (2 * np.pi))):
-            natural = 2 * np.pi * natural_hz[m]
-            accelerated = receptance(natural_hz[m], zeta[m], omega / (2 * np.pi)) * motion[m]
-            loss = 1j * zeta[m] * natural * omega
-            for what, change in (
-                ("frequency", -2 * tolerances.frequency * (natural**2 + loss)),
-                ("damping", -2 * tolerances.damping * loss),
-            ):
+            for m in elastic if isinstance(body, Beam) else []:
                 names.append(f"{what} of {body.name} {m + 1}")
-                changes.append(np.outer(shapes[:, m], change * accelerated))
-                moved.append(None)
+                changes.append(SINGLY * np.outer(shapes[:, m], change[m]))
+        moved += [None] * (len(changes) - len(moved))
     residual, forces, eta = [], [], []
     scale = residual_scale(record)
     for change, displaced in zip(changes, moved, strict=True):

@@ -21,7 +21,7 @@ Build = Callable[[Float[np.ndarray, " parameters"]], Rig]
 
 @dataclass(frozen=True)
 class Fit:
-    """The parameters at which the residual is least, their covariance if the residual's variance is one."""
+    """The parameters at which the residual is least, their covariance: the samples count for STRICT times fewer."""
 
     values: Float[np.ndarray, " parameters"]
     covariance: Float[np.ndarray, "parameters parameters"]
@@ -156,7 +156,7 @@ def fit(
         values, at = moved, there
         if fell < SETTLED:
             break
-    covariance = np.linalg.pinv(normal.matrix)[count:, count:] * np.outer(steps, steps)
+    covariance = STRICT * np.linalg.pinv(normal.matrix)[count:, count:] * np.outer(steps, steps)
     return Fit(values, covariance, at)
 
 

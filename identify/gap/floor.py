@@ -29,6 +29,8 @@ LEVELS = (1.0, 1.25, 1.5)
 """Nulls are made with the force times these: large motion is less linear, and a validation record may be larger."""
 MARGIN = 3.0
 """A gain counts from this multiple of the largest that a null recording showed for that effect."""
+NOTHING = 1e-3
+"""A smaller mean square is none: so many contacts as sensors leave no linear residual."""
 SPREAD = 1.5
 """A remainder is at the floor up to this multiple of the largest among the nulls."""
 
@@ -66,14 +68,14 @@ class Remainder(msgspec.Struct, frozen=True):
 
 
 def remainder(base: Base, at: Residual, floor: Floor) -> Remainder:
-    """What a residual leaves, by the floor."""
+    """What a residual leaves, by the floor; the base must know the floor's levels of the contacts."""
     own = [floor.sensors.index(s.name) for s in base.record.sensors]
-    levels, nulls = band_levels(base.record, at), np.array(floor.linear)[:, own]
+    levels = band_levels(base.record, at)
+    nulls = np.maximum(np.array(floor.linear)[:, own], NOTHING)
     bands = min(len(levels), len(nulls))
     linear = levels[:bands] / nulls[:bands]
-    contacts = [level / null for level, null in zip(contact_levels(base, at), floor.contacts, strict=True)]
     return Remainder(
-        float(linear.mean()), float(linear.mean(axis=1).max(initial=0.0)), float(max(contacts, default=0.0))
+        float(linear.mean()), float(linear.mean(axis=1).max(initial=0.0)), max(contact_levels(base, at), default=0.0)
     )
 
 
@@ -107,6 +109,7 @@ def floor_of(
     simulate: Simulate,
     progress: Callable[[float], None],
     kept: Path | None = None,
+    nulls: int = NULLS,
 ) -> Floor:
     """The floor of a rig by a simulator under such a force; read from the file `kept`, if one is given and is there.
 
@@ -115,9 +118,8 @@ def floor_of(
     name = hashlib.sha256(to_json(rig)).hexdigest()
     if kept and kept.exists():
         return _read(kept, name)
-    bands, contacts = [], []
-    gains: dict[str, float] = {}
-    for i in range(NULLS):
+    records, bands, contacts = [], [], []
+    for i in range(nulls):
         record = record_of(
             simulate(rig, jittered(rig, np.random.default_rng([i, 77])), LEVELS[i % len(LEVELS)] * force_n, i)
         )
@@ -125,16 +127,21 @@ def floor_of(
         at = fitted_rig(base).residual
         bands.append(band_levels(record, at))
         contacts.append(contact_levels(base, at))
-        for kind, gain in null_gains(base, at).items():
-            gains[kind] = max(gains.get(kind, 0.0), gain)
-        progress((i + 1) / NULLS)
+        records.append(record)
+        progress(0.6 * (i + 1) / nulls)
     fewest = min(len(b) for b in bands)
-    levels, own = np.array([b[:fewest] for b in bands]), np.array(contacts).reshape(NULLS, -1)
+    levels, own = np.array([b[:fewest] for b in bands]), np.array(contacts).reshape(nulls, -1)
     mean, mean_contact = levels.mean(axis=0), own.mean(axis=0)
     relative = levels / mean
+    gains: dict[str, float] = {}
+    for i, record in enumerate(records):
+        base = base_of(record, rig, levels=mean_contact.tolist())
+        for kind, gain in null_gains(base, fitted_rig(base).residual).items():
+            gains[kind] = max(gains.get(kind, 0.0), gain)
+        progress(0.6 + 0.4 * (i + 1) / nulls)
     floor = Floor(
         rig_sha256=name,
-        nulls=NULLS,
+        nulls=nulls,
         sensors=[s.name for s in record.sensors],
         linear=mean.tolist(),
         contacts=mean_contact.tolist(),

@@ -1,5 +1,6 @@
 """Each separated contact force against the law that the rig has at its relative displacement: the contact residual."""
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -61,16 +62,24 @@ class Contact:
         return splu(csc_matrix(self.columns.T @ self.columns))
 
 
-def seen_contacts(record: Record, model: Linear) -> tuple[Seen, ...]:
-    """What the record says of its contacts, by the linear model of the rig that is believed."""
+def seen_contacts(record: Record, model: Linear, levels: Sequence[float] | None) -> tuple[Seen, ...]:
+    """What the record says of its contacts, by the linear model of the rig that is believed.
+
+    levels are the mean squares that null recordings leave, contact by contact, with the weights as they come.
+    """
     forces, spreads = record.in_time(model.contact_n), model.open_n(record)
     found = []
-    for force, open_n, contact, drift in zip(forces, spreads, model.rig.contacts, record.drifts, strict=True):
+    levels = levels or [1.0] * len(forces)
+    for force, open_n, contact, drift, level in zip(
+        forces, spreads, model.rig.contacts, record.drifts, levels, strict=True
+    ):
         closed = np.abs(force) > CLOSED * open_n
         fast_m = 0.0 if drift is None else drift.unfollowed_m
         stiffness = contact.law.stiffness_n_per_m
         moving = record.time_s > record.excited_s  # at rest nothing tells on which side of a stop it rests
-        weights = moving / np.sqrt(open_n**2 + (stiffness * fast_m * closed) ** 2 + (LAW_ERROR * force) ** 2)
+        weights = (
+            moving / np.sqrt(level) / np.sqrt(open_n**2 + (stiffness * fast_m * closed) ** 2 + (LAW_ERROR * force) ** 2)
+        )
         slow = drift
         if drift is not None:
             at = np.arange(record.taken.start, record.taken.stop) * record.factor

@@ -3,6 +3,7 @@
 cost = |linear residual|^2 + sum over contacts |contact residual|^2 + strictness |doubts|^2 + log determinant
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,12 +55,17 @@ class Residual:
         )
 
 
-def base_of(record: Record, rig: Rig, seen: tuple[Seen, ...] | None = None) -> Base:
-    """The linearisation about a rig; `seen` of another base of the record keeps their costs comparable."""
+def base_of(
+    record: Record, rig: Rig, seen: tuple[Seen, ...] | None = None, levels: Sequence[float] | None = None
+) -> Base:
+    """The linearisation about a rig; `seen` of another base of the record keeps their costs comparable.
+
+    levels are the mean squares of the contact residuals in null recordings.
+    """
     model = linear_model(record, rig, MODEL_ERROR)
     doubts = doubts_of(record, model, LABORATORY)
     columns = doubts.residual.reshape(len(doubts.names), -1)
-    return Base(record, rig, model, seen or seen_contacts(record, model), doubts, columns @ columns.T)
+    return Base(record, rig, model, seen or seen_contacts(record, model, levels), doubts, columns @ columns.T)
 
 
 def residual_of(

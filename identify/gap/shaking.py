@@ -37,6 +37,8 @@ def shaken(base: Base, at: Residual, candidate: Candidate) -> Found | None:
     free = model.unknown[:, :, :contacts]
     pattern = model.unknown[:, :, contacts]
     pattern = pattern - (free @ (base.model.solve[:, :contacts] @ pattern[:, :, None]))[:, :, 0]
+    if len(record.sensors) <= contacts + 1:
+        return None  # nothing would be left to tell it by
     y = _lines(base, at).T
     size = np.sum(np.abs(pattern) ** 2, axis=1)
     seen = np.abs(np.sum(pattern.conj() * y, axis=1)) ** 2 / np.maximum(size, 1e-300)

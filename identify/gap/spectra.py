@@ -121,7 +121,6 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ) -> Record:
     def spectrum(signals: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows all"]:
         return np.asarray(np.fft.rfft(signals * shape, length))
 
-    ordinary = np.maximum(omega, 2 * np.pi * low_hz)
     measured = spectrum(np.stack([_row(recording, s) for s in sensors]))
     beyond_rad = 2 * np.pi * rate / length * np.arange(lines - 1, measured.shape[1])
     delivered, displaced = (
@@ -130,7 +129,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ) -> Record:
     )
     noise = acceleration_noise(motion, rig)
     densities = _densities(rig, sensors, motion)
-    size = np.stack([ordinary ** (2 - ORDER[s.quantity]) for s in sensors])
+    size = np.stack([omega ** (2 - ORDER[s.quantity]) for s in sensors])
     return Record(
         rig=rig,
         sensors=sensors,
