@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Complex, Float
+from msgspec.structs import replace
 
 from identify.gap.linear import Linear
 from identify.gap.spectra import Record
@@ -11,7 +12,8 @@ from identify.kinematics import CORNER_HZ, integrated
 from identify.modal import receptance
 from identify.tolerances import Tolerances
 from rig.beam import Beam
-from rig.description import Contact
+from rig.description import Contact, Rig
+from rig.oscillator import Oscillator
 
 BEYOND = 1.3
 """Modes up to this multiple of the highest frequency are in doubt."""
@@ -83,6 +85,28 @@ def doubts_of(record: Record, model: Linear, tolerances: Tolerances) -> Doubts:
             np.zeros_like(forces[-1]) if displaced is None else record.in_time(_at_contacts(record, model, displaced))
         )
     return Doubts(tuple(names), np.array(residual), np.array(forces), np.array(eta))
+
+
+def moved(
+    rig: Rig, names: tuple[str, ...], doubts: Float[np.ndarray, " doubts"], tolerances: Tolerances
+) -> tuple[Rig, Float[np.ndarray, " doubts"]]:
+    """The rig with the doubts about its single masses put into it, and those doubts, the others being zero.
+
+    Those alone bend the residual: a single mass may have been believed from a record of another level, and a resonance
+    that lies off by a part of its width is no linear matter. A beam's modes cannot be moved one by one.
+    """
+    put, bodies = np.zeros(len(names)), []
+    for body in rig.bodies:
+        if isinstance(body, Oscillator):
+            frequency, damping = (names.index(f"{what} of {body.name} 1") for what in ("frequency", "damping"))
+            put[[frequency, damping]] = doubts[[frequency, damping]]
+            body = replace(
+                body,
+                frequency_hz=body.frequency_hz * max(0.5, 1 + tolerances.frequency * float(put[frequency])),
+                damping_ratio=body.damping_ratio * max(0.1, 1 + tolerances.damping * float(put[damping])),
+            )
+        bodies.append(body)
+    return replace(rig, bodies=tuple(bodies)), put
 
 
 def residual_scale(record: Record) -> float:

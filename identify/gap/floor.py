@@ -4,7 +4,6 @@ Integration, chaos, sensors and a laboratory's tolerances are in it. It is made 
 """
 
 import hashlib
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,13 +12,14 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.gap.candidates import candidates
-from identify.gap.residual import Base, Residual, base_of
-from identify.gap.search import fitted_rig, looks
+from identify.gap.residual import Base, Residual
+from identify.gap.search import looks, settled
 from identify.gap.shaking import shaken
 from identify.gap.spectra import Record, record_of
-from identify.tolerances import jittered
+from identify.tolerances import LABORATORY, Tolerances, jittered
 from rig.description import Rig, to_json
-from rig.recording import Recording, read
+from rig.errors import RigError
+from rig.recording import Recording
 
 NULLS = 12
 BAND_HZ = 2.0
@@ -28,8 +28,9 @@ MARGIN = 3.0
 SPREAD = 1.5
 """A remainder is at the floor up to this multiple of the largest among the nulls."""
 
-Simulate = Callable[[Rig, int, Path], None]
-"""Records a rig (first) in a laboratory's way, from a seed, to a file: the simulator that the diagnosis is handed."""
+Simulate = Callable[[Rig, Rig, Float[np.ndarray, " samples"], int], Recording]
+"""The recording of the believed rig (first) that the actual one makes under a measured force, noise from a seed: the
+simulator that the diagnosis is handed."""
 
 
 class Floor(msgspec.Struct, frozen=True):
@@ -86,21 +87,26 @@ def contact_levels(base: Base, at: Residual) -> list[float]:
     return [float(np.mean(c.residual[: s.weights.size] ** 2)) for c, s in zip(at.contacts, base.seen, strict=True)]
 
 
-def floor_of(rig: Rig, simulate: Simulate, progress: Callable[[float], None], folder: Path | None = None) -> Floor:
-    """The floor of a rig by a simulator; kept in the folder, if one is given, under the rig's hash."""
+def floor_of(
+    rig: Rig,
+    force_n: Float[np.ndarray, " samples"],
+    simulate: Simulate,
+    progress: Callable[[float], None],
+    kept: Path | None = None,
+    tolerances: Tolerances = LABORATORY,
+) -> Floor:
+    """The floor of a rig by a simulator under such a force; read from the file `kept`, if one is given and is there.
+
+    Raises RigError if that file is of another rig.
+    """
     name = hashlib.sha256(to_json(rig)).hexdigest()
-    kept = folder / f"{name[:16]}.floor.json" if folder else None
     if kept and kept.exists():
-        return msgspec.json.decode(kept.read_bytes(), type=Floor)
-    bands, contacts, gains = [], [], {}
+        return _read(kept, name)
+    bands, contacts = [], []
+    gains: dict[str, float] = {}
     for i in range(NULLS):
-        with tempfile.TemporaryDirectory() as place:
-            path = Path(place) / "null.mcap"
-            simulate(jittered(rig, np.random.default_rng([i, 77])), i, path)
-            seen = read(path)
-        record = record_of(Recording(rig, seen.signals, seen.provenance))
-        base = base_of(record, rig)
-        at = fitted_rig(base).residual
+        record = record_of(simulate(rig, jittered(rig, np.random.default_rng([i, 77])), force_n, i), tolerances=tolerances)
+        base, at = settled(record, rig)
         bands.append(band_levels(record, at))
         contacts.append(contact_levels(base, at))
         for kind, gain in null_gains(base, at).items():
@@ -128,6 +134,16 @@ def floor_of(rig: Rig, simulate: Simulate, progress: Callable[[float], None], fo
         part = kept.with_suffix(".part")
         part.write_bytes(msgspec.json.encode(floor))
         part.replace(kept)
+    return floor
+
+
+def _read(path: Path, rig_sha256: str) -> Floor:
+    try:
+        floor = msgspec.json.decode(path.read_bytes(), type=Floor)
+    except (OSError, msgspec.DecodeError) as error:
+        raise RigError(f"{path}: no floor can be read from it ({error}); remove it, and it is made anew") from error
+    if floor.rig_sha256 != rig_sha256:
+        raise RigError(f"{path}: is the floor of another rig; name another file, or remove it")
     return floor
 
 
