@@ -80,7 +80,7 @@ def _observed(
     found = []
     quiet = separated.force_n[:, : motion.excited_from // separated.factor]
     quiet_n = quiet.std(axis=1) if quiet.shape[1] else np.zeros(len(rig.contacts))
-    for j, contact in enumerate(rig.contacts):
+    for j in range(len(rig.contacts)):
         found.append(
             Observed(
                 eta_m=eta[j, :samples],

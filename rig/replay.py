@@ -11,9 +11,8 @@ from scipy.interpolate import CubicSpline
 
 from rig.description import Rig
 from rig.motion import Plant, Progress
-from rig.plants import plant_named
 from rig.recording import Recording, Signals, channel_groups
-from rig.sensors import digitised, needed_duration_s
+from rig.sensors import digitised, needed_duration_s, quantities_of
 
 
 def replayed(
@@ -35,23 +34,26 @@ def replayed(
     fine = CubicSpline(np.arange(samples) / rate, force_n)(np.minimum(time_s, (samples - 1) / rate))
     blocks = list(digitised(actual, plant(actual, fine, step_s, progress), np.random.default_rng([seed, 1])))
     groups = channel_groups(believed)
-    rows = {
-        name: force_n[None] if name == "force" else np.concatenate([b.sensed[name] for b in blocks], axis=1)[:, :samples]
-        for name in groups
-    }
-    signals = {name: Signals(channels, 0.0, rows[name]) for name, channels in groups.items()}
+    signals = {"force": Signals(groups["force"], 0.0, force_n[None])}
+    for quantity in quantities_of(believed):
+        rows = np.concatenate([b.sensed[quantity] for b in blocks], axis=1)[:, :samples]
+        signals[quantity] = Signals(groups[quantity], 0.0, rows)
     return Recording(believed, signals, {"made_by": "replay", "seed": str(seed)})
 
 
 def modal(believed: Rig, actual: Rig, force_n: Float[np.ndarray, " samples"], seed: int) -> Recording:
     """By the plant `modal`, with 24 modes a beam at 32 kHz or more."""
-    plant = partial(plant_named("modal"), modes=24)
+    from rig.plants.modal import simulate
+
+    plant = partial(simulate, modes=24)
     return replayed(believed, actual, force_n, plant, _step_s(believed, 2.0**15), seed)
 
 
 def ancf(believed: Rig, actual: Rig, force_n: Float[np.ndarray, " samples"], seed: int) -> Recording:
     """By the plant `ancf`, with 12 elements a beam at 8 kHz or more."""
-    plant = partial(plant_named("ancf"), elements=12)
+    from rig.plants.ancf import simulate
+
+    plant = partial(simulate, elements=12)
     return replayed(believed, actual, force_n, plant, _step_s(believed, 2.0**13), seed)
 
 

@@ -8,8 +8,9 @@ from jaxtyping import Float
 
 from identify.gap.candidates import Candidate, candidates
 from identify.gap.fit import STEPS, Fit, fit
-from identify.gap.floor import MARGIN, Floor, Remainder, remainder
+from identify.gap.floor import MARGIN, SPREAD, Floor, Remainder, remainder
 from identify.gap.residual import Base, Residual, base_of
+from identify.gap.results import Verdict
 from identify.gap.search import Found, search, settled
 from identify.gap.shaking import shaken
 from identify.gap.spectra import Record
@@ -45,7 +46,7 @@ class Explanation:
 class Outcome:
     """What was found: explanations best first by the validation record, and the believed rig's own remainders."""
 
-    verdict: str
+    verdict: Verdict
     explanations: tuple[Explanation, ...]
     probabilities: tuple[float, ...]
     nominal: Residual
@@ -65,7 +66,9 @@ def diagnosed(
     progress(0.05)
     judge, judged = settled(validation, rig)
     before = remainder(judge, judged, floor)
-    fits = [((f.candidate,), f.fitted) for f in worthwhile(base, at, known, floor)]
+    fits: list[tuple[tuple[Candidate, ...], Fit]] = [
+        ((f.candidate,), f.fitted) for f in worthwhile(base, at, known, floor)
+    ]
     progress(0.4)
     pairs = []
     for i, (parts, first) in enumerate(fits[:TRIED]):
@@ -73,7 +76,7 @@ def diagnosed(
         if remainder(about, left, floor).at_floor(floor):
             break
         for second in worthwhile(about, left, known, floor)[:TRIED]:
-            if second.gain > WORTHWHILE * _excess(left, floor, about):
+            if second.gain > WORTHWHILE * _excess(left, floor):
                 pairs.append(_together(base, (*parts, second.candidate), first, second))
         progress(0.4 + 0.25 * (i + 1))
     explanations = []
@@ -109,7 +112,7 @@ def worthwhile(base: Base, at: Residual, known: Sequence[Candidate], floor: Floo
     return sorted(count, key=lambda f: -f.gain)
 
 
-def _excess(at: Residual, floor: Floor, base: Base) -> float:
+def _excess(at: Residual, floor: Floor) -> float:
     """The cost that a residual has beyond what nulls have."""
     rows, times = at.linear.shape
     expected = float(np.mean(floor.linear)) * rows * times
@@ -142,7 +145,7 @@ def _validated(judge: Base, parts: tuple[Candidate, ...], fitted: Fit, rig: Rig,
 
 def _verdict(
     explanations: Sequence[Explanation], before: Remainder, floor: Floor, judged: Residual
-) -> tuple[str, tuple[float, ...]]:
+) -> tuple[Verdict, tuple[float, ...]]:
     """The verdict, and the probabilities of the explanations; what they lack of one is that of none of them."""
     helpful = [e for e in explanations if e.validated.cost < judged.cost]
     if not helpful:
@@ -159,8 +162,6 @@ def _verdict(
 
 def explained(after: Remainder, before: Remainder, floor: Floor) -> bool:
     """Whether what an effect leaves is at the floor, up to the share of the gap that no effect explains."""
-    from identify.gap.floor import SPREAD
-
     for left, gap, largest in zip(
         (after.overall, after.band, after.contact),
         (before.overall, before.band, before.contact),

@@ -50,9 +50,9 @@ class Normal:
         return [start - coupled @ step for start, coupled in self.eliminated]
 
 
-def derivative(base: Base, build: Build, moved: Float[np.ndarray, " parameters"], at: Residual) -> Column:
-    """What moving the parameters so takes off the linear and the contact residuals."""
-    there = residual_of(base, build(moved), at.doubts, tuple(c.unknowns for c in at.contacts), like=at)
+def derivative(base: Base, moved: Rig, at: Residual) -> Column:
+    """What another rig takes off the linear and the contact residuals."""
+    there = residual_of(base, moved, at.doubts, tuple(c.unknowns for c in at.contacts), like=at)
     contacts = [a.residual - b.residual for a, b in zip(at.contacts, there.contacts, strict=True)]
     return at.linear - there.linear, contacts
 
@@ -129,7 +129,7 @@ def fit(
     count, sizes = len(base.doubts.names), np.eye(values.size)
     for _ in range(most):
         inside = np.where(values + steps > bounds[1], -steps, steps)
-        normal = reduced(base, at).joined([derivative(base, build, values + s, at) for s in sizes * inside])
+        normal = reduced(base, at).joined([derivative(base, build(values + s), at) for s in sizes * inside])
         scaled = np.concatenate([np.ones(count), inside])
         held = normal.matrix + np.diag(np.r_[np.zeros(count), 1e-9 * np.diag(normal.matrix)[count:] + 1e-300])
         step = np.linalg.solve(held, normal.gradient)

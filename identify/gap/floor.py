@@ -1,6 +1,6 @@
-"""The floor: what null recordings (the believed rig, as a laboratory builds it) leave of residual in the same chain.
+"""The floor: what null recordings (of the believed rig as a laboratory builds it) leave in the same chain.
 
-Integration, chaos, sensors and a laboratory's tolerances are in it. It is made once for a rig and a simulator, and kept.
+Integration, chaos, sensors and a laboratory's tolerances are in it. Made once for a rig and a simulator, it is kept.
 """
 
 import hashlib
@@ -10,6 +10,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 from jaxtyping import Float
+from scipy.signal.windows import hann
 
 from identify.gap.candidates import candidates
 from identify.gap.residual import Base, Residual
@@ -23,6 +24,9 @@ from rig.recording import Recording
 
 NULLS = 12
 BAND_HZ = 2.0
+SEGMENT_S = 1.0
+LEVELS = (1.0, 1.25, 1.5)
+"""Nulls are made with the force times these: large motion is less linear, and a validation record may be larger."""
 MARGIN = 3.0
 """A gain counts from this multiple of the largest that a null recording showed for that effect."""
 SPREAD = 1.5
@@ -74,17 +78,27 @@ def remainder(base: Base, at: Residual, floor: Floor) -> Remainder:
 
 
 def band_levels(record: Record, at: Residual) -> Float[np.ndarray, "bands sensors"]:
-    """Mean square of the linear residual in bands of 2 Hz."""
+    """Mean square of the linear residual in bands of 2 Hz: the median over seconds, as large motion comes in bursts."""
     rows = at.linear[: len(record.sensors)]
-    power = np.abs(np.fft.rfft(rows, axis=1)) ** 2 / rows.shape[1]
-    band = (np.fft.rfftfreq(rows.shape[1], 1 / record.rate_hz) / BAND_HZ).astype(int)
-    count = np.bincount(band)
-    return np.array([np.bincount(band, row) / count for row in power]).T
+    length = round(SEGMENT_S * record.rate_hz)
+    count = rows.shape[1] // length
+    pieces = rows[:, : count * length].reshape(len(rows), count, length)
+    weights = hann(length, sym=False)
+    power = np.median(np.abs(np.fft.rfft(pieces * weights)) ** 2, axis=1) / np.sum(weights**2)
+    wide = round(BAND_HZ * SEGMENT_S)
+    bands = power.shape[1] // wide
+    return np.asarray(power[:, : bands * wide].reshape(len(rows), bands, wide).mean(axis=2).T)
 
 
 def contact_levels(base: Base, at: Residual) -> list[float]:
-    """Mean square of each contact's residual."""
-    return [float(np.mean(c.residual[: s.weights.size] ** 2)) for c, s in zip(at.contacts, base.seen, strict=True)]
+    """Mean square of each contact's residual: the median over seconds."""
+    length = round(SEGMENT_S * base.record.rate_hz)
+    found = []
+    for contact, seen in zip(at.contacts, base.seen, strict=True):
+        squares = contact.residual[: seen.weights.size] ** 2
+        count = squares.size // length
+        found.append(float(np.median(squares[: count * length].reshape(count, length).mean(axis=1))))
+    return found
 
 
 def floor_of(
@@ -105,7 +119,10 @@ def floor_of(
     bands, contacts = [], []
     gains: dict[str, float] = {}
     for i in range(NULLS):
-        record = record_of(simulate(rig, jittered(rig, np.random.default_rng([i, 77])), force_n, i), tolerances=tolerances)
+        record = record_of(
+            simulate(rig, jittered(rig, np.random.default_rng([i, 77])), LEVELS[i % len(LEVELS)] * force_n, i),
+            tolerances=tolerances,
+        )
         base, at = settled(record, rig)
         bands.append(band_levels(record, at))
         contacts.append(contact_levels(base, at))

@@ -5,8 +5,9 @@ At every line the accelerations of all sensors are, by the rig's description,
     A = G_F F - G_K k3 w^3 - G_C f + G_B a_base + error
 
 with the accelerances G at the sensors of the force F, cubic springs, contact forces f, and a base that shakes
-unmeasured. Static loads accelerate nothing: the contacts hold them. The f are found by least squares, without a contact law; so is a_base, held by its spectrum. What
-they leave, in standard deviations of the error, is the linear residual: sensors less contacts tell it.
+unmeasured. Static loads accelerate nothing: the contacts hold them. The f are found by least squares, without a contact
+law; so is a_base, held by its spectrum. What they leave, in standard deviations of the error, is the linear residual:
+sensors less contacts tell it.
 """
 
 from dataclasses import dataclass

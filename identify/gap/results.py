@@ -4,6 +4,8 @@ from typing import Literal
 
 import msgspec
 
+Verdict = Literal["no_gap", "effect", "none_of_these"]
+
 
 class Value(msgspec.Struct, frozen=True):
     """A fitted parameter of an effect."""
@@ -50,6 +52,8 @@ class Where(msgspec.Struct, frozen=True, kw_only=True):
     contact_state: dict[str, float]
     time_s: tuple[Share, ...]
     surface: dict[str, Surface]
+    parts: dict[str, float] = {}
+    """Of the linear residual, and of each contact's law."""
 
 
 class Closure(msgspec.Struct, frozen=True):
@@ -91,7 +95,7 @@ class Gap(msgspec.Struct, frozen=True, kw_only=True):
     """The diagnosis of a recording. size is the gap's, 1 being what nulls leave; channel_faults names dead and clipped
     channels, which were left out."""
 
-    verdict: Literal["no_gap", "effect", "none_of_these"]
+    verdict: Verdict
     sentence: str
     size: float
     causes: tuple[Cause, ...]

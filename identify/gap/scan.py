@@ -29,9 +29,9 @@ class Start:
 
 
 def linear_starts(base: Base, candidates: Sequence[Candidate]) -> list[Start]:
-    """By the linear residual alone, of effects that change the linear model and are no cubic springs or base motions."""
+    """By the linear residual alone, of effects that change the linear model."""
     thin = _thinned(base.record)
-    before = _linear_cost(base, thin, base.rig)
+    before = _linear_cost(thin, base.rig)
     found = []
     for candidate in candidates:
         changed = candidate.applied(base.rig, candidate.default)
@@ -40,7 +40,7 @@ def linear_starts(base: Base, candidates: Sequence[Candidate]) -> list[Start]:
         costs = []
         for values in _tried(candidate):
             try:
-                costs.append((_linear_cost(base, thin, candidate.applied(base.rig, values)), values))
+                costs.append((_linear_cost(thin, candidate.applied(base.rig, values)), values))
             except RigError:
                 continue
         least, values = min(costs, key=lambda c: c[0])
@@ -80,6 +80,6 @@ def _thinned(record: Record) -> Record:
     )
 
 
-def _linear_cost(base: Base, thin: Record, rig: Rig) -> float:
+def _linear_cost(thin: Record, rig: Rig) -> float:
     model = linear_model(thin, rig, MODEL_ERROR)
     return THINNED * float(np.sum(np.abs(model.residual) ** 2))

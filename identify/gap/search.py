@@ -73,7 +73,7 @@ def looks(base: Base, at: Residual, candidates: Sequence[Candidate]) -> list[Loo
         for start in candidate.starts:
             moved = start.copy()
             moved[0] = candidate.neutral + step
-            normal = equations.joined([derivative(base, lambda v: candidate.applied(base.rig, v), moved, at)])
+            normal = equations.joined([derivative(base, candidate.applied(base.rig, moved), at)])
             inner = np.linalg.solve(normal.matrix[:count, :count], normal.matrix[:count, count])
             curvature = normal.matrix[count, count] - normal.matrix[count, :count] @ inner
             slope = normal.gradient[count] - normal.gradient[:count] @ inner
@@ -100,7 +100,7 @@ def search(base: Base, at: Residual, candidates: Sequence[Candidate]) -> list[Fo
     begun: dict[str, list[tuple[Fit, Candidate]]] = {}
     for source, start in (
         (looks(base, at, candidates), at),
-        (looks(base, fresh, [c for c in candidates if quiet(base, at, c)]), None),
+        (looks(base, fresh, [c for c in candidates if quiet(base, c)]), None),
         (linear_starts(base, candidates), None),
     ):
         for look in [s for s in source[:DEEP] if s.gain > WORTH * source[0].gain]:
@@ -125,7 +125,7 @@ def polished(base: Base, candidate: Candidate, fitted: Fit, before: float) -> Fo
     return Found(candidate, fitted, before - fitted.cost)
 
 
-def quiet(base: Base, at: Residual, candidate: Candidate) -> bool:
+def quiet(base: Base, candidate: Candidate) -> bool:
     """Whether the linear residual does not see an effect."""
     rig = candidate.applied(base.rig, candidate.default)
     return same_but_laws(base.rig, rig) or rig.loads != base.rig.loads

@@ -7,10 +7,10 @@ from jaxtyping import Complex, Float
 from scipy.fft import next_fast_len
 from scipy.ndimage import uniform_filter1d
 
-from identify.kinematics import CORNER_HZ, Kinematics, acceleration_noise, integrated, kinematics, taper
 from identify.answers import drift_of
 from identify.drift import Drift
 from identify.joint import FINE_HZ
+from identify.kinematics import CORNER_HZ, Kinematics, acceleration_noise, integrated, kinematics, taper
 from identify.spectra import force_band
 from identify.tolerances import LABORATORY, Tolerances
 from rig.description import Quantity, Rig, Sensor
