@@ -6,25 +6,25 @@ FOLDER holds SNLS80mV.csv; without it the package nonlinear_benchmarks fetches t
 free data sets for development and benchmarking in nonlinear system identification", ECC 2013.
 """
 
-from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
+import matplotlib as mpl
 import msgspec
 import numpy as np
 import typer
 from jaxtyping import Float
+from matplotlib.figure import Figure
 from msgspec.structs import replace
 from rich.console import Console
 from rich.table import Table
+from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 from scipy.signal import welch
 
-from identify.gap.diagnose import Outcome, diagnosed
-from identify.gap.floor import floor_of
-from identify.gap.spectra import record_of
+from identify.gap.answer import diagnose
 from identify.kinematics import kinematics
+from identify.results import write_json
 from identify.spectra import force_band
 from identify.tolerances import Tolerances
 from rig.command_line import Force, progress_bar, refuse_existing, run
@@ -32,7 +32,7 @@ from rig.description import Rig, Sensor, Station
 from rig.errors import RigError
 from rig.oscillator import Oscillator
 from rig.plants.modal import simulate as modal
-from rig.recording import Recording, Signals, channel_groups, writing
+from rig.recording import Recording, Signals, channel_groups, read, writing
 from rig.replay import replayed
 
 FILE = "SNLS80mV.csv"
@@ -52,9 +52,9 @@ MILLIVOLTS = 1e3 / DISPLACEMENT_M_PER_V
 app = typer.Typer(pretty_exceptions_enable=False)
 
 
-class Judged(msgspec.Struct, frozen=True):
-    """Root mean square errors of free runs on the arrow, mV: the linear rig, with the diagnosed effects put into it,
-    and with its linear part identified anew beside them."""
+class Judged(msgspec.Struct, frozen=True, kw_only=True):
+    """The verdict, and root mean square errors (mV) of free runs on the arrow: of the linear rig, of it with what was
+    diagnosed put into it, and of that with its mass, frequency, damping and spring identified again."""
 
     verdict: str
     effects: tuple[str, ...]
@@ -62,7 +62,46 @@ class Judged(msgspec.Struct, frozen=True):
     diagnosed_mv: float
     corrected_mv: float
     linear: Rig
+    diagnosed: Rig
     corrected: Rig
+
+
+@app.command()
+def silverbox(
+    data: Annotated[Path | None, typer.Option(help=f"Folder with {FILE}.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the records, the results and the figures.")] = Path(
+        "out/silverbox"
+    ),
+    force: Force = False,
+) -> None:
+    """Diagnoses measured multisines, and judges the corrected rig on a record that was not used before."""
+    refuse_existing(out / "silverbox.json", force)
+    out.mkdir(parents=True, exist_ok=True)
+    parts = dict(zip(("fit", "validation", "arrow"), recordings(measured(data)), strict=True))
+    fit, validation, arrow = (written(recording, out / f"{name}.mcap") for name, recording in parts.items())
+    with progress_bar("diagnosing") as progress:
+        gap, diagnosed = diagnose(fit, validation, simulated, None, lambda _, x: progress(x), FITTED)
+    corrected = identified(diagnosed, fit)
+    errors = {name: errors_mv(rig, arrow) for name, rig in (("linear", fit.rig), ("corrected", corrected))}
+    judged = Judged(
+        verdict=gap.verdict,
+        effects=gap.causes[0].effects if gap.causes else (),
+        linear_mv=rms(errors["linear"]),
+        diagnosed_mv=rms(errors_mv(diagnosed, arrow)),
+        corrected_mv=rms(errors["corrected"]),
+        linear=fit.rig,
+        diagnosed=diagnosed,
+        corrected=corrected,
+    )
+    write_json(gap, out / "gap.json")
+    write_json(judged, out / "silverbox.json")
+    with mpl.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
+        where_figure(fit.rig, corrected, validation).savefig(out / "where.png", dpi=140)
+        arrow_figure(arrow, errors).savefig(out / "arrow.png", dpi=140)
+    console = Console()
+    console.print(gap.sentence)
+    console.print(table(judged))
+    console.print(f"records, gap.json, silverbox.json, where.png and arrow.png in {out}", soft_wrap=True)
 
 
 def measured(folder: Path | None) -> Float[np.ndarray, "2 samples"]:
@@ -120,7 +159,8 @@ def one_mass(mass_kg: float, frequency_hz: float, damping_ratio: float, noise_de
 def recording_of(rig: Rig, signals: Float[np.ndarray, "2 samples"]) -> Recording:
     """Of a force (N) and a displacement (m)."""
     rows = zip(channel_groups(rig).items(), signals, strict=True)
-    return Recording(rig, {name: Signals(c, 0.0, row[None]) for (name, c), row in rows}, {"source": f"Silverbox {FILE}"})
+    named = {name: Signals(channels, 0.0, row[None]) for (name, channels), row in rows}
+    return Recording(rig, named, {"source": f"Silverbox benchmark, {FILE}"})
 
 
 def displacement_m(recording: Recording) -> Float[np.ndarray, " samples"]:
@@ -165,9 +205,67 @@ def identified(rig: Rig, recording: Recording) -> Rig:
 
 def errors_mv(rig: Rig, recording: Recording) -> Float[np.ndarray, " samples"]:
     """The measured output less a free run, after the start."""
-    run = free_run(rig, recording.force_n)
-    return MILLIVOLTS * (displacement_m(recording) - displacement_m(run))[SETTLED:]
+    return MILLIVOLTS * (displacement_m(recording) - displacement_m(free_run(rig, recording.force_n)))[SETTLED:]
 
 
 def rms(values: Float[np.ndarray, " samples"]) -> float:
     return float(np.sqrt(np.mean(values**2)))
+
+
+def written(recording: Recording, path: Path) -> Recording:
+    """What is read back from the file."""
+    with writing(path, recording.rig, channel_groups(recording.rig), recording.provenance) as file:
+        for name, signals in recording.signals.items():
+            file.append(name, signals.values)
+    return read(path)
+
+
+def table(judged: Judged) -> Table:
+    found = Table(title=f"Free run on the arrow; verdict: {judged.verdict}, {' + '.join(judged.effects)}")
+    for heading in ("rig", "error, mV rms", "frequency, Hz", "damping", "mass, kg", "cubic spring, N/m^3"):
+        found.add_column(heading, justify="right" if found.columns else "left")
+    for name, rig, error in (
+        ("linear", judged.linear, judged.linear_mv),
+        ("with what was diagnosed", judged.diagnosed, judged.diagnosed_mv),
+        ("... and identified again", judged.corrected, judged.corrected_mv),
+    ):
+        (body,), cubic = rig.bodies, sum(s.cubic_n_per_m3 for s in rig.springs)
+        numbers = (error, body.frequency_hz, body.damping_ratio, body.mass_kg, cubic)
+        found.add_row(name, *(f"{n:.4g}" for n in numbers))
+    return found
+
+
+def where_figure(linear: Rig, corrected: Rig, recording: Recording) -> Figure:
+    """The force that the linear rig lacks, F - m a - c v - k x, over the displacement."""
+    motion = kinematics(recording)
+    (x,), (v,), (a,) = motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2
+    (was,), (now,) = linear.bodies, corrected.bodies
+    lacking = motion.force_n - was.mass_kg * a - was.damping_n_s_per_m * v - was.stiffness_n_per_m * x
+    at = np.linspace(x.min(), x.max(), 200)
+    softer = now.stiffness_n_per_m - was.stiffness_n_per_m
+    cubic = sum(s.cubic_n_per_m3 for s in corrected.springs)
+    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
+    axes = figure.subplots()
+    axes.plot(1e3 * x, lacking, ".", ms=1, color="#8a8a8a", alpha=0.3, rasterized=True, label="measured")
+    axes.plot(1e3 * at, softer * at + cubic * at**3, color="#c8402f", label="stiffness and cubic spring found")
+    axes.set(xlabel="displacement, mm", ylabel="force that the linear rig lacks, N")
+    axes.legend(frameon=False)
+    return figure
+
+
+def arrow_figure(arrow: Recording, errors: dict[str, Float[np.ndarray, " samples"]]) -> Figure:
+    """Output and errors of both rigs over time."""
+    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True)
+    time_s = np.arange(SETTLED, arrow.samples) / SAMPLE_RATE_HZ
+    above.plot(time_s, MILLIVOLTS * displacement_m(arrow)[SETTLED:], color="#8a8a8a", lw=0.4)
+    for (name, error), colour in zip(errors.items(), ("#1f5fa8", "#c8402f"), strict=True):
+        below.semilogy(time_s, np.sqrt(uniform_filter1d(error**2, 610)), color=colour, label=name)
+    above.set(ylabel="output, mV")
+    below.set(xlabel="time, s", ylabel="error, mV rms of 1 s")
+    below.legend(frameon=False)
+    return figure
+
+
+if __name__ == "__main__":
+    run(app, "scenarios.silverbox")

@@ -33,8 +33,8 @@ def diagnose(
 ) -> tuple[Gap, Rig]:
     """The diagnosis, and the rig corrected by it (the believed one, if nothing explains the gap).
 
-    The floor is made by the simulator, or read from floor_file. tolerances say how exactly the rig is believed. Raises RigError if the records do not fit together or
-    allow no diagnosis.
+    The floor is made by the simulator, or read from floor_file; tolerances say how exactly the rig is believed. Raises
+    RigError if the records do not fit together or allow no diagnosis.
     """
     if validation is None:
         recording, validation = _halves(recording)

@@ -100,12 +100,13 @@ def moved(
         if isinstance(body, Oscillator):
             frequency, damping = (names.index(f"{what} of {body.name} 1") for what in ("frequency", "damping"))
             put[[frequency, damping]] = doubts[[frequency, damping]]
-            body = replace(
-                body,
-                frequency_hz=body.frequency_hz * max(0.5, 1 + tolerances.frequency * float(put[frequency])),
-                damping_ratio=body.damping_ratio * max(0.1, 1 + tolerances.damping * float(put[damping])),
-            )
-        bodies.append(body)
+            factors = {
+                "frequency_hz": max(0.5, 1 + tolerances.frequency * float(put[frequency])),
+                "damping_ratio": max(0.1, 1 + tolerances.damping * float(put[damping])),
+            }
+            bodies.append(replace(body, **{name: getattr(body, name) * factor for name, factor in factors.items()}))
+        else:
+            bodies.append(body)
     return replace(rig, bodies=tuple(bodies)), put
 
 

@@ -8,8 +8,8 @@ from jaxtyping import Float
 
 from identify.gap.candidates import Candidate
 from identify.gap.fit import STEPS, Fit, derivative, fit, reduced
-from identify.gap.residual import Base, Residual, base_of, residual_of, same_but_laws
 from identify.gap.law import Seen
+from identify.gap.residual import Base, Residual, base_of, residual_of, same_but_laws
 from identify.gap.scan import linear_starts
 from identify.gap.spectra import Record
 from rig.description import Rig
