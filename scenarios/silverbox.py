@@ -9,16 +9,13 @@ free data sets for development and benchmarking in nonlinear system identificati
 from pathlib import Path
 from typing import Annotated
 
-import matplotlib as mpl
 import msgspec
 import numpy as np
 import typer
 from jaxtyping import Float
-from matplotlib.figure import Figure
 from msgspec.structs import replace
 from rich.console import Console
 from rich.table import Table
-from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 from scipy.signal import welch
 
@@ -29,25 +26,31 @@ from identify.spectra import force_band
 from identify.tolerances import Tolerances
 from rig.command_line import Force, progress_bar, refuse_existing, run
 from rig.description import Rig, Sensor, Station
-from rig.errors import RigError
 from rig.oscillator import Oscillator
 from rig.plants.modal import simulate as modal
-from rig.recording import Recording, Signals, channel_groups, read, writing
+from rig.recording import Recording
 from rig.replay import replayed
+from scenarios.silverbox_data import (
+    ARROW,
+    DISPLACEMENT_M_PER_V,
+    FILE,
+    FIT,
+    FORCE_N_PER_V,
+    MILLIVOLTS,
+    SAMPLE_RATE_HZ,
+    VALIDATION,
+    displacement_m,
+    measured,
+    recording_of,
+    written,
+)
+from scenarios.silverbox_figures import drawn
 
-FILE = "SNLS80mV.csv"
-SAMPLE_RATE_HZ = 610.35
-SAMPLES = 131072
-FORCE_N_PER_V, DISPLACEMENT_M_PER_V = 1e4, 0.1
-"""What a volt of the input and one of the output stand for: these make a rig of half a kilogram that moves by 5 mm."""
-ARROW, FIT, VALIDATION = slice(0, 40575), slice(40575, 84000), slice(84000, 127400)
-"""Noise that grows; then ten multisines, of which one half is for searching and the other for deciding."""
 SETTLED = 150
 """Samples at the start of the arrow that do not count, as is the custom with this benchmark."""
 OVERSAMPLED = 8
 FITTED = Tolerances(gain=0.02, position_m=0.0, frequency=0.02, damping=0.12)
 """How exactly a linear rig is believed that comes from a fit which leaves an eighth of the motion unexplained."""
-MILLIVOLTS = 1e3 / DISPLACEMENT_M_PER_V
 
 app = typer.Typer(pretty_exceptions_enable=False)
 
@@ -76,9 +79,9 @@ def silverbox(
 ) -> None:
     """Diagnoses measured multisines, and judges the corrected rig on a record that was not used before."""
     refuse_existing(out / "silverbox.json", force)
+    parts = zip(("fit", "validation", "arrow"), recordings(measured(data)), strict=True)
     out.mkdir(parents=True, exist_ok=True)
-    parts = dict(zip(("fit", "validation", "arrow"), recordings(measured(data)), strict=True))
-    fit, validation, arrow = (written(recording, out / f"{name}.mcap") for name, recording in parts.items())
+    fit, validation, arrow = (written(recording, out / f"{name}.mcap") for name, recording in parts)
     with progress_bar("diagnosing") as progress:
         gap, diagnosed = diagnose(fit, validation, simulated, None, lambda _, x: progress(x), FITTED)
     corrected = identified(diagnosed, fit)
@@ -95,37 +98,11 @@ def silverbox(
     )
     write_json(gap, out / "gap.json")
     write_json(judged, out / "silverbox.json")
-    with mpl.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
-        where_figure(fit.rig, corrected, validation).savefig(out / "where.png", dpi=140)
-        arrow_figure(arrow, errors).savefig(out / "arrow.png", dpi=140)
+    drawn(validation, corrected, arrow, errors, out)
     console = Console()
     console.print(gap.sentence)
     console.print(table(judged))
-    console.print(f"records, gap.json, silverbox.json, where.png and arrow.png in {out}", soft_wrap=True)
-
-
-def measured(folder: Path | None) -> Float[np.ndarray, "2 samples"]:
-    """Input and output, V, all of the record; raises RigError where it is not to be had."""
-    if folder is not None:
-        path = folder / FILE
-        try:
-            volts = np.loadtxt(path, delimiter=",", skiprows=1, usecols=(0, 1)).T
-        except OSError as error:
-            raise RigError(f"{path}: cannot be opened ({error.strerror}); give the folder that holds it") from error
-        except ValueError as error:
-            raise RigError(f"{path}: is not the benchmark's file ({error}); fetch it again") from error
-    else:
-        try:
-            import nonlinear_benchmarks
-        except ImportError as error:
-            raise RigError(
-                f"no data: give --data FOLDER with {FILE}, or pip install nonlinear_benchmarks, which fetches it"
-            ) from error
-        whole = nonlinear_benchmarks.Silverbox(train_test_split=False)
-        volts = np.stack([whole.u, whole.y])
-    if volts.shape[1] != SAMPLES:
-        raise RigError(f"{FILE}: has {volts.shape[1]} samples instead of {SAMPLES}; give the benchmark's own file")
-    return volts
+    console.print(f"records, gap.json, silverbox.json, where.png, arrow.png: in {out}", soft_wrap=True)
 
 
 def recordings(volts: Float[np.ndarray, "2 samples"]) -> tuple[Recording, Recording, Recording]:
@@ -156,15 +133,10 @@ def one_mass(mass_kg: float, frequency_hz: float, damping_ratio: float, noise_de
     )
 
 
-def recording_of(rig: Rig, signals: Float[np.ndarray, "2 samples"]) -> Recording:
-    """Of a force (N) and a displacement (m)."""
-    rows = zip(channel_groups(rig).items(), signals, strict=True)
-    named = {name: Signals(channels, 0.0, row[None]) for (name, channels), row in rows}
-    return Recording(rig, named, {"source": f"Silverbox benchmark, {FILE}"})
-
-
-def displacement_m(recording: Recording) -> Float[np.ndarray, " samples"]:
-    return recording.signals["displacement"].values[0]
+def mass_of(rig: Rig) -> Oscillator:
+    (body,) = rig.bodies
+    assert isinstance(body, Oscillator)
+    return body
 
 
 def linear_guess(recording: Recording, noise_density: float) -> Rig:
@@ -190,7 +162,7 @@ def identified(rig: Rig, recording: Recording) -> Rig:
     """Mass, frequency, damping and cubic springs for which the free run leaves the least squares of error."""
 
     def changed(logarithms: Float[np.ndarray, " parameters"]) -> Rig:
-        (body,), factors = rig.bodies, [float(f) for f in np.exp(logarithms)]
+        body, factors = mass_of(rig), [float(f) for f in np.exp(logarithms)]
         names = ("mass_kg", "frequency_hz", "damping_ratio")
         new = {name: factor * getattr(body, name) for name, factor in zip(names, factors, strict=False)}
         cubic = zip(rig.springs, factors[3:], strict=True)
@@ -212,14 +184,6 @@ def rms(values: Float[np.ndarray, " samples"]) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def written(recording: Recording, path: Path) -> Recording:
-    """What is read back from the file."""
-    with writing(path, recording.rig, channel_groups(recording.rig), recording.provenance) as file:
-        for name, signals in recording.signals.items():
-            file.append(name, signals.values)
-    return read(path)
-
-
 def table(judged: Judged) -> Table:
     found = Table(title=f"Free run on the arrow; verdict: {judged.verdict}, {' + '.join(judged.effects)}")
     for heading in ("rig", "error, mV rms", "frequency, Hz", "damping", "mass, kg", "cubic spring, N/m^3"):
@@ -229,42 +193,10 @@ def table(judged: Judged) -> Table:
         ("with what was diagnosed", judged.diagnosed, judged.diagnosed_mv),
         ("... and identified again", judged.corrected, judged.corrected_mv),
     ):
-        (body,), cubic = rig.bodies, sum(s.cubic_n_per_m3 for s in rig.springs)
+        body, cubic = mass_of(rig), sum(s.cubic_n_per_m3 for s in rig.springs)
         numbers = (error, body.frequency_hz, body.damping_ratio, body.mass_kg, cubic)
         found.add_row(name, *(f"{n:.4g}" for n in numbers))
     return found
-
-
-def where_figure(linear: Rig, corrected: Rig, recording: Recording) -> Figure:
-    """The force that the linear rig lacks, F - m a - c v - k x, over the displacement."""
-    motion = kinematics(recording)
-    (x,), (v,), (a,) = motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2
-    (was,), (now,) = linear.bodies, corrected.bodies
-    lacking = motion.force_n - was.mass_kg * a - was.damping_n_s_per_m * v - was.stiffness_n_per_m * x
-    at = np.linspace(x.min(), x.max(), 200)
-    softer = now.stiffness_n_per_m - was.stiffness_n_per_m
-    cubic = sum(s.cubic_n_per_m3 for s in corrected.springs)
-    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
-    axes = figure.subplots()
-    axes.plot(1e3 * x, lacking, ".", ms=1, color="#8a8a8a", alpha=0.3, rasterized=True, label="measured")
-    axes.plot(1e3 * at, softer * at + cubic * at**3, color="#c8402f", label="stiffness and cubic spring found")
-    axes.set(xlabel="displacement, mm", ylabel="force that the linear rig lacks, N")
-    axes.legend(frameon=False)
-    return figure
-
-
-def arrow_figure(arrow: Recording, errors: dict[str, Float[np.ndarray, " samples"]]) -> Figure:
-    """Output and errors of both rigs over time."""
-    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
-    above, below = figure.subplots(2, 1, sharex=True)
-    time_s = np.arange(SETTLED, arrow.samples) / SAMPLE_RATE_HZ
-    above.plot(time_s, MILLIVOLTS * displacement_m(arrow)[SETTLED:], color="#8a8a8a", lw=0.4)
-    for (name, error), colour in zip(errors.items(), ("#1f5fa8", "#c8402f"), strict=True):
-        below.semilogy(time_s, np.sqrt(uniform_filter1d(error**2, 610)), color=colour, label=name)
-    above.set(ylabel="output, mV")
-    below.set(xlabel="time, s", ylabel="error, mV rms of 1 s")
-    below.legend(frameon=False)
-    return figure
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from identify.kinematics import CORNER_HZ, integrated
 from identify.modal import receptance
 from identify.tolerances import Tolerances
 from rig.beam import Beam
-from rig.description import Contact, Rig
+from rig.description import Body, Contact, Rig
 from rig.oscillator import Oscillator
 
 BEYOND = 1.3
@@ -95,7 +95,8 @@ def moved(
     Those alone bend the residual: a single mass may have been believed from a record of another level, and a resonance
     that lies off by a part of its width is no linear matter. A beam's modes cannot be moved one by one.
     """
-    put, bodies = np.zeros(len(names)), []
+    put = np.zeros(len(names))
+    bodies: list[Body] = []
     for body in rig.bodies:
         if isinstance(body, Oscillator):
             frequency, damping = (names.index(f"{what} of {body.name} 1") for what in ("frequency", "damping"))
@@ -126,4 +127,4 @@ def _at_contacts(
             found += displaced[i] * ((sensor.station == contact.at) * 1.0 - (sensor.station == contact.against) * 1.0)
         return found
 
-    return np.array([of(c) for c in model.rig.contacts]).reshape(-1, displaced.shape[1])
+    return np.array([of(c) for c in model.rig.contacts], dtype=complex).reshape(-1, displaced.shape[1])
