@@ -40,6 +40,7 @@ from scenarios.silverbox_data import (
     SAMPLE_RATE_HZ,
     VALIDATION,
     displacement_m,
+    mass_of,
     measured,
     recording_of,
     written,
@@ -133,12 +134,6 @@ def one_mass(mass_kg: float, frequency_hz: float, damping_ratio: float, noise_de
     )
 
 
-def mass_of(rig: Rig) -> Oscillator:
-    (body,) = rig.bodies
-    assert isinstance(body, Oscillator)
-    return body
-
-
 def linear_guess(recording: Recording, noise_density: float) -> Rig:
     """By least squares of F = m a + c v + k x over time."""
     motion = kinematics(recording)
@@ -190,8 +185,8 @@ def table(judged: Judged) -> Table:
         found.add_column(heading, justify="right" if found.columns else "left")
     for name, rig, error in (
         ("linear", judged.linear, judged.linear_mv),
-        ("with what was diagnosed", judged.diagnosed, judged.diagnosed_mv),
-        ("... and identified again", judged.corrected, judged.corrected_mv),
+        ("diagnosed", judged.diagnosed, judged.diagnosed_mv),
+        ("identified again", judged.corrected, judged.corrected_mv),
     ):
         body, cubic = mass_of(rig), sum(s.cubic_n_per_m3 for s in rig.springs)
         numbers = (error, body.frequency_hz, body.damping_ratio, body.mass_kg, cubic)

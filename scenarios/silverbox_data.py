@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from rig.description import Rig
 from rig.errors import RigError
+from rig.oscillator import Oscillator
 from rig.recording import Recording, Signals, channel_groups, read, writing
 
 FILE = "SNLS80mV.csv"
@@ -53,6 +54,12 @@ def recording_of(rig: Rig, signals: Float[np.ndarray, "2 samples"]) -> Recording
 
 def displacement_m(recording: Recording) -> Float[np.ndarray, " samples"]:
     return recording.signals["displacement"].values[0]
+
+
+def mass_of(rig: Rig) -> Oscillator:
+    (body,) = rig.bodies
+    assert isinstance(body, Oscillator)
+    return body
 
 
 def written(recording: Recording, path: Path) -> Recording:

@@ -10,8 +10,8 @@ from scipy.ndimage import uniform_filter1d
 
 from identify.kinematics import kinematics
 from rig.description import Rig
-from rig.oscillator import Oscillator
 from rig.recording import Recording
+from scenarios.silverbox_data import mass_of
 
 BLUE, RED, GREY = "#1f5fa8", "#c8402f", "#8a8a8a"
 STYLE = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}
@@ -32,8 +32,7 @@ def drawn(
 
 def _where(recording: Recording, corrected: Rig) -> Figure:
     """The force beyond mass, damping and linear spring, F - m a - c v - k x, over the displacement."""
-    motion, (body,) = kinematics(recording), corrected.bodies
-    assert isinstance(body, Oscillator)
+    motion, body = kinematics(recording), mass_of(corrected)
     (x,), (v,), (a,) = motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2
     beyond = motion.force_n - body.mass_kg * a - body.damping_n_s_per_m * v - body.stiffness_n_per_m * x
     at = np.linspace(x.min(), x.max(), 200)

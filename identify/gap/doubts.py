@@ -98,16 +98,14 @@ def moved(
     put = np.zeros(len(names))
     bodies: list[Body] = []
     for body in rig.bodies:
-        if isinstance(body, Oscillator):
-            frequency, damping = (names.index(f"{what} of {body.name} 1") for what in ("frequency", "damping"))
-            put[[frequency, damping]] = doubts[[frequency, damping]]
-            factors = {
-                "frequency_hz": max(0.5, 1 + tolerances.frequency * float(put[frequency])),
-                "damping_ratio": max(0.1, 1 + tolerances.damping * float(put[damping])),
-            }
-            bodies.append(replace(body, **{name: getattr(body, name) * factor for name, factor in factors.items()}))
-        else:
-            bodies.append(body)
+        changed = {}
+        for what, field in (("frequency", "frequency_hz"), ("damping", "damping_ratio")):
+            name = f"{what} of {body.name} 1"
+            if isinstance(body, Oscillator) and name in names:
+                at = names.index(name)
+                put[at] = doubts[at]
+                changed[field] = getattr(body, field) * max(0.1, 1 + getattr(tolerances, what) * float(put[at]))
+        bodies.append(replace(body, **changed))
     return replace(rig, bodies=tuple(bodies)), put
 
 

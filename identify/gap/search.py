@@ -19,7 +19,7 @@ DEEP = 4
 """So many of the effects that look best are fitted."""
 FINAL = 3
 """So many of those are fitted to the end."""
-AGAIN = 3
+AGAIN = 2
 """So many times the doubts about a single mass are linearised anew."""
 WORTH = 0.02
 """An effect whose linear gain is a smaller share of the best one's is not."""
@@ -46,10 +46,14 @@ def settled(
     """A rig fitted so to a record, linearised anew about its doubts where they bend the residual."""
     base = base_of(record, rig, seen, start)
     at = fitted_rig(base, start).residual
-    for _ in range(AGAIN if any(isinstance(b, Oscillator) for b in rig.bodies) else 0):
+    for _ in range(_again(rig)):
         base = base_of(record, rig, base.seen, at)
         at = fitted_rig(base, at).residual
     return base, at
+
+
+def _again(rig: Rig) -> int:
+    return AGAIN if any(isinstance(b, Oscillator) for b in rig.bodies) else 0
 
 
 @dataclass(frozen=True)
@@ -114,7 +118,7 @@ def search(base: Base, at: Residual, candidates: Sequence[Candidate]) -> list[Fo
 
 def polished(base: Base, candidate: Candidate, fitted: Fit, before: float) -> Found:
     """Fitted to the end, with the doubts linearised about the rig that has the effect."""
-    for _ in range(1 + AGAIN):
+    for _ in range(2 + _again(base.rig)):
         about = base_of(base.record, candidate.applied(base.rig, fitted.values), base.seen, fitted.residual)
         again = _fit(base, candidate, fitted.values, fitted.residual, STEPS, about)
         fell = fitted.cost - again.cost
