@@ -38,7 +38,12 @@ def measured(folder: Path | None) -> Float[np.ndarray, "2 samples"]:
             raise RigError(
                 f"no data: give --data FOLDER with {FILE}, or pip install nonlinear_benchmarks, which fetches it"
             ) from error
-        whole = nonlinear_benchmarks.Silverbox(train_test_split=False)
+        try:
+            whole = nonlinear_benchmarks.Silverbox(train_test_split=False)
+        except Exception as error:  # whatever a download raises
+            raise RigError(
+                f"nonlinear_benchmarks could not fetch the data ({error}); give --data FOLDER with {FILE}"
+            ) from error
         volts = np.stack([whole.u, whole.y])
     if volts.shape[1] != SAMPLES:
         raise RigError(f"{FILE}: has {volts.shape[1]} samples instead of {SAMPLES}; give the benchmark's own file")

@@ -1,7 +1,10 @@
 """The Silverbox: measured data diagnosed and corrected, where the data is there; and a simulated one that always is."""
 
 import os
+import sys
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import msgspec
 import numpy as np
@@ -14,7 +17,7 @@ from rig.description import PointSpring
 from rig.errors import RigError
 from rig.excitation import BandLimitedGaussian, force_history
 from scenarios.silverbox import Judged, app, free_run, identified, one_mass, rms, simulated
-from scenarios.silverbox_data import FILE, measured
+from scenarios.silverbox_data import FILE, SAMPLES, measured
 
 DATA = Path(os.environ.get("SILVERBOX", "silverbox"))
 CUBIC_N_PER_M3, NOISE_DENSITY = 4e7, 1e-7
@@ -90,3 +93,17 @@ def test_data_that_is_not_there_is_one_sentence(tmp_path):
     (tmp_path / FILE).write_text('"V1","V2",\n0.1,0.2,\n0.1,0.2,\n')
     with pytest.raises(RigError, match="has 2 samples instead of"):
         measured(tmp_path)
+
+
+def test_the_package_that_fetches_the_data(monkeypatch):
+    record = SimpleNamespace(u=np.arange(SAMPLES) * 1.0, y=np.ones(SAMPLES))
+    loads = SimpleNamespace(Silverbox=lambda train_test_split: None if train_test_split else record)
+    monkeypatch.setitem(sys.modules, "nonlinear_benchmarks", loads)
+    np.testing.assert_array_equal(measured(None), [record.u, record.y])
+
+    loads.Silverbox = Mock(side_effect=OSError("no network"))
+    with pytest.raises(RigError, match="could not fetch the data"):
+        measured(None)
+    monkeypatch.setitem(sys.modules, "nonlinear_benchmarks", None)
+    with pytest.raises(RigError, match="no data: give --data FOLDER"):
+        measured(None)
