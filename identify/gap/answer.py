@@ -12,6 +12,7 @@ from identify.gap.floor import Simulate, floor_of
 from identify.gap.results import Cause, Gap, Value
 from identify.gap.spectra import record_of
 from identify.gap.where import where
+from identify.tolerances import LABORATORY, Tolerances
 from rig.description import Rig, to_json
 from rig.errors import RigError
 from rig.recording import Recording, Signals
@@ -28,24 +29,26 @@ def diagnose(
     simulate: Simulate,
     floor_file: Path | None,
     progress: Callable[[str, float], None] = lambda *_: None,
+    tolerances: Tolerances = LABORATORY,
 ) -> tuple[Gap, Rig]:
     """The diagnosis, and the rig corrected by it (the believed one, if nothing explains the gap).
 
-    The floor is made by the simulator, or read from floor_file. Raises RigError if the records do not fit together or
-    allow no diagnosis.
+    The floor is made by the simulator, or read from floor_file; tolerances say how exactly the rig is believed. Raises
+    RigError if the records do not fit together or allow no diagnosis.
     """
     if validation is None:
         recording, validation = _halves(recording)
     elif to_json(recording.rig) != to_json(validation.rig):
         raise RigError("the validation recording is of another rig (their rig.json differ); record the same rig twice")
     full = recording.rig
-    floor = floor_of(full, recording.force_n, simulate, lambda x: progress("floor", x), floor_file)
+    floor = floor_of(full, recording.force_n, simulate, lambda x: progress("floor", x), floor_file, tolerances)
     fit_part, faults = sound_channels(recording)
     other, more = sound_channels(validation, without=tuple(faults))
     if more:
         fit_part, _ = sound_channels(recording, without=tuple(more))
     faults |= more
-    outcome = diagnosed(record_of(fit_part), record_of(other), floor, lambda x: progress("causes", x))
+    fit_record, other_record = (record_of(part, tolerances=tolerances) for part in (fit_part, other))
+    outcome = diagnosed(fit_record, other_record, floor, lambda x: progress("causes", x))
     best = outcome.explanations[0] if outcome.verdict == "effect" else None
     corrected = best.rig if best else fit_part.rig
     simulated, likenesses, curves = likeness(other, fit_part.rig, corrected, simulate)

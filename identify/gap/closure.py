@@ -7,7 +7,7 @@ from scipy.signal import csd, welch
 from identify.gap.floor import NOTHING, Floor, Simulate
 from identify.gap.residual import Base, Residual, base_of
 from identify.gap.results import Closure, Curve, Likeness
-from identify.gap.search import fitted_rig
+from identify.gap.search import settled
 from identify.gap.spectra import record_of
 from rig.description import Rig
 from rig.recording import Recording
@@ -26,8 +26,9 @@ def closure(judge: Base, before: Residual, after: Residual, floor: Floor, simula
     before is that of the believed rig, after that of the corrected one; floor that of the corrected one on its own
     simulation under the validation record's force. The interval draws sixteenths of the record with replacement.
     """
-    own = base_of(record_of(simulated), after.rig, levels=floor.contacts)
-    lowest = float(np.mean(_parts(own, fitted_rig(own).residual, floor)))
+    record = record_of(simulated, tolerances=judge.record.tolerances)
+    own, at = settled(record, after.rig, levels=floor.contacts)
+    lowest = float(np.mean(_parts(own, at, floor)))
     parts = [_parts(judge, at, floor) for at in (before, after)]
     size_before, size_after = (float(np.mean(p)) for p in parts)
     if size_before - lowest < NEAR:

@@ -11,7 +11,7 @@ from identify.gap.fit import STEPS, Fit, fit
 from identify.gap.floor import MARGIN, SPREAD, Floor, Remainder, remainder
 from identify.gap.residual import Base, Residual, base_of
 from identify.gap.results import Verdict
-from identify.gap.search import Found, fitted_rig, search
+from identify.gap.search import Found, search, settled
 from identify.gap.shaking import shaken
 from identify.gap.spectra import Record
 from rig.description import Rig
@@ -61,12 +61,10 @@ def diagnosed(
 ) -> Outcome:
     """Searches on one record, decides on the other."""
     rig = fit_record.rig
-    base = base_of(fit_record, rig, levels=floor.contacts)
-    at = fitted_rig(base).residual
+    base, at = settled(fit_record, rig, levels=floor.contacts)
     known = candidates(rig, [s.name for s in fit_record.sensors], fit_record.zero_known)
     progress(0.05)
-    judge = base_of(validation, rig, levels=floor.contacts)
-    judged = fitted_rig(judge).residual
+    judge, judged = settled(validation, rig, levels=floor.contacts)
     before = remainder(judge, judged, floor)
     fits: list[tuple[tuple[Candidate, ...], Fit]] = [
         ((f.candidate,), f.fitted) for f in worthwhile(base, at, known, floor)
@@ -74,11 +72,11 @@ def diagnosed(
     progress(0.4)
     pairs = []
     for i, (parts, first) in enumerate(fits[:TRIED]):
-        about = base_of(fit_record, applied(rig, parts, first.values), base.seen)
-        if remainder(about, first.residual, floor).at_floor(floor):
+        about, left = settled(fit_record, applied(rig, parts, first.values), base.seen, first.residual)
+        if remainder(about, left, floor).at_floor(floor):
             break
-        for second in worthwhile(about, first.residual, known, floor)[:TRIED]:
-            if second.gain > WORTHWHILE * _excess(first.residual, floor):
+        for second in worthwhile(about, left, known, floor)[:TRIED]:
+            if second.gain > WORTHWHILE * _excess(left, floor):
                 pairs.append(_together(base, (*parts, second.candidate), first, second))
         progress(0.4 + 0.25 * (i + 1))
     explanations = []
@@ -132,7 +130,7 @@ def _together(base: Base, parts: tuple[Candidate, ...], first: Fit, second: Foun
         covariance[: first.values.size, : first.values.size] = first.covariance
         covariance[first.values.size :, first.values.size :] = second.fitted.covariance
         return parts, Fit(values, covariance, second.fitted.residual)
-    about = base_of(base.record, applied(base.rig, parts, values), base.seen)
+    about = base_of(base.record, applied(base.rig, parts, values), base.seen, second.fitted.residual)
     low, high = bounds
     return parts, fit(
         about, lambda v: applied(base.rig, parts, v), values, steps, (low, high), second.fitted.residual, STEPS
@@ -141,8 +139,7 @@ def _together(base: Base, parts: tuple[Candidate, ...], first: Fit, second: Foun
 
 def _validated(judge: Base, parts: tuple[Candidate, ...], fitted: Fit, rig: Rig, floor: Floor) -> Explanation:
     corrected = applied(rig, parts, fitted.values)
-    about = base_of(judge.record, corrected, judge.seen)
-    residual = fitted_rig(about).residual
+    about, residual = settled(judge.record, corrected, judge.seen)
     return Explanation(parts, fitted, corrected, remainder(about, residual, floor), residual)
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Complex, Float
+from msgspec.structs import replace
 
 from identify.gap.linear import Linear
 from identify.gap.spectra import Record
@@ -11,7 +12,8 @@ from identify.kinematics import CORNER_HZ, integrated
 from identify.modal import receptance
 from identify.tolerances import Tolerances
 from rig.beam import Beam
-from rig.description import Contact
+from rig.description import Body, Contact, Rig
+from rig.oscillator import Oscillator
 
 BEYOND = 1.3
 """Modes up to this multiple of the highest frequency are in doubt, each by itself, ..."""
@@ -85,6 +87,28 @@ def doubts_of(record: Record, model: Linear, tolerances: Tolerances) -> Doubts:
     return Doubts(tuple(names), np.array(residual), np.array(forces), np.array(eta))
 
 
+def moved(
+    rig: Rig, names: tuple[str, ...], doubts: Float[np.ndarray, " doubts"], tolerances: Tolerances
+) -> tuple[Rig, Float[np.ndarray, " doubts"]]:
+    """The rig with the doubts about its single masses put into it, and those doubts, the others being zero.
+
+    Those alone bend the residual: a single mass may have been believed from a record of another level, and a resonance
+    that lies off by a part of its width is no linear matter. A beam's modes cannot be moved one by one.
+    """
+    put = np.zeros(len(names))
+    bodies: list[Body] = []
+    for body in rig.bodies:
+        changed = {}
+        for what, field in (("frequency", "frequency_hz"), ("damping", "damping_ratio")):
+            name = f"{what} of {body.name} 1"
+            if isinstance(body, Oscillator) and name in names:
+                at = names.index(name)
+                put[at] = doubts[at]
+                changed[field] = getattr(body, field) * max(0.1, 1 + getattr(tolerances, what) * float(put[at]))
+        bodies.append(replace(body, **changed))
+    return replace(rig, bodies=tuple(bodies)), put
+
+
 def residual_scale(record: Record) -> float:
     """Makes the residual over time, of lines with a variance of one, have a variance of one."""
     return float(np.sqrt(record.length * record.samples / (2 * record.omega.size)))
@@ -101,4 +125,4 @@ def _at_contacts(
             found += displaced[i] * ((sensor.station == contact.at) * 1.0 - (sensor.station == contact.against) * 1.0)
         return found
 
-    return np.array([of(c) for c in model.rig.contacts]).reshape(-1, displaced.shape[1])
+    return np.array([of(c) for c in model.rig.contacts], dtype=complex).reshape(-1, displaced.shape[1])

@@ -13,11 +13,11 @@ from jaxtyping import Float
 from scipy.signal.windows import hann
 
 from identify.gap.candidates import candidates
-from identify.gap.residual import Base, Residual, base_of
-from identify.gap.search import fitted_rig, looks
+from identify.gap.residual import Base, Residual
+from identify.gap.search import looks, settled
 from identify.gap.shaking import shaken
 from identify.gap.spectra import Record, record_of
-from identify.tolerances import jittered
+from identify.tolerances import LABORATORY, Tolerances, jittered
 from rig.description import Rig, to_json
 from rig.errors import RigError
 from rig.recording import Recording
@@ -109,6 +109,7 @@ def floor_of(
     simulate: Simulate,
     progress: Callable[[float], None],
     kept: Path | None = None,
+    tolerances: Tolerances = LABORATORY,
     nulls: int = NULLS,
 ) -> Floor:
     """The floor of a rig by a simulator under such a force; read from the file `kept`, if one is given and is there.
@@ -121,10 +122,10 @@ def floor_of(
     records, bands, contacts = [], [], []
     for i in range(nulls):
         record = record_of(
-            simulate(rig, jittered(rig, np.random.default_rng([i, 77])), LEVELS[i % len(LEVELS)] * force_n, i)
+            simulate(rig, jittered(rig, np.random.default_rng([i, 77])), LEVELS[i % len(LEVELS)] * force_n, i),
+            tolerances=tolerances,
         )
-        base = base_of(record, rig)
-        at = fitted_rig(base).residual
+        base, at = settled(record, rig)
         bands.append(band_levels(record, at))
         contacts.append(contact_levels(base, at))
         records.append(record)
@@ -135,8 +136,7 @@ def floor_of(
     relative = levels / mean
     gains: dict[str, float] = {}
     for i, record in enumerate(records):
-        base = base_of(record, rig, levels=mean_contact.tolist())
-        for kind, gain in null_gains(base, fitted_rig(base).residual).items():
+        for kind, gain in null_gains(*settled(record, rig, levels=mean_contact.tolist())).items():
             gains[kind] = max(gains.get(kind, 0.0), gain)
         progress(0.6 + 0.4 * (i + 1) / nulls)
     floor = Floor(

@@ -8,13 +8,19 @@ from jaxtyping import Float
 
 from identify.gap.candidates import Candidate
 from identify.gap.fit import STEPS, Fit, derivative, fit, reduced
+from identify.gap.law import Seen
 from identify.gap.residual import Base, Residual, base_of, residual_of, same_but_laws
 from identify.gap.scan import linear_starts
+from identify.gap.spectra import Record
+from rig.description import Rig
+from rig.oscillator import Oscillator
 
 DEEP = 4
 """So many of the effects that look best are fitted."""
 FINAL = 3
 """So many of those are fitted to the end."""
+AGAIN = 2
+"""So many times the doubts about a single mass are linearised anew."""
 WORTH = 0.02
 """An effect whose linear gain is a smaller share of the best one's is not."""
 
@@ -32,6 +38,26 @@ def fitted_rig(base: Base, start: Residual | None = None) -> Fit:
     """The base's own rig with doubts, drifts and contact tolerances fitted."""
     nothing = np.zeros(0)
     return fit(base, lambda _: base.rig, nothing, nothing, (nothing, nothing), start)
+
+
+def settled(
+    record: Record,
+    rig: Rig,
+    seen: tuple[Seen, ...] | None = None,
+    start: Residual | None = None,
+    levels: Sequence[float] | None = None,
+) -> tuple[Base, Residual]:
+    """A rig fitted so to a record, linearised anew about its doubts where they bend the residual."""
+    base = base_of(record, rig, seen, start, levels)
+    at = fitted_rig(base, start).residual
+    for _ in range(_again(rig)):
+        base = base_of(record, rig, base.seen, at)
+        at = fitted_rig(base, at).residual
+    return base, at
+
+
+def _again(rig: Rig) -> int:
+    return AGAIN if any(isinstance(b, Oscillator) for b in rig.bodies) else 0
 
 
 @dataclass(frozen=True)
@@ -96,8 +122,8 @@ def search(base: Base, at: Residual, candidates: Sequence[Candidate]) -> list[Fo
 
 def polished(base: Base, candidate: Candidate, fitted: Fit, before: float) -> Found:
     """Fitted to the end, with the doubts linearised about the rig that has the effect."""
-    for _ in range(2):
-        about = base_of(base.record, candidate.applied(base.rig, fitted.values), base.seen)
+    for _ in range(2 + _again(base.rig)):
+        about = base_of(base.record, candidate.applied(base.rig, fitted.values), base.seen, fitted.residual)
         again = _fit(base, candidate, fitted.values, fitted.residual, STEPS, about)
         fell = fitted.cost - again.cost
         if fell > 0:

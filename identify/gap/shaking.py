@@ -29,6 +29,8 @@ def shaken(base: Base, at: Residual, candidate: Candidate) -> Found | None:
     of largest sum. The noise is what the residual holds around each line in other patterns.
     """
     record = base.record
+    if len(record.sensors) < len(base.rig.contacts) + 2:
+        return None  # any residual would be a base motion's
     hz = record.omega / (2 * np.pi)
     low, high = float(hz[1]), float(hz[-1])
     everywhere = BaseMotion(acceleration_rms_m_per_s2=float(np.sqrt(high - low)), low_hz=low, high_hz=high)
@@ -60,7 +62,7 @@ def shaken(base: Base, at: Residual, candidate: Candidate) -> Found | None:
     edges = hz[band.start], hz[band.stop]
     rms = float(np.sqrt(power[-1] * (hz[2] - hz[1])))
     values = np.array([np.clip(rms, 0, bounds["acceleration_rms_m_per_s2"].high), *edges])
-    about = base_of(record, candidate.applied(base.rig, values), base.seen)
+    about = base_of(record, candidate.applied(base.rig, values), base.seen, at)
     fitted = fitted_rig(about, at)
     lines = max(1.0, (band.stop - band.start) * record.samples / record.length)
     resolution = record.sample_rate_hz / record.samples

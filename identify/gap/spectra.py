@@ -12,7 +12,7 @@ from identify.drift import Drift
 from identify.joint import FINE_HZ
 from identify.kinematics import CORNER_HZ, Kinematics, acceleration_noise, integrated, kinematics, taper
 from identify.spectra import force_band
-from identify.tolerances import LABORATORY
+from identify.tolerances import LABORATORY, Tolerances
 from rig.description import Quantity, Rig, Sensor
 from rig.errors import RigError
 from rig.oscillator import Oscillator
@@ -39,7 +39,7 @@ class Record:
     still in it; displaced the same as a displacement, high-passed where it had to be integrated. noise is the variance
     of each of its lines by the sensor's noise alone, power its smoothed size. eta_beyond is each relative displacement
     as measured on the lines from `high_hz` on, drifts what is known of its slow part (None where nothing is lost).
-    excited_s is when the force begins.
+    excited_s is when the force begins, tolerances how exactly the rig is believed.
     """
 
     rig: Rig
@@ -59,6 +59,7 @@ class Record:
     drifts: tuple[Drift | None, ...]
     taken: slice
     excited_s: float
+    tolerances: Tolerances
 
     @property
     def rate_hz(self) -> float:
@@ -91,7 +92,7 @@ class Record:
         return np.asarray(whole[..., self.taken])
 
 
-def record_of(recording: Recording, low_hz: float = CORNER_HZ) -> Record:
+def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Tolerances = LABORATORY) -> Record:
     """The spectra of a recording's accelerometers; without any, of its velocity or else its displacement sensors.
 
     Raises RigError if it is too short, or has no force or no sensors.
@@ -146,9 +147,10 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ) -> Record:
         power=uniform_filter1d(np.abs(delivered) ** 2, max(1, round(SMOOTHED_HZ * length / rate)), axis=1),
         eta_beyond=_eta_beyond(rig, sensors, measured[:, lines - 1 :], beyond_rad),
         drifts=tuple(
-            drift_of(rig, motion, j, noise, LABORATORY, _spring(rig, j), samples) for j in range(len(rig.contacts))
+            drift_of(rig, motion, j, noise, tolerances, _spring(rig, j), samples) for j in range(len(rig.contacts))
         ),
         excited_s=motion.excited_from / rate,
+        tolerances=tolerances,
         taken=slice(
             0 if quiet else round(LEFT_OUT_S * rate / factor), int((samples - round(LEFT_OUT_S * rate)) / factor)
         ),
