@@ -50,6 +50,8 @@ class Where(msgspec.Struct, frozen=True, kw_only=True):
     contact_state: dict[str, float]
     time_s: tuple[Share, ...]
     surface: dict[str, Surface]
+    parts: dict[str, float] = {}
+    """Of the linear residual, and of each contact's law."""
 
 
 class Closure(msgspec.Struct, frozen=True):
@@ -85,6 +87,8 @@ class Curve(msgspec.Struct, frozen=True):
     measured: tuple[float, ...]
     believed: tuple[float, ...]
     corrected: tuple[float, ...]
+    logarithmic: bool = False
+    """Whether y is best drawn over decades."""
 
 
 class Gap(msgspec.Struct, frozen=True, kw_only=True):
