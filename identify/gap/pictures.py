@@ -9,7 +9,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogFormatter, NullFormatter
+from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from identify.gap.results import Curve, Gap, Share, Surface
 from identify.gap.wording import cause_name, closed, none_of_these, number, percent
@@ -18,7 +18,7 @@ Draw = Callable[[Any], None]
 
 _BLUE, _RED, _GREY, _GREEN = "#1f5fa8", "#c8402f", "#8a8a8a", "#2c8a57"
 _WIDTH_IN, _ROW_IN, _FRAME_IN, _HEIGHT_IN = 4.8, 0.3, 1.0, 3.2
-_LONGEST = 26
+_LONGEST = 34
 """Letters of a name beside a bar."""
 _MOST_LABELS = 12
 _DECADES = 20.0
@@ -44,7 +44,7 @@ def pictures(gap: Gap) -> dict[str, bytes]:
 def _drawn(gap: Gap) -> Iterator[tuple[str, float, Draw]]:
     """Name, height in inches, and the function that draws."""
     where = gap.where
-    yield "is_size", _height(2), partial(_size, gap=gap)
+    yield "is_size", _height(3 if gap.verdict == "effect" else 2), partial(_size, gap=gap)
     for name, shares, title in (
         ("channels", where.channels, "By channel"),
         ("parts", where.parts, "Linear structure or contact laws"),
@@ -62,7 +62,7 @@ def _drawn(gap: Gap) -> Iterator[tuple[str, float, Draw]]:
     for j, (contact, surface) in enumerate(where.surface.items(), 1):
         yield f"where_surface_{j}", _HEIGHT_IN, partial(_surface, surface=surface, contact=contact)
     if gap.causes:
-        height = _height(1.5 * len(gap.causes) + 1)
+        height = _height(1.5 * len(gap.causes) + 2)
         yield "why_probability", height, partial(_probability, gap=gap)
         yield "why_left", height, partial(_left, gap=gap)
     yield "far_closure", _height(3), partial(_closure, gap=gap)
@@ -80,7 +80,7 @@ def _png(draw: Draw, height_in: float) -> bytes:
         return content.getvalue()
 
 
-def _height(rows: float) -> float:
+def _height(rows: float | int) -> float:
     return _FRAME_IN + _ROW_IN * rows
 
 
@@ -108,38 +108,42 @@ def _lying(
 
 
 def _decades(axis: Any) -> None:
-    """Numbers along a logarithmic axis as plain text."""
-    axis.set_major_formatter(LogFormatter(labelOnlyBase=False))
+    """Plain numbers along a logarithmic axis; between the powers of ten only where it spans few."""
+    plain = FuncFormatter(lambda value, _: f"{value:g}")
     low, high = sorted(axis.get_view_interval())
-    axis.set_minor_formatter(NullFormatter() if high > 10 * low else LogFormatter(labelOnlyBase=False))
+    axis.set_major_formatter(plain)
+    few = FuncFormatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "25" else "")
+    axis.set_minor_formatter(few if high < 20 * low else NullFormatter())
 
 
-def _sized(axes: Any, sizes: Sequence[float], floor: float, name: str) -> None:
-    """A lying axis of gap sizes over decades, with room for the labels, and the floor marked."""
-    positive = [s for s in (*sizes, floor) if s > 0]
+def _sized(figure: Any, names: Sequence[str], sizes: Sequence[float], label: str, title: str) -> None:
+    """Lying bars of gap sizes over decades, the first that of the believed rig; the floor is marked at 1."""
+    low, high = 0.6 * min([s for s in sizes if s > 0] + [1.0]), max(*sizes, 1.0)
+    colours = [_RED] + [_BLUE] * (len(sizes) - 1)
+    axes = _lying(figure, names, sizes, [number(s, 3) for s in sizes], colours, low)
     axes.set_xscale("log")
-    low, high = 0.7 * min(positive), max(positive)
-    axes.set_xlim(low, 1.5 * high * (high / low) ** 0.3)
+    axes.set_xlim(low, 1.5 * high * (high / low) ** 0.2)
     _decades(axes.xaxis)
-    axes.axvline(floor, color=_GREEN, lw=1.4, ls="--", label=name)
-    axes.figure.legend(loc="outside lower right")
+    axes.axvline(1.0, color=_GREEN, lw=1.6, ls="--", label="what nulls leave")
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), borderaxespad=0)
+    axes.set_xlabel(label)
+    figure.suptitle(title, fontsize=10)
 
 
 def _size(figure: Any, gap: Gap) -> None:
     names, sizes = ["rig as believed"], [gap.size]
     if gap.verdict == "effect" and gap.causes:
         names, sizes = [*names, "with the likeliest cause"], [*sizes, gap.causes[0].left]
-    axes = _lying(figure, names, sizes, [number(s, 3) for s in sizes], [_RED, _BLUE][: len(names)], 1.0)
-    _sized(axes, sizes, 1.0, "what nulls leave")
-    axes.set(xlabel="size of the gap (nulls leave 1)", title="Size of the gap")
+    _sized(figure, names, sizes, "size of the gap (nulls leave 1)", "Size of the gap")
 
 
 def _bars(figure: Any, shares: Mapping[str, float], title: str) -> None:
     sizes = [100 * s for s in shares.values()]
     names = [_short(n) for n in shares]
     axes = _lying(figure, names, sizes, [f"{s:.1f}" for s in sizes], [_BLUE] * len(sizes), 0.0)
-    axes.margins(x=0.14)
-    axes.set(xlabel="share of the gap, %", title=title)
+    axes.margins(x=0.18)
+    axes.set(xlabel="share of the gap, %")
+    figure.suptitle(title, fontsize=10)
 
 
 def _row(figure: Any, shares: Sequence[Share], title: str, along: str) -> None:
@@ -187,15 +191,14 @@ def _probability(figure: Any, gap: Gap) -> None:
     names = [_stacked(cause_name(c)) for c in gap.causes] + [name]
     said = [percent(s / 100) for s in sizes]
     axes = _lying(figure, names, sizes, said, [_BLUE] * len(gap.causes) + [_GREY], 0.0)
-    axes.set(xlim=(0, 130), xticks=range(0, 101, 25), xlabel="probability, %", title="What causes the gap")
+    axes.set(xlim=(0, 130), xticks=range(0, 101, 25), xlabel="probability, %")
+    figure.suptitle("What causes the gap", fontsize=10)
 
 
 def _left(figure: Any, gap: Gap) -> None:
     sizes = [gap.size, *(c.left for c in gap.causes)]
     names = ["rig as believed", *(_stacked(cause_name(c)) for c in gap.causes)]
-    axes = _lying(figure, names, sizes, [number(s, 3) for s in sizes], [_RED] + [_BLUE] * len(gap.causes), 1.0)
-    _sized(axes, sizes, 1.0, "what nulls leave")
-    axes.set(xlabel="left of the gap (nulls leave 1)", title="What each cause leaves on the validation record")
+    _sized(figure, names, sizes, "left of the gap (nulls leave 1)", "What each cause leaves on the validation record")
 
 
 def _closure(figure: Any, gap: Gap) -> None:
@@ -211,7 +214,8 @@ def _closure(figure: Any, gap: Gap) -> None:
         axes.set_xlim(start, 1.2 * max(sizes) * (max(sizes) / start) ** 0.2)
         _decades(axes.xaxis)
     axes.margins(x=0.2)
-    axes.set(xlabel="mean square of the whitened residual, 1", title=f"Closed: {closed(found)}")
+    axes.set_xlabel("mean square of the whitened residual")
+    figure.suptitle(f"Closed: {closed(found)}", fontsize=10)
 
 
 def _curve(figure: Any, curve: Curve) -> None:
