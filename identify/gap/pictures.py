@@ -47,8 +47,8 @@ def _drawn(gap: Gap) -> Iterator[tuple[str, float, Draw]]:
     yield "is_size", _height(3 if gap.verdict == "effect" else 2), partial(_size, gap=gap)
     for name, shares, title in (
         ("channels", where.channels, "By channel"),
-        ("parts", where.parts, "Linear structure or contact laws"),
         ("modal_equations", where.modal_equations, "By modal equation"),
+        ("parts", where.parts, "Linear structure or contact laws"),
         ("contact_state", where.contact_state, "By contact state"),
     ):
         if shares:

@@ -35,6 +35,7 @@ overflow-wrap:break-word}th{color:var(--dim);font-weight:600}td.number{white-spa
 align-items:start}
 img{width:100%;max-width:34rem;height:auto;background:#fff;border:1px solid var(--line);border-radius:.3rem}
 summary{cursor:pointer;color:var(--dim)}
+@media(max-width:40rem){table{font-size:.85rem}th,td{padding-right:.5rem}td{overflow-wrap:anywhere}}
 """
 _PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">
@@ -117,9 +118,8 @@ def _where(gap: Gap) -> str:
         "time": _by_name(where.time_s, "s"),
     }
     cuts = {name: shares for name, shares in cuts.items() if shares}
-    largest = [
-        (name, top, percent(shares[top])) for name, shares in cuts.items() for top in [max(shares, key=shares.get)]
-    ]
+    tops = {name: max(shares.items(), key=lambda item: item[1]) for name, shares in cuts.items()}
+    largest = [(name, part, percent(share)) for name, (part, share) in tops.items()]
     every = [(name, part, percent(share)) for name, shares in cuts.items() for part, share in shares.items()]
     return (
         "<p>The largest share of the gap, by every way of cutting the record; each way sums to 100 %.</p>"
@@ -133,15 +133,14 @@ def _why(gap: Gap) -> str:
     causes = [(cause_name(c), percent(c.probability), number(c.left, 3)) for c in gap.causes]
     causes.append((rest, percent(share), number(gap.size, 3)))
     text = "" if gap.verdict == "effect" else "<p>No cause is accepted. What was tried:</p>"
-    text += _table(("cause", "probability", "left of the gap (nulls leave 1)"), causes)
-    details = []
-    for cause in gap.causes:
-        name = cause_name(cause)
-        details += [(name, what, interval(value)) for what, value in cause.parameters.items()]
-        details += [(name, what, place) for what, place in cause.places.items()]
+    text += _table(("cause", "probability", "left"), causes)
+    text += '<p class="dim">Left: what remains of the gap on the validation record, where nulls leave 1.</p>'
+    details = [c for c in gap.causes if c.parameters or c.places]
     if details:
         text += "<h3>Parameters and places</h3><p>Value ± 1.96 standard errors: 95 % interval.</p>"
-        text += _table(("cause", "parameter", "value"), details)
+    for cause in details:
+        rows = [*((what, interval(value)) for what, value in cause.parameters.items()), *cause.places.items()]
+        text += _table((cause_name(cause), ""), rows)
     if gap.equivalent:
         text += "<h3>What this recording cannot tell apart</h3>"
         text += _list(" / ".join(names) for names in gap.equivalent)
@@ -163,7 +162,7 @@ def _how_far(gap: Gap) -> str:
     if gap.likeness:
         text += "<h3>In familiar terms</h3><p>Simulated with the force of the measured record.</p>"
         text += _table(
-            ("figure", "measured", "as believed", "corrected"),
+            ("figure", "measured", "believed", "corrected"),
             [
                 (f"{a.name}, {a.unit}", *(number(x) for x in (a.measured, a.believed, a.corrected)))
                 for a in gap.likeness

@@ -4,7 +4,7 @@ import re
 import shutil
 import subprocess
 from base64 import b64decode
-from html import escape, unescape
+from html import escape
 from html.parser import HTMLParser
 from io import BytesIO, StringIO
 
@@ -202,5 +202,5 @@ def test_a_phone_needs_no_sideways_scrolling(written, tmp_path):
     outer.write_text(f'<iframe style="border:0;width:{PHONE_PX}px;height:800px" onload="{script}" srcdoc="{inner}">')
     words = (browser, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}", "--dump-dom")
     done = subprocess.run([*words, outer.as_uri()], capture_output=True, text=True, check=True, timeout=120)
-    width = re.search(r'title="(\d+)"', unescape(done.stdout.partition("srcdoc")[0] + done.stdout[-4000:]))
+    width = re.search(r'title="(\d+)"', done.stdout)
     assert int(width[1]) <= PHONE_PX
