@@ -119,7 +119,7 @@ GAPS = {
         "effect",
         "Two effects together: friction at contact_2 and a delay of barrel_4.",
         6.4,
-        (PAIR, CUBIC, CLAMP),
+        (PAIR, CLAMP, CUBIC),
         Closure(6.4, 0.95, 1.1, 0.972, (0.91, 1.03)),
     ),
     "null": gap(
