@@ -89,6 +89,8 @@ class Curve(msgspec.Struct, frozen=True):
     measured: tuple[float, ...]
     believed: tuple[float, ...]
     corrected: tuple[float, ...]
+    logarithmic: bool = False
+    """Whether y is best drawn over decades."""
 
 
 class Gap(msgspec.Struct, frozen=True, kw_only=True):
