@@ -110,6 +110,7 @@ def _spectrum(runs: tuple[Recording, ...]) -> Curve:
         "(m/s^2)^2/Hz",
         tuple(hz[0][keep].tolist()),
         *(tuple(d[keep].tolist()) for d in density),
+        logarithmic=True,
     )
 
 
@@ -129,4 +130,5 @@ def _response(runs: tuple[Recording, ...]) -> Curve:
         "(m/s^2)/N",
         tuple(hz[keep].tolist()),
         *(tuple(c[keep].tolist()) for c in curves),
+        logarithmic=True,
     )
