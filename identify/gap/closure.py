@@ -1,5 +1,7 @@
 """How far the gap shrinks once the effect is in the rig; in units of the floor, and in terms that people know."""
 
+from collections.abc import Iterable
+
 import numpy as np
 from jaxtyping import Float
 from scipy.signal import csd, welch
@@ -43,13 +45,18 @@ def closure(judge: Base, before: Residual, after: Residual, floor: Floor, simula
 
 
 def _parts(base: Base, at: Residual, floor: Floor) -> Float[np.ndarray, " parts"]:
-    """Mean squares of sixteenths of the record, in units of what nulls leave: sensors and contacts count alike."""
+    """Mean squares of sixteenths of the record, in units of what nulls leave: sensors and contacts count alike.
+
+    What the tolerances cost is spread over them.
+    """
     own = [floor.sensors.index(s.name) for s in base.record.sensors]
     nulls = np.maximum(np.array(floor.linear)[:, own].mean(axis=0), NOTHING)
     rows = [*(at.linear[: len(own)] ** 2 / nulls[:, None])]
     for contact, seen in zip(at.contacts, base.seen, strict=True):
         rows.append(contact.residual[: seen.weights.size] ** 2)
-    return np.array([float(np.mean(part)) for part in np.array_split(np.mean(rows, axis=0), PARTS)])
+    spent = at.cost - float(np.sum(at.linear**2)) - sum(float(np.sum(r)) for r in rows[len(own) :])
+    samples = rows[0].size * len(rows)
+    return np.array([float(np.mean(part)) for part in np.array_split(np.mean(rows, axis=0), PARTS)]) + spent / samples
 
 
 def likeness(
@@ -77,7 +84,7 @@ def likeness(
                 "relative displacement, mm",
                 "share of the time per mm",
                 tuple(((edges[1:] + edges[:-1]) / 2).tolist()),
-                *(tuple(np.histogram(e, edges, density=True)[0].tolist()) for e in eta),
+                *_three(np.histogram(e, edges, density=True)[0] for e in eta),
             )
         )
     return runs[2], likenesses, tuple(curves)
@@ -109,8 +116,8 @@ def _spectrum(runs: tuple[Recording, ...]) -> Curve:
         "frequency, Hz",
         "(m/s^2)^2/Hz",
         tuple(hz[0][keep].tolist()),
-        *(tuple(d[keep].tolist()) for d in density),
-        logarithmic=True,
+        *_three(d[keep] for d in density),
+        True,
     )
 
 
@@ -118,7 +125,7 @@ def _response(runs: tuple[Recording, ...]) -> Curve:
     """The last sensor over the force, H1."""
     rate = runs[0].rig.sample_rate_hz
     segment = int(2 * rate)
-    curves, keep = [], slice(1, CURVE_POINTS)
+    curves = []
     for run in runs:
         hz, cross = csd(run.force_n, _last(run), rate, nperseg=segment)
         curves.append(np.abs(cross) / np.maximum(welch(run.force_n, rate, nperseg=segment)[1], 1e-300))
@@ -129,6 +136,14 @@ def _response(runs: tuple[Recording, ...]) -> Curve:
         "frequency, Hz",
         "(m/s^2)/N",
         tuple(hz[keep].tolist()),
-        *(tuple(c[keep].tolist()) for c in curves),
-        logarithmic=True,
+        *_three(c[keep] for c in curves),
+        True,
     )
+
+
+def _three(
+    rows: Iterable[Float[np.ndarray, " points"]],
+) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+    """Of the measured, the believed and the corrected."""
+    measured, believed, corrected = (tuple(row.tolist()) for row in rows)
+    return measured, believed, corrected

@@ -163,8 +163,8 @@ def _verdict(
 def explained(after: Remainder, before: Remainder, floor: Floor) -> bool:
     """Whether what an effect leaves is at the floor, up to the share of the gap that no effect explains."""
     for left, gap, largest in zip(
-        (after.overall, after.band, after.contact),
-        (before.overall, before.band, before.contact),
+        after.each,
+        before.each,
         floor.remainders,
         strict=True,
     ):

@@ -42,7 +42,8 @@ simulator that the diagnosis is handed."""
 class Floor(msgspec.Struct, frozen=True):
     """Mean squares of null residuals by band (2 Hz) and sensor, and by contact; what their remainders and gains reach.
 
-    remainders are the largest of the nulls' own `Remainder`: overall, in the worst band, in the worst contact.
+    remainders are the largest of the nulls' own `Remainder`: overall, in the worst band, in the worst contact,
+    and the largest use of a tolerance.
     """
 
     rig_sha256: str
@@ -50,21 +51,33 @@ class Floor(msgspec.Struct, frozen=True):
     sensors: list[str]
     linear: list[list[float]]
     contacts: list[float]
-    remainders: tuple[float, float, float]
+    remainders: tuple[float, float, float, float]
     gains: dict[str, float]
 
 
 class Remainder(msgspec.Struct, frozen=True):
-    """A residual in units of the floor: overall, in the worst 2 Hz, and in the worst contact."""
+    """A residual in units of the floor: overall, in the worst 2 Hz, in the worst contact.
+
+    strain is how far the worst tolerance is used, in its standard deviations.
+    """
 
     overall: float
     band: float
     contact: float
+    strain: float
 
-    def at_floor(self, floor: Floor, more: float = 0.0) -> bool:
-        """Whether each is within the floor's own spread, or `more` above it."""
-        pairs = zip((self.overall, self.band, self.contact), floor.remainders, strict=True)
-        return all(mine <= SPREAD * largest + more for mine, largest in pairs)
+    @property
+    def each(self) -> tuple[float, float, float, float]:
+        return self.overall, self.band, self.contact, self.strain
+
+    @property
+    def size(self) -> float:
+        """The larger of the linear and the contact part."""
+        return max(self.overall, self.contact)
+
+    def at_floor(self, floor: Floor) -> bool:
+        """Whether each is within the floor's own spread."""
+        return all(mine <= SPREAD * largest for mine, largest in zip(self.each, floor.remainders, strict=True))
 
 
 def remainder(base: Base, at: Residual, floor: Floor) -> Remainder:
@@ -75,8 +88,17 @@ def remainder(base: Base, at: Residual, floor: Floor) -> Remainder:
     bands = min(len(levels), len(nulls))
     linear = levels[:bands] / nulls[:bands]
     return Remainder(
-        float(linear.mean()), float(linear.mean(axis=1).max(initial=0.0)), max(contact_levels(base, at), default=0.0)
+        float(linear.mean()),
+        float(linear.mean(axis=1).max(initial=0.0)),
+        max(contact_levels(base, at), default=0.0),
+        strain(at),
     )
+
+
+def strain(at: Residual) -> float:
+    """The largest doubt or contact tolerance of a residual, in standard deviations."""
+    own = [c.unknowns[-3:] for c in at.contacts]
+    return float(np.max(np.abs(np.concatenate([at.doubts, *own])), initial=0.0))
 
 
 def band_levels(record: Record, at: Residual) -> Float[np.ndarray, "bands sensors"]:
@@ -119,7 +141,7 @@ def floor_of(
     name = hashlib.sha256(to_json(rig)).hexdigest()
     if kept and kept.exists():
         return _read(kept, name)
-    records, bands, contacts = [], [], []
+    records, bands, contacts, strains = [], [], [], []
     for i in range(nulls):
         record = record_of(
             simulate(rig, jittered(rig, np.random.default_rng([i, 77])), LEVELS[i % len(LEVELS)] * force_n, i),
@@ -128,6 +150,7 @@ def floor_of(
         base, at = settled(record, rig)
         bands.append(band_levels(record, at))
         contacts.append(contact_levels(base, at))
+        strains.append(strain(at))
         records.append(record)
         progress(0.6 * (i + 1) / nulls)
     fewest = min(len(b) for b in bands)
@@ -149,6 +172,7 @@ def floor_of(
             float(relative.mean(axis=(1, 2)).max()),
             float(relative.mean(axis=2).max()),
             float((own / mean_contact).max(initial=0.0)),
+            max(strains),
         ),
         gains=gains,
     )
