@@ -141,37 +141,37 @@ def floor_of(
     name = hashlib.sha256(to_json(rig)).hexdigest()
     if kept and kept.exists():
         return _read(kept, name)
-    records, bands, contacts, strains = [], [], [], []
+    records = []
+    contacts = []
     for i in range(nulls):
-        record = record_of(
-            simulate(rig, jittered(rig, np.random.default_rng([i, 77])), LEVELS[i % len(LEVELS)] * force_n, i),
-            tolerances=tolerances,
-        )
-        base, at = settled(record, rig)
+        force = LEVELS[i % len(LEVELS)] * force_n
+        made = simulate(rig, jittered(rig, np.random.default_rng([i, 77])), force, i)
+        records.append(record_of(made, tolerances=tolerances))
+        contacts.append(contact_levels(*settled(records[-1], rig)))
+        progress(0.6 * (i + 1) / nulls)
+    mean_contact = np.mean(contacts, axis=0).tolist()
+    bands, contacts, strains = [], [], []  # again, with the contacts weighed by what nulls leave there
+    gains: dict[str, float] = {}
+    for i, record in enumerate(records):
+        base, at = settled(record, rig, levels=mean_contact)
         bands.append(band_levels(record, at))
         contacts.append(contact_levels(base, at))
         strains.append(strain(at))
-        records.append(record)
-        progress(0.6 * (i + 1) / nulls)
-    fewest = min(len(b) for b in bands)
-    levels, own = np.array([b[:fewest] for b in bands]), np.array(contacts).reshape(nulls, -1)
-    mean, mean_contact = levels.mean(axis=0), own.mean(axis=0)
-    relative = levels / mean
-    gains: dict[str, float] = {}
-    for i, record in enumerate(records):
-        for kind, gain in null_gains(*settled(record, rig, levels=mean_contact.tolist())).items():
+        for kind, gain in null_gains(base, at).items():
             gains[kind] = max(gains.get(kind, 0.0), gain)
         progress(0.6 + 0.4 * (i + 1) / nulls)
+    levels = np.array(bands)
+    relative = levels / levels.mean(axis=0)
     floor = Floor(
         rig_sha256=name,
         nulls=nulls,
-        sensors=[s.name for s in record.sensors],
-        linear=mean.tolist(),
-        contacts=mean_contact.tolist(),
+        sensors=[s.name for s in records[0].sensors],
+        linear=levels.mean(axis=0).tolist(),
+        contacts=mean_contact,
         remainders=(
             float(relative.mean(axis=(1, 2)).max()),
             float(relative.mean(axis=2).max()),
-            float((own / mean_contact).max(initial=0.0)),
+            float(np.max(contacts, initial=0.0)),
             max(strains),
         ),
         gains=gains,
