@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import csd, welch
 
-from identify.gap.floor import NOTHING, Floor, Simulate
+from identify.gap.floor import NOTHING, SPREAD, Floor, Simulate
 from identify.gap.residual import Base, Residual, base_of
 from identify.gap.results import Closure, Curve, Likeness
 from identify.gap.search import settled
@@ -16,8 +16,6 @@ from rig.recording import Recording
 
 PARTS = 16
 DRAWS = 500
-NEAR = 0.5
-"""A gap that is no larger than this above the floor is at the floor."""
 CURVE_POINTS = 400
 CELLS = 80
 
@@ -33,12 +31,12 @@ def closure(judge: Base, before: Residual, after: Residual, floor: Floor, simula
     lowest = float(np.mean(_parts(own, at, floor)))
     parts = [_parts(judge, at, floor) for at in (before, after)]
     size_before, size_after = (float(np.mean(p)) for p in parts)
-    if size_before - lowest < NEAR:
+    if size_before < SPREAD * lowest:
         return Closure(size_before, lowest, size_after, None, None)
     rng = np.random.default_rng(0)
     drawn = rng.integers(0, PARTS, (DRAWS, PARTS))
     many = [p[drawn].mean(axis=1) for p in parts]
-    fractions = (many[0] - many[1]) / np.maximum(many[0] - lowest, 1e-9)
+    fractions = (many[0] - many[1]) / np.maximum(many[0] - lowest, 1e-12)
     low, high = np.quantile(fractions, [0.025, 0.975])
     whole = (size_before - size_after) / (size_before - lowest)
     return Closure(size_before, lowest, size_after, float(whole), (float(low), float(high)))

@@ -31,6 +31,10 @@ MARGIN = 3.0
 """A gain counts from this multiple of the largest that a null recording showed for that effect."""
 NOTHING = 1e-3
 """A smaller mean square is none: so many contacts as sensors leave no linear residual."""
+EXACT = 0.01
+"""No law is believed to leave less than this of the mean square that its error is put at."""
+ORDINARY = 2.0
+"""So many standard deviations of a tolerance are ordinary."""
 SPREAD = 1.5
 """A remainder is at the floor up to this multiple of the largest among the nulls."""
 
@@ -149,7 +153,7 @@ def floor_of(
         records.append(record_of(made, tolerances=tolerances))
         contacts.append(contact_levels(*settled(records[-1], rig)))
         progress(0.6 * (i + 1) / nulls)
-    mean_contact = np.mean(contacts, axis=0).tolist()
+    mean_contact = np.maximum(np.mean(contacts, axis=0), EXACT).tolist()
     bands, contacts, strains = [], [], []  # again, with the contacts weighed by what nulls leave there
     gains: dict[str, float] = {}
     for i, record in enumerate(records):
@@ -171,8 +175,8 @@ def floor_of(
         remainders=(
             float(relative.mean(axis=(1, 2)).max()),
             float(relative.mean(axis=2).max()),
-            float(np.max(contacts, initial=0.0)),
-            max(strains),
+            float(np.max(contacts, initial=1.0)),
+            max(*strains, ORDINARY),
         ),
         gains=gains,
     )
