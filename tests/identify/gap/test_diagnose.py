@@ -59,7 +59,7 @@ def test_the_believed_rig_has_no_gap(floor_file):
     [
         ("contact_clearance:factor=1.1", "contact_clearance.factor", 1.1),
         ("coulomb_friction:force_n=0.1", "coulomb_friction.force_n", 0.1),
-        ("added_mass:mass_kg=0.05", "added_mass.mass_kg", 0.05),
+        ("added_mass:mass_kg=0.2", "added_mass.mass_kg", 0.2),
     ],
 )
 def test_an_effect_is_named_with_its_size(text, parameter, value, floor_file):
