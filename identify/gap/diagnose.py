@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from identify.gap.candidates import Candidate, candidates
 from identify.gap.fit import STEPS, Fit, fit
-from identify.gap.floor import MARGIN, SPREAD, Floor, Remainder, remainder
+from identify.gap.floor import MARGIN, SPREAD, Floor, Floors, Remainder, remainder
 from identify.gap.residual import Base, Residual, base_of
 from identify.gap.results import Verdict
 from identify.gap.search import Found, search, settled
@@ -24,7 +24,11 @@ WORTHWHILE = 0.2
 SECOND = 0.1
 """... and of what it leaves on the validation record."""
 TRIED = 2
-"""So many first effects are followed by a search for a second."""
+"""So many first effects are followed by a search for a second, ..."""
+NEARLY = 3.0
+"""... if they leave at most this multiple of what the best one leaves, ..."""
+HOPELESS = 0.95
+"""... and the best one at most this share of the gap."""
 SHARPNESS = 20.0
 """Probabilities go with this power of what is left: a remainder 10 % larger is some seven times less likely."""
 
@@ -59,21 +63,22 @@ class Outcome:
 
 
 def diagnosed(
-    fit_record: Record, validation: Record, floor: Floor, progress: Callable[[float], None] = lambda _: None
+    fit_record: Record, validation: Record, floors: Floors, progress: Callable[[float], None] = lambda _: None
 ) -> Outcome:
     """Searches on one record, decides on the other."""
     rig = fit_record.rig
+    floor, other_floor = floors.of(fit_record), floors.of(validation)
     base, at = settled(fit_record, rig, levels=floor.contacts)
     known = candidates(rig, [s.name for s in fit_record.sensors], fit_record.zero_known)
     progress(0.05)
-    judge, judged = settled(validation, rig, levels=floor.contacts)
-    before = remainder(judge, judged, floor)
+    judge, judged = settled(validation, rig, levels=other_floor.contacts)
+    before = remainder(judge, judged, other_floor)
     fits: list[tuple[tuple[Candidate, ...], Fit]] = [
         ((f.candidate,), f.fitted) for f in worthwhile(base, at, known, floor)
     ]
     progress(0.4)
     pairs = []
-    for i, (parts, first) in enumerate(fits[:TRIED]):
+    for i, (parts, first) in enumerate(_firsts(fits, at, floor)):
         about, left = settled(fit_record, applied(rig, parts, first.values), base.seen, first.residual)
         if remainder(about, left, floor).at_floor(floor):
             break
@@ -84,14 +89,26 @@ def diagnosed(
     explanations = []
     for parts, fitted in fits[:3] + pairs:
         try:
-            explanations.append(_validated(judge, parts, fitted, rig, floor))
+            explanations.append(_validated(judge, parts, fitted, rig, other_floor))
         except RigError:
             continue
     explanations.sort(key=_price)
     first_look = remainder(base, at, floor)
-    verdict, probabilities = _verdict(explanations, before, floor, judged)
+    verdict, probabilities = _verdict(explanations, before, other_floor, judged)
     progress(1.0)
     return Outcome(verdict, tuple(explanations), probabilities, at, first_look, judge, judged, before)
+
+
+def _firsts(
+    fits: Sequence[tuple[tuple[Candidate, ...], Fit]], at: Residual, floor: Floor
+) -> list[tuple[tuple[Candidate, ...], Fit]]:
+    """Those first effects that are worth a search for a second: the best, and others that leave about as little."""
+    if not fits:
+        return []
+    excess = [_excess(f.residual, floor) for _, f in fits[:TRIED]]
+    if excess[0] > HOPELESS * _excess(at, floor):
+        return []
+    return [f for f, left in zip(fits, excess, strict=False) if left <= NEARLY * excess[0]]
 
 
 def applied(rig: Rig, parts: Sequence[Candidate], values: Float[np.ndarray, " parameters"]) -> Rig:

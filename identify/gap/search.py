@@ -18,7 +18,9 @@ from rig.oscillator import Oscillator
 DEEP = 4
 """So many of the effects that look best are fitted."""
 FINAL = 3
-"""So many of those are fitted to the end."""
+"""So many of those are kept, ..."""
+RIVAL = 0.5
+"""... and fitted to the end, if they gained this share of what the best one did."""
 AGAIN = 2
 """So many times the doubts about a single mass are linearised anew."""
 WORTH = 0.02
@@ -116,7 +118,13 @@ def search(base: Base, at: Residual, candidates: Sequence[Candidate]) -> list[Fo
                 (_fit(base, look.candidate, look.values, start, 3), look.candidate)
             )
     best = sorted((min(tries, key=lambda t: t[0].cost) for tries in begun.values()), key=lambda t: t[0].cost)
-    found = [polished(base, candidate, fitted, at.cost) for fitted, candidate in best[:FINAL]]
+    if not best:
+        return []
+    close = [at.cost - f.cost > RIVAL * (at.cost - best[0][0].cost) for f, _ in best]
+    found = [
+        polished(base, candidate, fitted, at.cost) if rival else Found(candidate, fitted, at.cost - fitted.cost)
+        for (fitted, candidate), rival in zip(best[:FINAL], close, strict=False)
+    ]
     return sorted(found, key=lambda one: -one.gain)
 
 

@@ -41,7 +41,7 @@ class Record:
     still in it; displaced the same as a displacement, high-passed where it had to be integrated. noise is the variance
     of each of its lines by the sensor's noise alone, power its smoothed size. eta_beyond is each relative displacement
     as measured on the lines from `high_hz` on, drifts what is known of its slow part (None where nothing is lost).
-    excited_s is when the force begins, tolerances how exactly the rig is believed.
+    force_rms_n is the force's, excited_s when it begins, tolerances how exactly the rig is believed.
     """
 
     rig: Rig
@@ -60,6 +60,7 @@ class Record:
     eta_beyond: Complex[np.ndarray, "contacts morelines"]
     drifts: tuple[Drift | None, ...]
     taken: slice
+    force_rms_n: float
     excited_s: float
     tolerances: Tolerances
 
@@ -156,6 +157,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         drifts=tuple(
             drift_of(rig, motion, j, noise, tolerances, _spring(rig, j), samples) for j in range(len(rig.contacts))
         ),
+        force_rms_n=float(np.std(recording.force_n)),
         excited_s=motion.excited_from / rate,
         tolerances=tolerances,
         taken=slice(
