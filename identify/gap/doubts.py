@@ -15,6 +15,8 @@ from rig.beam import Beam
 from rig.description import Body, Contact, Rig
 from rig.oscillator import Oscillator
 
+LIMIT = 6.0
+"""No doubt goes further than so many of its standard deviations: beyond, something else is wrong."""
 BEYOND = 1.3
 """Modes up to this multiple of the highest frequency are in doubt, each by itself, ..."""
 SINGLY = 0.5

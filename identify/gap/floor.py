@@ -28,6 +28,7 @@ BAND_HZ = 2.0
 SEGMENT_S = 1.0
 LEVELS = (1.0, 1.5, 2.25)
 """Nulls are made with the force times these: large motion is less linear, and a validation record may be larger."""
+RISE_S = 0.1
 WEAKER = 0.93
 """A level serves records whose force is at most as much stronger as this is below one."""
 MARGIN = 3.0
@@ -38,7 +39,7 @@ EXACT = 0.01
 """No law is believed to leave less than this of the mean square that its error is put at."""
 ORDINARY = 2.0
 """So many standard deviations of a tolerance are ordinary."""
-SPREAD = 1.5
+SPREAD = 2.0
 """A remainder is at the floor up to this multiple of the largest among the nulls."""
 
 Simulate = Callable[[Rig, Rig, Float[np.ndarray, " samples"], int], Recording]
@@ -163,7 +164,9 @@ def floors_of(
     for i, times in enumerate(LEVELS):
         records = []
         for k in range(nulls):
-            made = simulate(rig, jittered(rig, np.random.default_rng([i, k, 77])), times * force_n, i * nulls + k)
+            rng = np.random.default_rng([i, k, 77])
+            force = times * another(force_n, rig.sample_rate_hz, rng)
+            made = simulate(rig, jittered(rig, rng), force, i * nulls + k)
             records.append(record_of(made, tolerances=tolerances))
             progress((i + 0.6 * (k + 1) / nulls) / len(LEVELS))
         levels.append(_floor(rig, records))
@@ -175,6 +178,22 @@ def floors_of(
         part.write_bytes(msgspec.json.encode(floors))
         part.replace(kept)
     return floors
+
+
+def another(
+    force_n: Float[np.ndarray, " samples"], sample_rate_hz: float, rng: np.random.Generator
+) -> Float[np.ndarray, " samples"]:
+    """A force of the same spectrum and strength with other phases, after the same silence.
+
+    How large the motion gets, and with it what is not linear, differs from one force to the next.
+    """
+    start = int(np.argmax(np.abs(force_n) > 0.0))
+    excited = force_n[start:]
+    spectrum = np.fft.rfft(excited)
+    turned = np.fft.irfft(spectrum * np.exp(2j * np.pi * rng.uniform(size=spectrum.size)), excited.size)
+    rise = min(round(RISE_S * sample_rate_hz), excited.size)
+    turned[:rise] *= np.sin(np.linspace(0, np.pi / 2, rise)) ** 2
+    return np.concatenate([force_n[:start], turned])
 
 
 def _floor(rig: Rig, records: Sequence[Record]) -> Floor:
@@ -190,7 +209,8 @@ def _floor(rig: Rig, records: Sequence[Record]) -> Floor:
         strains.append(strain(at))
         for kind, gain in null_gains(base, at).items():
             gains[kind] = max(gains.get(kind, 0.0), gain)
-    levels = np.array(bands)
+    fewest = min(len(b) for b in bands)
+    levels = np.array([b[:fewest] for b in bands])
     relative = levels / np.maximum(levels.mean(axis=0), 1e-300)
     return Floor(
         force_rms_n=float(np.mean([r.force_rms_n for r in records])),
