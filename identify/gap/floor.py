@@ -23,14 +23,12 @@ from rig.errors import RigError
 from rig.recording import Recording
 
 NULLS = 5
-"""At each level of the force."""
+"""At each level."""
 BAND_HZ = 2.0
 SEGMENT_S = 1.0
 LEVELS = (1.0, 1.5, 2.25)
 """Nulls are made with the force times these: large motion is less linear, and a validation record may be larger."""
 RISE_S = 0.1
-WEAKER = 0.93
-"""A level serves records whose force is at most as much stronger as this is below one."""
 MARGIN = 3.0
 """A gain counts from this multiple of the largest that a null recording showed for that effect."""
 NOTHING = 1e-3
@@ -50,11 +48,11 @@ simulator that the diagnosis is handed."""
 class Floor(msgspec.Struct, frozen=True):
     """Mean squares of null residuals by band (2 Hz) and sensor, and by contact; what their remainders and gains reach.
 
-    It is that of one level of the force (root mean square). remainders are the largest of the nulls' own `Remainder`:
+    It is that of motions up to motion_m (root mean square). remainders are the largest of the nulls' own `Remainder`:
     overall, in the worst band, in the worst contact, and the largest use of a tolerance.
     """
 
-    force_rms_n: float
+    motion_m: float
     sensors: list[str]
     linear: list[list[float]]
     contacts: list[float]
@@ -63,16 +61,16 @@ class Floor(msgspec.Struct, frozen=True):
 
 
 class Floors(msgspec.Struct, frozen=True):
-    """The floors of a rig, the weakest force first."""
+    """The floors of a rig, the smallest motion first: the larger it is, the less linear."""
 
     rig_sha256: str
     nulls: int
     levels: list[Floor]
 
     def of(self, record: Record) -> Floor:
-        """That of the weakest level whose force is as strong as a record's, or of the strongest."""
-        strong = [f for f in self.levels if f.force_rms_n >= WEAKER * record.force_rms_n]
-        return strong[0] if strong else self.levels[-1]
+        """The first level that holds a motion as large as a record's, or the last one."""
+        large = [f for f in self.levels if f.motion_m >= record.motion_m]
+        return large[0] if large else self.levels[-1]
 
 
 class Remainder(msgspec.Struct, frozen=True):
@@ -160,17 +158,19 @@ def floors_of(
     """
     if kept and kept.exists():
         return read_floors(kept, rig)
-    levels = []
+    records = []
     for i, times in enumerate(LEVELS):
-        records = []
         for k in range(nulls):
             rng = np.random.default_rng([i, k, 77])
             force = times * another(force_n, rig.sample_rate_hz, rng)
             made = simulate(rig, jittered(rig, rng), force, i * nulls + k)
             records.append(record_of(made, tolerances=tolerances))
-            progress((i + 0.6 * (k + 1) / nulls) / len(LEVELS))
-        levels.append(_floor(rig, records))
-        progress((i + 1) / len(LEVELS))
+            progress(0.6 * len(records) / (nulls * len(LEVELS)))
+    records.sort(key=lambda r: r.motion_m)
+    levels = []
+    for first in range(0, len(records), nulls):
+        levels.append(_floor(rig, records[first : first + nulls]))
+        progress(0.6 + 0.4 * len(levels) / len(LEVELS))
     floors = Floors(_mark(rig), nulls, levels)
     if kept:
         kept.parent.mkdir(parents=True, exist_ok=True)
@@ -197,7 +197,7 @@ def another(
 
 
 def _floor(rig: Rig, records: Sequence[Record]) -> Floor:
-    """Of nulls under one force; the second time with the contacts weighed by what nulls leave there."""
+    """Of nulls of similar motion; the second time with the contacts weighed by what nulls leave there."""
     first = [contact_levels(*settled(record, rig)) for record in records]
     mean_contact = np.maximum(np.mean(first, axis=0), EXACT).tolist()
     bands, contacts, strains = [], [], []
@@ -213,7 +213,7 @@ def _floor(rig: Rig, records: Sequence[Record]) -> Floor:
     levels = np.array([b[:fewest] for b in bands])
     relative = levels / np.maximum(levels.mean(axis=0), 1e-300)
     return Floor(
-        force_rms_n=float(np.mean([r.force_rms_n for r in records])),
+        motion_m=max(r.motion_m for r in records),
         sensors=[s.name for s in records[0].sensors],
         linear=levels.mean(axis=0).tolist(),
         contacts=mean_contact,

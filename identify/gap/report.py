@@ -9,7 +9,6 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from identify.gap.pictures import pictures
 from identify.gap.results import Gap, Share
 from identify.gap.wording import VERDICTS, cause_name, closed, interval, none_of_these, number, percent
 from identify.results import write_json
@@ -54,6 +53,8 @@ Rows = Iterable[Sequence[str]]
 
 def write_all(gap: Gap, corrected: Rig, title: str, folder: Path) -> None:
     """gap.html, the corrected rig's rig.json, and gap.json, each whole or not at all."""
+    from identify.gap.pictures import pictures
+
     folder.mkdir(parents=True, exist_ok=True)
     write_page(gap, pictures(gap), title, folder / "gap.html")
     part = part_of(folder / "rig.json")

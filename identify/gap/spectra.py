@@ -42,7 +42,7 @@ class Record:
     still in it; displaced the same as a displacement, high-passed where it had to be integrated. noise is the variance
     of each of its lines by the sensor's noise alone, power its smoothed size. eta_beyond is each relative displacement
     as measured on the lines from `high_hz` on, drifts what is known of its slow part (None where nothing is lost).
-    force_rms_n is the force's, excited_s when it begins, tolerances how exactly the rig is believed.
+    excited_s is when the force begins, tolerances how exactly the rig is believed.
     """
 
     rig: Rig
@@ -61,7 +61,6 @@ class Record:
     eta_beyond: Complex[np.ndarray, "contacts morelines"]
     drifts: tuple[Drift | None, ...]
     taken: slice
-    force_rms_n: float
     excited_s: float
     tolerances: Tolerances
 
@@ -85,6 +84,11 @@ class Record:
             whole = whole * (2j * np.pi * self.sample_rate_hz / self.length * np.arange(whole.shape[1]))
         moved = self.finer * np.fft.irfft(whole, self.length * self.finer)
         return np.asarray(moved[:, self.taken.start * fine : (self.taken.stop - 1) * fine + 1])
+
+    @property
+    def motion_m(self) -> float:
+        """Root mean square displacement of all sensors."""
+        return float(np.sqrt(np.mean(self.in_time(self.displaced) ** 2)))
 
     @property
     def strictness(self) -> float:
@@ -158,7 +162,6 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         drifts=tuple(
             drift_of(rig, motion, j, noise, tolerances, _spring(rig, j), samples) for j in range(len(rig.contacts))
         ),
-        force_rms_n=float(np.std(recording.force_n)),
         excited_s=motion.excited_from / rate,
         tolerances=tolerances,
         taken=slice(
