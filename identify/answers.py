@@ -81,22 +81,6 @@ def _observed(
     quiet = separated.force_n[:, : motion.excited_from // separated.factor]
     quiet_n = quiet.std(axis=1) if quiet.shape[1] else np.zeros(len(rig.contacts))
     for j, contact in enumerate(rig.contacts):
-        drift = None
-        if not motion.zero_known:
-            stations = contact_stations(contact)
-            missing = [s for s in stations if motion.row(s) is None]
-            if missing:
-                raise RigError(
-                    f"contact {contact.name!r} has no sensor at {missing[0].position_m} m of {missing[0].body!r}; "
-                    "its drift cannot be told: put an accelerometer there"
-                )
-            slow = [motion.lost_m_per_s2[motion.stations.index(s)] for s in stations]
-            densities = [_density(motion, s, noise, tolerances) for s in stations]
-            drift = Drift(
-                acceleration_m_per_s2=(slow[0] - (slow[1] if len(slow) > 1 else 0.0))[:samples],
-                noise_density=max(float(np.hypot.reduce(densities)), QUIETEST),
-                spring_n_per_m=separated.spring_n_per_m,
-            )
         found.append(
             Observed(
                 eta_m=eta[j, :samples],
@@ -105,10 +89,41 @@ def _observed(
                 force_n=separated.force_n[j],
                 factor=separated.factor,
                 quiet_n=float(quiet_n[j]),
-                drift=drift,
+                drift=drift_of(rig, motion, j, noise, tolerances, separated.spring_n_per_m, samples),
             )
         )
     return found
+
+
+def drift_of(
+    rig: Rig,
+    motion: Kinematics,
+    contact: int,
+    noise: Float[np.ndarray, " stations"],
+    tolerances: Tolerances,
+    spring_n_per_m: float,
+    samples: int,
+) -> Drift | None:
+    """What is known of the slow part of a contact's relative displacement; None where nothing of it is lost.
+
+    Raises RigError if no sensor stands at the contact.
+    """
+    if motion.zero_known:
+        return None
+    stations = contact_stations(rig.contacts[contact])
+    missing = [s for s in stations if motion.row(s) is None]
+    if missing:
+        raise RigError(
+            f"contact {rig.contacts[contact].name!r} has no sensor at {missing[0].position_m} m of "
+            f"{missing[0].body!r}; its drift cannot be told: put an accelerometer there"
+        )
+    slow = [motion.lost_m_per_s2[motion.stations.index(s)] for s in stations]
+    densities = [_density(motion, s, noise, tolerances) for s in stations]
+    return Drift(
+        acceleration_m_per_s2=(slow[0] - (slow[1] if len(slow) > 1 else 0.0))[:samples],
+        noise_density=max(float(np.hypot.reduce(densities)), QUIETEST),
+        spring_n_per_m=spring_n_per_m,
+    )
 
 
 def _density(

@@ -114,7 +114,7 @@ def fit_joint(seen: Observed, doubts: Sequence[Doubt] = ()) -> Joint:
     tie = np.eye(4)[:, free]
     if not seen.sides_known:
         tie[1, 0] = 1.0
-    law, knots = _start(seen, curve)
+    law, knots = regressed(seen, curve)
     for begin in (knots, np.zeros_like(knots)):  # rarely, the regression's drift leads astray
         state, weights = _fitted(seen, curve, tie, _linearised(seen, curve, law, begin))
         if _strain(curve, state) <= STRAINED:
@@ -188,7 +188,7 @@ def _check_bridged(seen: Observed, state: _State) -> None:
         )
 
 
-def _start(seen: Observed, curve: Spline) -> tuple[Float[np.ndarray, "4"], Float[np.ndarray, " knots"]]:
+def regressed(seen: Observed, curve: Spline) -> tuple[Float[np.ndarray, "4"], Float[np.ndarray, " knots"]]:
     """Where the contact is clearly closed, eta + b = +-clearance + force / k: linear in clearance, 1/k and b."""
     size = np.abs(seen.force_n)
     at_force = curve.value[:: seen.factor][: size.size]

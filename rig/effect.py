@@ -31,6 +31,8 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """
 
     name: ClassVar[str]
+    needs_zero: ClassVar[bool] = False
+    """Whether only a known zero of the relative displacements shows it."""
 
     def __post_init__(self) -> None:
         for field in self.__struct_fields__:

@@ -1,30 +1,37 @@
-"""The reference plant: Exudyn, beams of ANCF cable elements, dead-zone connectors. The only import of exudyn."""
+"""The reference plant: Exudyn, beams of ANCF cable elements. It and its connectors alone import exudyn."""
 
 from collections.abc import Callable, Iterator
 from itertools import pairwise
-from typing import Any, no_type_check
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from msgspec.structs import replace
 from scipy.linalg import eigh
 
 from rig.beam import Beam
-from rig.contact import DAMPING_DEPTH_M, FRICTION_SPEED_M_PER_S, DeadZone
-from rig.description import Body, Rig, Station, stations_of
+from rig.description import Body, PointSpring, Rig, Station, stations_of
 from rig.errors import RigError
 from rig.modes import held_coordinates, with_attachments
 from rig.motion import Motion, Progress
+from rig.plants.connectors import ChangingModulus, Extra, GroundedForce, add_contact, add_grounded, modulus_change
 from rig.plants.loading import base_motion, connections, true_force
 from rig.plants.mesh import Mesh, by_node, coordinates_at_rest, inertia, mesh_positions, static_load, station_row
 
 ELEMENTS = 20
 BLOCK_STEPS = 4096
-AXIAL_FACTOR = 1e-2
-"""On the axial stiffness, whose waves would otherwise set the step; bending frequencies move by less than 1e-6."""
+AXIAL_FACTOR = 0.25
+"""On the axial stiffness, whose waves would otherwise set the step. Much less, and the beams' own axial resonances come
+down into the band of the force: at 0.01 the cradle's, at 129 Hz, falsified its tip's acceleration there by a tenth."""
 
 
 def simulate(
-    rig: Rig, force_n: Float[np.ndarray, " samples"], step_s: float, progress: Progress, elements: int = ELEMENTS
+    rig: Rig,
+    force_n: Float[np.ndarray, " samples"],
+    step_s: float,
+    progress: Progress,
+    elements: int = ELEMENTS,
+    extra: tuple[Extra, ...] = (),
 ) -> Iterator[Motion]:
     """The motion from rest, with about `elements` elements a beam and a node wherever something acts on it.
 
@@ -32,7 +39,7 @@ def simulate(
     has the damping matrix M Phi diag(2 zeta omega) Phi' M of its finite elements, hence the same damping ratio in
     every elastic mode and none in the rigid ones. Coordinates are taken relative to the base, whose motion is an
     inertial load. The solver runs in stretches of 4096 steps, each continued from the
-    coordinates, velocities and accelerations of the one before.
+    coordinates, velocities and accelerations of the one before. `extra` is what no Rig describes.
 
     Yields one Motion a stretch. Raises RigError if the solver fails or the motion is not finite.
     """
@@ -45,7 +52,7 @@ def simulate(
     container = exu.SystemContainer()
     try:
         mbs = container.AddSystem()
-        meshes, connectors, load = build(exu, mbs, rig, float(applied_n[0]), elements)
+        meshes, connectors, load = build(exu, mbs, rig, float(applied_n[0]), elements, extra)
         kinds = ["displacement", *sorted({s.quantity for s in rig.sensors} - {"displacement"})]
         readers = {kind: _read_nodes(exu, mbs, meshes, kind) for kind in kinds}
         force_readers = [
@@ -57,12 +64,15 @@ def simulate(
             for c in connectors[: len(rig.contacts)]
         ]
         set_base = _add_loads(mbs, rig, meshes) if rig.loads or base else None
+        changes = [modulus_change(mbs, meshes, e) for e in extra if isinstance(e, ChangingModulus)]
 
         def apply_force(system: Any, time_s: float) -> bool:
             sample = round(time_s / step_s)
             system.SetLoadParameter(load, "load", float(applied_n[sample]))
             if base and set_base:
                 set_base(float(base["acceleration"][sample]))
+            for change in changes:
+                change(sample, time_s)
             return True
 
         mbs.SetPreStepUserFunction(apply_force)
@@ -100,11 +110,16 @@ def simulate(
         container.Reset()
 
 
-def build(exu: Any, mbs: Any, rig: Rig, first_force_n: float, elements: int) -> tuple[list[Mesh], list[int], int]:
+def build(
+    exu: Any, mbs: Any, rig: Rig, first_force_n: float, elements: int, extra: tuple[Extra, ...] = ()
+) -> tuple[list[Mesh], list[int], int]:
     """Bodies, damping, contacts and the load; returns the meshes, the connectors and the load's number.
 
-    The connectors are those of the contacts, then those of the cubic springs.
+    The connectors are those of the contacts, then those of the cubic springs and of the extra forces.
     """
+    grounded = [e for e in extra if isinstance(e, GroundedForce)]
+    nodes = tuple(PointSpring(station=g.station) for g in grounded)  # no springs, but a node where each force acts
+    rig = replace(rig, springs=(*rig.springs, *nodes))
     ground_node = mbs.AddNode(_item("NodePointGround")())
     ground = int(mbs.AddMarker(_item("MarkerNodeCoordinate")(nodeNumber=ground_node, coordinate=0)))
     meshes = [_add_body(mbs, rig, body, ground, elements) for body in rig.bodies]
@@ -123,7 +138,8 @@ def build(exu: Any, mbs: Any, rig: Rig, first_force_n: float, elements: int) -> 
             )
         )
 
-    connectors = [_add_contact(exu, mbs, marker(c.against), marker(c.at), c.law) for c in connections(rig)]
+    connectors = [add_contact(exu, mbs, marker(c.against), marker(c.at), c.law) for c in connections(rig)]
+    connectors += [add_grounded(exu, mbs, ground, marker(g.station), g) for g in grounded]
     load = mbs.AddLoad(_item("LoadCoordinate")(markerNumber=marker(rig.force_at), load=first_force_n))
     return meshes, connectors, int(load)
 
@@ -215,40 +231,6 @@ def _add_damping(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
             damping[np.ix_(free, free)] = (momentum * rate) @ momentum.T
             mbs.AddObject(_item("ObjectGenericODE2")(nodeNumbers=list(mesh.nodes), dampingMatrix=damping))
         first += size
-
-
-def _add_contact(exu: Any, mbs: Any, against: int, at: int, law: DeadZone) -> int:
-    """A connector whose force is the dead zone, as a symbolic user function that runs in C++."""
-    from exudyn.advancedUtilities import CreateSymbolicUserFunction
-
-    connector = mbs.AddObject(
-        _item("CoordinateSpringDamper")(
-            markerNumbers=[against, at], stiffness=law.stiffness_n_per_m, damping=law.damping_n_s_per_m
-        )
-    )
-    symbolic = exu.symbolic
-
-    @no_type_check  # recorded symbolically from the plain function
-    def dead_zone(system, t, number, eta, rate, stiffness, damping, offset):  # noqa: ARG001
-        def beyond(depth, size):
-            share = symbolic.IfThenElse(size < DAMPING_DEPTH_M, size / DAMPING_DEPTH_M, symbolic.Real(1.0))
-            elastic = (
-                (stiffness + law.cubic_n_per_m3 * depth * depth) * depth if law.cubic_n_per_m3 else stiffness * depth
-            )
-            return elastic + damping * rate * share
-
-        worn = law.wear_m_per_s * t
-        below, above = eta + (law.lower_clearance_m + worn), eta - (law.upper_clearance_m + worn)
-        inside = symbolic.IfThenElse(below < 0.0, beyond(below, -1.0 * below), symbolic.Real(0.0))
-        force = symbolic.IfThenElse(above > 0.0, beyond(above, above), inside)
-        if law.friction_n:
-            force = force + law.friction_n * symbolic.tanh(rate / FRICTION_SPEED_M_PER_S)
-        return force
-
-    function = CreateSymbolicUserFunction(mbs, dead_zone, "springForceUserFunction", connector)
-    mbs.SetObjectParameter(connector, "springForceUserFunction", function)
-    mbs.variables[f"law of connector {connector}"] = function  # Exudyn does not keep it alive
-    return int(connector)
 
 
 def _read_nodes(exu: Any, mbs: Any, meshes: list[Mesh], kind: str) -> Callable[[], Float[np.ndarray, "rows samples"]]:

@@ -1,0 +1,102 @@
+"""What a laboratory never knows exactly (gains, positions, frequencies, damping), as columns of the residual."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from identify.gap.linear import Linear
+from identify.gap.spectra import Record
+from identify.kinematics import CORNER_HZ, integrated
+from identify.modal import receptance
+from identify.tolerances import Tolerances
+from rig.beam import Beam
+from rig.description import Contact
+
+BEYOND = 1.3
+"""Modes up to this multiple of the highest frequency are in doubt."""
+
+
+@dataclass(frozen=True)
+class Doubts:
+    """Derivatives of the linear residual, the contact forces and the relative displacements, each by one tolerance."""
+
+    names: tuple[str, ...]
+    residual: Float[np.ndarray, "doubts rows times"]
+    contact_n: Float[np.ndarray, "doubts contacts times"]
+    eta_m: Float[np.ndarray, "doubts contacts times"]
+
+
+def doubts_of(record: Record, model: Linear, tolerances: Tolerances) -> Doubts:
+    """One column for each gain and position, and for frequency and damping of each elastic mode in the band."""
+    names: list[str] = []
+    changes: list[Complex[np.ndarray, "sensors lines"]] = []
+    moved: list[Complex[np.ndarray, "sensors lines"] | None] = []
+    omega = record.omega
+    twice = integrated(omega, -2, CORNER_HZ)
+    index = np.arange(len(record.sensors))[:, None]
+    explained = record.delivered - model.residual[: len(record.sensors)] * model.spread
+    for i, sensor in enumerate(record.sensors):
+        own = index == i
+        names.append(f"gain of {sensor.name}")
+        changes.append(tolerances.gain * explained * own)
+        moved.append(tolerances.gain * record.displaced * own)
+    for response, motion in zip(model.responses, model.modal, strict=True):
+        body = response.body
+        rows = [i for i, s in enumerate(record.sensors) if s.station.body == body.name]
+        places = np.array([record.sensors[i].station.position_m for i in rows])
+        if isinstance(body, Beam) and rows:
+            step = 1e-4 * body.length_m
+            right, left = np.minimum(places + step, body.length_m), np.maximum(places - step, 0.0)
+            beside = [response.modes.shapes(at, response.count) for at in (right, left)]
+            slopes = (beside[0] - beside[1]) / (right - left)[:, None]
+            for i, slope in zip(rows, slopes @ motion, strict=True):
+                names.append(f"position of {record.sensors[i].name}")
+                changes.append(tolerances.position_m * slope * (index == i))
+                moved.append(changes[-1] * twice)
+        shapes = response.shapes([s.station for s in record.sensors])
+        natural_hz, zeta = response.modes.frequencies_hz(response.count), response.modes.damping_ratios(response.count)
+        if isinstance(body, Beam):
+            stiff = (2 * np.pi * natural_hz[:, None]) ** 2
+            change = -2 * tolerances.frequency * stiff * receptance(natural_hz, zeta, omega / (2 * np.pi)) * motion
+            names.append(f"modulus of {body.name}")
+            changes.append(shapes @ change)
+            moved.append(None)
+        for m in np.flatnonzero((natural_hz > 0) & (natural_hz < BEYOND * omega[-1] / (2 * np.pi))):
+            natural = 2 * np.pi * natural_hz[m]
+            accelerated = receptance(natural_hz[m], zeta[m], omega / (2 * np.pi)) * motion[m]
+            loss = 1j * zeta[m] * natural * omega
+            for what, change in (
+                ("frequency", -2 * tolerances.frequency * (natural**2 + loss)),
+                ("damping", -2 * tolerances.damping * loss),
+            ):
+                names.append(f"{what} of {body.name} {m + 1}")
+                changes.append(np.outer(shapes[:, m], change * accelerated))
+                moved.append(None)
+    residual, forces, eta = [], [], []
+    scale = residual_scale(record)
+    for change, displaced in zip(changes, moved, strict=True):
+        left, force = model.projected(change)
+        residual.append(scale * record.in_time(left))
+        forces.append(record.in_time(force))
+        eta.append(np.zeros_like(forces[-1]) if displaced is None else record.in_time(_at_contacts(record, model, displaced)))
+    return Doubts(tuple(names), np.array(residual), np.array(forces), np.array(eta))
+
+
+def residual_scale(record: Record) -> float:
+    """Makes the residual over time, of lines with a variance of one, have a variance of one."""
+    return float(np.sqrt(record.length * record.samples / (2 * record.omega.size)))
+
+
+def _at_contacts(
+    record: Record, model: Linear, displaced: Complex[np.ndarray, "sensors lines"]
+) -> Complex[np.ndarray, "contacts lines"]:
+    """Relative displacements from the sensors at the contacts."""
+
+    def of(contact: Contact) -> Complex[np.ndarray, " lines"]:
+        found = np.zeros(displaced.shape[1], dtype=complex)
+        for i, sensor in enumerate(record.sensors):
+            found += displaced[i] * ((sensor.station == contact.at) * 1.0 - (sensor.station == contact.against) * 1.0)
+        return found
+
+    return np.array([of(c) for c in model.rig.contacts]).reshape(-1, displaced.shape[1])

@@ -1,0 +1,166 @@
+"""Gauss-Newton on the residual: the parameters of effects, with doubts, drifts and contact tolerances along."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.sparse.linalg import SuperLU
+
+from identify.gap.residual import Base, Residual, residual_of
+from rig.description import Rig
+from rig.errors import RigError
+
+STEPS = 12
+SETTLED = 0.1
+"""Gauss-Newton stops when the cost falls by less than this."""
+
+Column = tuple[Float[np.ndarray, "rows times"], list[Float[np.ndarray, " rows"]]]
+Build = Callable[[Float[np.ndarray, " parameters"]], Rig]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The parameters at which the residual is least, their covariance if the residual's variance is one."""
+
+    values: Float[np.ndarray, " parameters"]
+    covariance: Float[np.ndarray, "parameters parameters"]
+    residual: Residual
+
+    @property
+    def cost(self) -> float:
+        return self.residual.cost
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Normal equations of doubts and parameters with the contacts' own unknowns eliminated."""
+
+    matrix: Float[np.ndarray, "global global"]
+    gradient: Float[np.ndarray, " global"]
+    eliminated: tuple[tuple[Float[np.ndarray, " unknowns"], Float[np.ndarray, "unknowns global"]], ...]
+
+    @property
+    def gain(self) -> float:
+        """By how much the linearised cost falls."""
+        return float(self.gradient @ np.linalg.solve(self.matrix, self.gradient))
+
+    def unknowns(self, step: Float[np.ndarray, " global"]) -> list[Float[np.ndarray, " unknowns"]]:
+        """The steps of the contacts' unknowns that go with a step of the others."""
+        return [start - coupled @ step for start, coupled in self.eliminated]
+
+
+def derivative(
+    base: Base, build: Build, moved: Float[np.ndarray, " parameters"], at: Residual
+) -> Column:
+    """What moving the parameters so takes off the linear and the contact residuals."""
+    there = residual_of(base, build(moved), at.doubts, tuple(c.unknowns for c in at.contacts), like=at)
+    contacts = [a.residual - b.residual for a, b in zip(at.contacts, there.contacts, strict=True)]
+    return at.linear - there.linear, contacts
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """Normal equations of the doubts at a residual, with the contacts' own unknowns eliminated; columns join them."""
+
+    base: Base
+    at: Residual
+    matrix: Float[np.ndarray, "doubts doubts"]
+    gradient: Float[np.ndarray, " doubts"]
+    rows: tuple[Float[np.ndarray, "doubts rows"], ...]
+    solvers: tuple[SuperLU, ...]
+
+    def joined(self, columns: list[Column]) -> Normal:
+        """Over the doubts, then the columns."""
+        count, size = len(self.gradient), len(self.gradient) + len(columns)
+        matrix, gradient = np.zeros((size, size)), np.zeros(size)
+        matrix[:count, :count], gradient[:count] = self.matrix, self.gradient
+        linear = self.base.doubts.residual.reshape(count, self.at.linear.size)
+        own = np.array([c[0].ravel() for c in columns]).reshape(len(columns), self.at.linear.size)
+        matrix[:count, count:] = linear @ own.T
+        matrix[count:, count:] = own @ own.T
+        gradient[count:] = own @ self.at.linear.ravel()
+        back = []
+        for j, contact in enumerate(self.at.contacts):
+            mine = np.array([c[1][j] for c in columns]).reshape(len(columns), contact.residual.size)
+            free = contact.columns.T @ contact.residual
+            coupled = np.concatenate([self.rows[j] @ contact.columns, mine @ contact.columns])
+            eliminated = self.solvers[j].solve(np.ascontiguousarray(coupled.T))
+            matrix[:count, count:] += self.rows[j] @ mine.T - coupled[:count] @ eliminated[:, count:]
+            matrix[count:, count:] += mine @ mine.T - coupled[count:] @ eliminated[:, count:]
+            gradient[count:] += mine @ contact.residual - eliminated[:, count:].T @ free
+            back.append((self.solvers[j].solve(free), eliminated))
+        matrix[count:, :count] = matrix[:count, count:].T
+        return Normal(matrix, gradient, tuple(back))
+
+
+def reduced(base: Base, at: Residual) -> Reduced:
+    """The doubts' part of the normal equations."""
+    count = len(base.doubts.names)
+    matrix = base.doubts_gram + np.eye(count)
+    gradient = base.doubts.residual.reshape(count, at.linear.size) @ at.linear.ravel() - at.doubts
+    every, solvers = [], []
+    for j, contact in enumerate(at.contacts):
+        weights = base.seen[j].weights
+        rows = np.zeros((count, contact.residual.size))
+        rows[:, : weights.size] = weights * (base.doubts.contact_n[:, j] - contact.by_eta * base.doubts.eta_m[:, j])
+        solver = contact.solver()
+        coupled = rows @ contact.columns
+        eliminated = solver.solve(np.ascontiguousarray(coupled.T))
+        matrix = matrix + rows @ rows.T - coupled @ eliminated
+        gradient = gradient + rows @ contact.residual - eliminated.T @ (contact.columns.T @ contact.residual)
+        every.append(rows)
+        solvers.append(solver)
+    return Reduced(base, at, matrix, gradient, tuple(every), tuple(solvers))
+
+
+def fit(
+    base: Base,
+    build: Build,
+    values: Float[np.ndarray, " parameters"],
+    steps: Float[np.ndarray, " parameters"],
+    bounds: tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, " parameters"]],
+    start: Residual | None = None,
+    most: int = STEPS,
+) -> Fit:
+    """Descends from `values`, each parameter within its bounds; `steps` are small changes of each for derivatives.
+
+    `start` gives doubts and contact unknowns to begin at.
+    """
+    at = residual_of(base, build(values), *(_state(start) if start else (None, None)))
+    count, sizes = len(base.doubts.names), np.eye(values.size)
+    for _ in range(most):
+        inside = np.where(values + steps > bounds[1], -steps, steps)
+        normal = reduced(base, at).joined([derivative(base, build, values + s, at) for s in sizes * inside])
+        scaled = np.concatenate([np.ones(count), inside])
+        held = normal.matrix + np.diag(np.r_[np.zeros(count), 1e-9 * np.diag(normal.matrix)[count:] + 1e-300])
+        step = np.linalg.solve(held, normal.gradient)
+        for halving in range(8):
+            part = step / 2**halving
+            moved = np.clip(values + (part * scaled)[count:], *bounds)
+            part[count:] = (moved - values) / inside
+            along = [u / 2**halving for u in normal.unknowns(part * 2**halving)]
+            try:
+                there = residual_of(
+                    base,
+                    build(moved),
+                    at.doubts + part[:count],
+                    tuple(c.unknowns + u for c, u in zip(at.contacts, along, strict=True)),
+                    like=at,
+                )
+            except RigError:
+                continue
+            if there.cost < at.cost:
+                break
+        else:
+            break
+        fell = at.cost - there.cost
+        values, at = moved, there
+        if fell < SETTLED:
+            break
+    covariance = np.linalg.pinv(normal.matrix)[count:, count:] * np.outer(steps, steps)
+    return Fit(values, covariance, at)
+
+
+def _state(start: Residual) -> tuple[Float[np.ndarray, " doubts"], tuple[Float[np.ndarray, " unknowns"], ...]]:
+    return start.doubts, tuple(c.unknowns for c in start.contacts)

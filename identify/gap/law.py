@@ -1,0 +1,179 @@
+"""Each separated contact force against the law that the rig has at its relative displacement: the contact residual."""
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from msgspec.structs import replace as changed
+from scipy.sparse import csc_matrix, csr_matrix, diags, hstack, vstack
+from scipy.sparse.linalg import SuperLU, splu
+
+from identify.drift import Spline, spline
+from identify.gap.linear import Linear
+from identify.gap.spectra import Record
+from identify.joint import Observed, regressed
+from identify.spectra import decimated
+from rig.contact import DeadZone, damping_share
+from rig.errors import RigError
+
+TRUSTED = 0.01
+"""Clearance and stiffness of a contact are believed within this share (one standard deviation) ..."""
+DAMPING_S = 1e-5
+"""... and its damping within this multiple of its stiffness."""
+LAW_ERROR = 2e-3
+"""Share of a contact force that no law of this kind explains."""
+CLOSED = 5.0
+"""A contact is closed where its force exceeds this many standard deviations."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a record says of one contact, whatever its law: how exactly its force is known, and its slow drift."""
+
+    weights: Float[np.ndarray, " times"]
+    closed: Float[np.ndarray, " times"]
+    curve: Spline
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A contact's law laid against its separated force, with its drift and the law's own tolerances as unknowns.
+
+    unknowns are the drift's knots (m), then clearance, stiffness and damping in their tolerances. residual is force
+    less law, in standard deviations, above the residuals of the prior; columns are its derivatives by the unknowns,
+    by_eta (N/m) the law's by the relative displacement.
+    """
+
+    law: DeadZone
+    unknowns: Float[np.ndarray, " unknowns"]
+    residual: Float[np.ndarray, " rows"]
+    columns: csr_matrix
+    by_eta: Float[np.ndarray, " times"]
+
+    @property
+    def cost(self) -> float:
+        return float(self.residual @ self.residual)
+
+    def solver(self) -> SuperLU:
+        return splu(csc_matrix(self.columns.T @ self.columns))
+
+
+def seen_contacts(record: Record, model: Linear) -> tuple[Seen, ...]:
+    """What the record says of its contacts, by the linear model of the rig that is believed."""
+    forces, spreads = record.in_time(model.contact_n), model.open_n(record)
+    found = []
+    for force, open_n, contact, drift in zip(forces, spreads, model.rig.contacts, record.drifts, strict=True):
+        closed = np.abs(force) > CLOSED * open_n
+        fast_m = 0.0 if drift is None else drift.unfollowed_m
+        stiffness = contact.law.stiffness_n_per_m
+        weights = 1 / np.sqrt(open_n**2 + (stiffness * fast_m * closed) ** 2 + (LAW_ERROR * force) ** 2)
+        slow = drift
+        if drift is not None:
+            at = np.arange(record.taken.start, record.taken.stop) * record.factor
+            slow = replace(drift, acceleration_m_per_s2=drift.acceleration_m_per_s2[at])
+        found.append(Seen(weights, closed.astype(float), spline(force.size, record.rate_hz, slow)))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Laid:
+    """Force (N) and fine relative displacement and velocity of one contact, as a linear model has them."""
+
+    force_n: Float[np.ndarray, " times"]
+    eta_m: Float[np.ndarray, " fine"]
+    rate_m_per_s: Float[np.ndarray, " fine"]
+    time_s: Float[np.ndarray, " fine"]
+    finer: int
+    spring_n_per_m: float
+
+
+def laid_out(record: Record, model: Linear) -> tuple[Laid, ...]:
+    """What every contact's law is to be laid against."""
+    finer = record.factor * record.finer
+    eta, rate = record.finely(model.eta_m), record.finely(model.eta_m, 1)
+    time_s = record.taken.start / record.rate_hz + np.arange(eta.shape[1]) / (record.rate_hz * finer)
+    forces = record.in_time(model.contact_n)
+    springs = [0.0 if d is None else d.spring_n_per_m for d in record.drifts]
+    return tuple(Laid(f, e, r, time_s, finer, s) for f, e, r, s in zip(forces, eta, rate, springs, strict=True))
+
+
+def start_of(laid: Laid, seen: Seen, rate_hz: float) -> Float[np.ndarray, " unknowns"]:
+    """The drift by the samples at which the contact is clearly closed; zero where they do not tell it."""
+    start = np.zeros(seen.curve.knots + 3)
+    observed = Observed(
+        eta_m=laid.eta_m[:: laid.finer],
+        velocity_m_per_s=laid.rate_m_per_s[:: laid.finer],
+        sample_rate_hz=rate_hz,
+        force_n=laid.force_n,
+        factor=1,
+        quiet_n=0.0,
+        drift=None,
+    )
+    if seen.curve.knots:
+        with suppress(RigError):
+            start[:-3] = regressed(observed, seen.curve)[1]
+    return start
+
+
+def contact_residual(
+    laid: Laid,
+    seen: Seen,
+    law: DeadZone,
+    unknowns: Float[np.ndarray, " unknowns"],
+    more_n: float | Float[np.ndarray, " times"] = 0.0,
+    more_m: float | Float[np.ndarray, " times"] = 0.0,
+) -> Contact:
+    """The residual at some drift and tolerances; more_n and more_m come on top of force and relative displacement.
+
+    The law is evaluated finely and low-passed to the band of the force, so that its kinks do not alias.
+    """
+    curve, knots = seen.curve, unknowns[: seen.curve.knots]
+    slow, slow_rate = curve.value @ knots + more_m, curve.rate @ knots
+    eta = laid.eta_m + _finely(np.broadcast_to(slow, laid.force_n.shape), laid.finer)
+    rate = laid.rate_m_per_s + _finely(slow_rate, laid.finer)
+    clearance, stiffness, damping = unknowns[curve.knots :]
+    within = changed(
+        law,
+        lower_clearance_m=law.lower_clearance_m * max(0.0, 1 + TRUSTED * clearance),
+        upper_clearance_m=law.upper_clearance_m * max(0.0, 1 + TRUSTED * clearance),
+        stiffness_n_per_m=law.stiffness_n_per_m * max(0.01, 1 + TRUSTED * stiffness),
+    )
+    depth = within.penetration_m(eta, laid.time_s)
+    damped = DAMPING_S * law.stiffness_n_per_m * rate * damping_share(depth)
+    force = within.force_n(eta, rate, laid.time_s) + damping * damped
+    residual = laid.force_n + more_n - decimated(force, laid.finer) - laid.spring_n_per_m * slow
+    tangent = (within.stiffness_n_per_m + 3 * within.cubic_n_per_m3 * depth**2) * (depth != 0)
+    by_eta = _coarsely(tangent, laid.finer) + laid.spring_n_per_m
+    by_law = np.stack(
+        [
+            -_coarsely(tangent * np.sign(depth), laid.finer) * TRUSTED * law.clearance_m,
+            _coarsely(depth, laid.finer) * TRUSTED * law.stiffness_n_per_m,
+            _coarsely(damped, laid.finer),
+        ],
+        axis=1,
+    )
+    by_knots = diags(seen.weights * by_eta) @ curve.value
+    rows = hstack([by_knots, csr_matrix(seen.weights[:, None] * by_law)])
+    prior = hstack([curve.curvature, csr_matrix((curve.target.size, 3))])
+    own = hstack([csr_matrix((3, curve.knots)), diags(np.ones(3))])
+    return Contact(
+        law=law,
+        unknowns=unknowns,
+        residual=np.concatenate([seen.weights * residual, curve.target - curve.curvature @ knots, -unknowns[-3:]]),
+        columns=vstack([rows, prior, own]).tocsr(),
+        by_eta=by_eta,
+    )
+
+
+def _finely(values: Float[np.ndarray, " times"], finer: int) -> Float[np.ndarray, " fine"]:
+    """Linear between samples, which slow motion is."""
+    fine = np.arange((values.size - 1) * finer + 1) / finer
+    return np.interp(fine, np.arange(values.size), values)
+
+
+def _coarsely(values: Float[np.ndarray, " fine"], finer: int) -> Float[np.ndarray, " times"]:
+    """Means around every sample: good enough for derivatives."""
+    half = finer // 2
+    padded = np.pad(values, (half, finer - half - 1), mode="edge")
+    return np.asarray(padded.reshape(-1, finer).mean(axis=1))

@@ -1,0 +1,205 @@
+"""The linear part of a rig against a record: what no contact force explains, and the contact forces that explain most.
+
+At every line the accelerations of all sensors are, by the rig's description,
+
+    A = G_F F + G_L P - G_K k3 w^3 - G_C f + G_B a_base + error
+
+with the accelerances G at the sensors of the force F, static loads P, cubic springs, contact forces f, and a base that
+shakes unmeasured. The f are found by least squares, without a contact law; so is a_base, held by its spectrum. What
+they leave, in standard deviations of the error, is the linear residual: sensors less contacts tell it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from identify.gap.spectra import Record
+from identify.kinematics import CORNER_HZ, integrated
+from identify.modal import receptance
+from rig.beam import MAX_MODES, Beam
+from rig.description import Body, Rig, Station
+from rig.modes import Modes, modes_of, participation
+
+
+@dataclass(frozen=True)
+class Response:
+    """One body's modes, and their accelerations per modal force."""
+
+    body: Body
+    modes: Modes
+    count: int
+    accelerance: Complex[np.ndarray, "modes lines"]
+
+    def shapes(self, stations: list[Station | None]) -> Float[np.ndarray, "stations modes"]:
+        """Zero at stations of other bodies and at the ground."""
+        own = np.array([s is not None and s.body == self.body.name for s in stations], dtype=float)
+        places = [s.position_m if s is not None and here else 0.0 for s, here in zip(stations, own, strict=True)]
+        return np.asarray(self.modes.shapes(np.array(places), self.count) * own[:, None])
+
+
+@dataclass(frozen=True)
+class Linear:
+    """A rig's linear model laid against a record.
+
+    residual is in standard deviations; where the base shakes, a last row holds its acceleration in those of its own
+    spectrum, and log_determinant is what that freedom costs. eta_m lacks the slow part that integration loses. modal
+    are the accelerations of each body's modes.
+    """
+
+    rig: Rig
+    responses: tuple[Response, ...]
+    spread: Float[np.ndarray, "sensors lines"]
+    unknown: Complex[np.ndarray, "lines sensors inputs"]
+    solve: Complex[np.ndarray, "lines inputs sensors"]
+    residual: Complex[np.ndarray, "rows lines"]
+    contact_n: Complex[np.ndarray, "contacts lines"]
+    eta_m: Complex[np.ndarray, "contacts lines"]
+    modal: tuple[Complex[np.ndarray, "modes lines"], ...]
+    log_determinant: float
+
+    def projected(
+        self, change: Complex[np.ndarray, "sensors lines"]
+    ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
+        """The residual and the contact forces that something delivered beside what is known makes."""
+        return _split(self.unknown, self.solve, change / self.spread, len(self.rig.contacts))
+
+    def open_n(self, record: Record) -> Float[np.ndarray, " contacts"]:
+        """Standard deviation over time of each contact force, by the errors of the accelerations."""
+        contacts = len(self.rig.contacts)
+        variance = np.sum(np.abs(self.solve[:, :contacts]) ** 2, axis=2)
+        return np.asarray(np.sqrt(2 * variance.sum(axis=0) / (record.length * record.samples)))
+
+
+def linear_model(record: Record, rig: Rig, model_error: float) -> Linear:
+    """The linear residual of a rig that has the record's sensors and contacts, whatever else it has.
+
+    model_error is the share of each acceleration that no model of this kind explains.
+    """
+    named, omega = {s.name: s for s in rig.sensors}, record.omega
+    sensors = [named[s.name] for s in record.sensors]
+    chain = np.stack([s.gain * np.exp(-1j * omega * s.delay_s) for s in sensors])
+    displacements = record.displaced / chain
+    responses = tuple(_response(record, rig, body) for body in rig.bodies)
+    places: list[Station | None] = [s.station for s in sensors]
+    applied = [
+        (rig.force_at, record.force * np.exp(-1j * omega * rig.force_sensor.lag_s) / rig.force_sensor.gain),
+        *((load.station, load.force_n * record.constant) for load in rig.loads),
+    ]
+    for spring in rig.springs:
+        if spring.cubic_n_per_m3:
+            moved = np.sum([_interpolated(r, places, displacements, [spring.station]) for r in responses], axis=0)
+            applied.append((spring.station, -spring.cubic_n_per_m3 * _cubed(record, moved[0])))
+    drives = [np.sum([np.outer(r.shapes([s])[0], force) for s, force in applied], axis=0) for r in responses]
+    ends: list[list[Station | None]] = [[c.at for c in rig.contacts], [c.against for c in rig.contacts]]
+    across = [r.shapes(ends[0]) - r.shapes(ends[1]) for r in responses]
+    at = [r.shapes(places) for r in responses]
+    known = np.sum([a @ (r.accelerance * d) for a, r, d in zip(at, responses, drives, strict=True)], axis=0)
+    spread = np.sqrt(record.noise + model_error**2 * record.power)
+    spread = np.maximum(spread, 1e-9 * spread.max())
+    sensed = (chain / spread).T
+    unknown = -_accelerances(responses, at, across) * sensed[:, :, None]
+    if rig.base_motion is not None:
+        unknown = np.concatenate([unknown, _base(record, rig, responses, at).T[:, :, None] * sensed[:, :, None]], axis=2)
+    contacts = len(rig.contacts)
+    solve, log_determinant = _least_squares(unknown, contacts)
+    residual, contact_n = _split(unknown, solve, record.delivered / spread - known * sensed.T, contacts)
+    modal = tuple(r.accelerance * (d - c.T @ contact_n) for r, d, c in zip(responses, drives, across, strict=True))
+    eta = np.zeros((contacts, omega.size), dtype=complex)
+    high_passed = integrated(omega, -2, CORNER_HZ)
+    for response, own, motion in zip(responses, at, modal, strict=True):
+        for stations, sign in zip(ends, (1.0, -1.0), strict=True):
+            eta += sign * _interpolated(response, places, displacements - own @ motion * high_passed, stations)
+            eta += sign * response.shapes(stations) @ motion * high_passed
+    return Linear(rig, responses, spread, unknown, solve, residual, contact_n, eta, modal, log_determinant)
+
+
+def _response(record: Record, rig: Rig, body: Body) -> Response:
+    """Of a mass with accelerometers alone, its spring acts on the high-passed displacement only."""
+    modes, count = modes_of(rig, body), MAX_MODES if isinstance(body, Beam) else 1
+    natural_hz, zeta, omega = modes.frequencies_hz(count), modes.damping_ratios(count), record.omega
+    if isinstance(body, Beam) or record.zero_known:
+        accelerance = -(omega**2) * receptance(natural_hz, zeta, omega / (2 * np.pi))
+    else:
+        natural = 2 * np.pi * natural_hz[:, None]
+        held = natural**2 * integrated(omega, -2, CORNER_HZ)
+        accelerance = 1 / (1 + held + 2 * zeta[:, None] * natural * integrated(omega, -1, CORNER_HZ))
+    return Response(body, modes, count, np.where(natural_hz[:, None] == 0, 1.0, accelerance))
+
+
+def _interpolated(
+    response: Response,
+    places: list[Station | None],
+    values: Complex[np.ndarray, "sensors lines"],
+    stations: list[Station | None],
+) -> Complex[np.ndarray, "stations lines"]:
+    """From the body's sensors to other places on it, by as many of its modes as it has sensors."""
+    rows = [i for i, place in enumerate(places) if place is not None and place.body == response.body.name]
+    modes = min(len(rows), response.count)
+    if not rows:
+        return np.zeros((len(stations), values.shape[1]), dtype=complex)
+    inverse = np.linalg.pinv(response.shapes([places[i] for i in rows])[:, :modes])
+    return np.asarray(response.shapes(stations)[:, :modes] @ (inverse @ values[rows]))
+
+
+def _accelerances(
+    responses: tuple[Response, ...],
+    at: list[Float[np.ndarray, "sensors modes"]],
+    across: list[Float[np.ndarray, "contacts modes"]],
+) -> Complex[np.ndarray, "lines sensors contacts"]:
+    found = np.zeros((responses[0].accelerance.shape[1], len(at[0]), len(across[0])), dtype=complex)
+    for response, sensors, contacts in zip(responses, at, across, strict=True):
+        products = (sensors[:, None, :] * contacts[None]).reshape(-1, response.count)
+        found += (response.accelerance.T @ products.T).reshape(found.shape)
+    return found
+
+
+def _cubed(record: Record, displacement: Complex[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:
+    length = record.length // record.factor
+    fine = 3 * np.fft.irfft(displacement / record.factor, 3 * length)
+    return np.asarray(np.fft.rfft(fine**3)[: displacement.size] * record.factor / 3)
+
+
+def _base(
+    record: Record, rig: Rig, responses: tuple[Response, ...], at: list[Float[np.ndarray, "sensors modes"]]
+) -> Complex[np.ndarray, "sensors lines"]:
+    """Accelerations by a base motion of one standard deviation a line: a mode feels the base as an inertial load."""
+    base = rig.base_motion
+    assert base is not None
+    follows = np.ones((len(at[0]), record.omega.size), dtype=complex)
+    for response, sensors in zip(responses, at, strict=True):
+        load = participation(rig, response.body, response.modes, response.count)
+        follows -= sensors @ (response.accelerance * load[:, None])
+    hz = record.omega / (2 * np.pi)
+    density = base.acceleration_rms_m_per_s2**2 / (base.high_hz - base.low_hz)
+    size = np.sqrt(density * record.samples * record.sample_rate_hz / 2)
+    return np.asarray(follows * size * ((hz >= base.low_hz) & (hz <= base.high_hz)))
+
+
+def _least_squares(
+    unknown: Complex[np.ndarray, "lines sensors inputs"], contacts: int
+) -> tuple[Complex[np.ndarray, "lines inputs sensors"], float]:
+    """The inputs from the weighted accelerations, line by line; those behind the contacts with a prior of one.
+
+    The logarithm is that of the determinant by which such inputs widen the residual's distribution.
+    """
+    adjoint = unknown.conj().transpose(0, 2, 1)
+    normal = adjoint @ unknown
+    inputs = normal.shape[1]
+    size = np.einsum("lii->li", normal).real
+    normal = normal + np.eye(inputs) * (1e-10 * size + 1e-300)[:, None, :]
+    free = np.linalg.slogdet(normal[:, :contacts, :contacts])[1] if contacts else 0.0
+    normal[:, range(contacts, inputs), range(contacts, inputs)] += 1.0
+    solve = np.linalg.solve(normal, adjoint)
+    return solve, float(np.sum(np.linalg.slogdet(normal)[1] - free)) if inputs > contacts else 0.0
+
+
+def _split(
+    unknown: Complex[np.ndarray, "lines sensors inputs"],
+    solve: Complex[np.ndarray, "lines inputs sensors"],
+    weighted: Complex[np.ndarray, "sensors lines"],
+    contacts: int,
+) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
+    inputs = solve @ weighted.T[:, :, None]
+    left = weighted - (unknown @ inputs)[:, :, 0].T
+    return np.concatenate([left, inputs[:, contacts:, 0].T]), inputs[:, :contacts, 0].T

@@ -1,0 +1,100 @@
+"""The one residual of the diagnosis: a rig against a record, with everything that is always in doubt left free.
+
+    cost = |linear residual|^2 + sum over contacts |contact residual|^2 + |doubts|^2 + log determinant
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from identify.gap.doubts import Doubts, doubts_of, residual_scale
+from identify.gap.law import Contact, Laid, Seen, contact_residual, laid_out, seen_contacts, start_of
+from identify.gap.linear import Linear, linear_model
+from identify.gap.spectra import Record
+from identify.tolerances import LABORATORY
+from rig.description import Rig
+
+MODEL_ERROR = 5e-4
+"""Share of each acceleration that no model of this kind explains."""
+
+
+@dataclass(frozen=True)
+class Base:
+    """A record and the rig about which it is linearised: what every residual of the record shares."""
+
+    record: Record
+    rig: Rig
+    model: Linear
+    seen: tuple[Seen, ...]
+    doubts: Doubts
+    doubts_gram: Float[np.ndarray, "doubts doubts"]
+
+
+@dataclass(frozen=True)
+class Residual:
+    """A rig against a record. linear is in standard deviations, over time, with the doubts taken in."""
+
+    rig: Rig
+    model: Linear
+    laid: tuple[Laid, ...]
+    bare: Float[np.ndarray, "rows times"]
+    linear: Float[np.ndarray, "rows times"]
+    contacts: tuple[Contact, ...]
+    doubts: Float[np.ndarray, " doubts"]
+
+    @property
+    def cost(self) -> float:
+        return (
+            float(np.sum(self.linear**2) + self.doubts @ self.doubts)
+            + sum(c.cost for c in self.contacts)
+            + self.model.log_determinant
+        )
+
+
+def base_of(record: Record, rig: Rig) -> Base:
+    """The linearisation about a rig."""
+    model = linear_model(record, rig, MODEL_ERROR)
+    doubts = doubts_of(record, model, LABORATORY)
+    columns = doubts.residual.reshape(len(doubts.names), -1)
+    return Base(record, rig, model, seen_contacts(record, model), doubts, columns @ columns.T)
+
+
+def residual_of(
+    base: Base,
+    rig: Rig,
+    doubts: Float[np.ndarray, " doubts"] | None = None,
+    unknowns: tuple[Float[np.ndarray, " unknowns"], ...] | None = None,
+    like: Residual | None = None,
+) -> Residual:
+    """The residual of a rig at some doubts and contact unknowns (none of either: zero), without any fit.
+
+    `like` is a residual of the same linear rig, whose linear part is then not computed again.
+    """
+    record = base.record
+    doubts = np.zeros(len(base.doubts.names)) if doubts is None else doubts
+    if like is not None and same_but_laws(like.rig, rig):
+        model, laid, bare = like.model, like.laid, like.bare
+    else:
+        model = linear_model(record, rig, MODEL_ERROR)
+        laid = laid_out(record, model)
+        bare = residual_scale(record) * record.in_time(model.residual)
+    if unknowns is None:
+        unknowns = tuple(start_of(at, s, record.rate_hz) for at, s in zip(laid, base.seen, strict=True))
+    linear = bare - np.einsum("d,drt->rt", doubts, base.doubts.residual) if doubts.any() else bare
+    more_n, more_m = (-np.einsum("d,dct->ct", doubts, c) for c in (base.doubts.contact_n, base.doubts.eta_m))
+    contacts = tuple(
+        contact_residual(laid[j], base.seen[j], rig.contacts[j].law, unknowns[j], more_n[j], more_m[j])
+        for j in range(len(rig.contacts))
+    )
+    return Residual(rig, model, laid, bare, linear, contacts, doubts)
+
+
+def same_but_laws(one: Rig, other: Rig) -> bool:
+    """Whether two rigs differ in their contact laws at most."""
+    if one is other:
+        return True
+    laws = tuple(c.law for c in other.contacts)
+    from msgspec.structs import replace
+
+    return replace(one, contacts=tuple(replace(c, law=law) for c, law in zip(one.contacts, laws, strict=True))) == other

@@ -1,0 +1,190 @@
+"""A recording as the diagnosis reads it: the spectra of force and accelerations, and how far noise explains them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Complex, Float
+from scipy.fft import next_fast_len
+from scipy.ndimage import uniform_filter1d
+
+from identify.kinematics import CORNER_HZ, Kinematics, acceleration_noise, integrated, kinematics, taper
+from identify.answers import drift_of
+from identify.drift import Drift
+from identify.joint import FINE_HZ
+from identify.spectra import force_band
+from identify.tolerances import LABORATORY
+from rig.description import Quantity, Rig, Sensor
+from rig.errors import RigError
+from rig.oscillator import Oscillator
+from rig.recording import Recording
+from rig.sensors import PASSBAND, sensors_of
+
+TAPER_S = 0.5
+RING_S = 12.0
+"""Silence behind the record in which the beams ring down before the transform wraps round."""
+LEFT_OUT_S = 4.5
+"""At the record's end, where the taper, and integration, falsify every residual."""
+REACH = 2.5
+"""The diagnosis looks up to this multiple of the force's highest frequency."""
+SHORTEST_S = 10.0
+SMOOTHED_HZ = 1.0
+ORDER: dict[Quantity, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
+
+
+@dataclass(frozen=True)
+class Record:
+    """Spectra of one recording, on the lines 0 to `high_hz`; `taken` are the samples in time that count.
+
+    delivered is what each sensor gave, turned into an acceleration by powers of i omega, its believed gain and delay
+    still in it; displaced the same as a displacement, high-passed where it had to be integrated. noise is the variance
+    of each of its lines by the sensor's noise alone, power its smoothed size. eta_beyond is each relative displacement
+    as measured on the lines from `high_hz` on, drifts what is known of its slow part (None where nothing is lost).
+    """
+
+    rig: Rig
+    sensors: tuple[Sensor, ...]
+    zero_known: bool
+    sample_rate_hz: float
+    length: int
+    samples: int
+    factor: int
+    omega: Float[np.ndarray, " lines"]
+    force: Complex[np.ndarray, " lines"]
+    constant: Complex[np.ndarray, " lines"]
+    delivered: Complex[np.ndarray, "sensors lines"]
+    displaced: Complex[np.ndarray, "sensors lines"]
+    noise: Float[np.ndarray, "sensors lines"]
+    power: Float[np.ndarray, "sensors lines"]
+    eta_beyond: Complex[np.ndarray, "contacts morelines"]
+    drifts: tuple[Drift | None, ...]
+    taken: slice
+
+    @property
+    def rate_hz(self) -> float:
+        """Of the residuals over time."""
+        return self.sample_rate_hz / self.factor
+
+    @property
+    def time_s(self) -> Float[np.ndarray, " times"]:
+        """Of the residuals' samples."""
+        return np.arange(self.taken.start, self.taken.stop) / self.rate_hz
+
+    def finely(self, eta: Complex[np.ndarray, "contacts lines"], derivative: int = 0) -> Float[np.ndarray, "contacts fine"]:
+        """Relative displacements, or velocities, at 16 kHz or more, from the first to the last sample that counts."""
+        fine = self.factor * self.finer
+        whole = np.concatenate([eta[:, :-1], self.eta_beyond], axis=1)
+        if derivative:
+            whole = whole * (2j * np.pi * self.sample_rate_hz / self.length * np.arange(whole.shape[1]))
+        moved = self.finer * np.fft.irfft(whole, self.length * self.finer)
+        return np.asarray(moved[:, self.taken.start * fine : (self.taken.stop - 1) * fine + 1])
+
+    @property
+    def finer(self) -> int:
+        return max(1, round(FINE_HZ / self.sample_rate_hz))
+
+    def in_time(self, spectra: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows times"]:
+        """Back to time, at `rate_hz`, the samples that count."""
+        whole = np.fft.irfft(spectra, self.length // self.factor) / self.factor
+        return np.asarray(whole[..., self.taken])
+
+
+def record_of(recording: Recording, low_hz: float = CORNER_HZ) -> Record:
+    """The spectra of a recording's accelerometers; without any, of its velocity or else its displacement sensors.
+
+    Raises RigError if it is too short, or has no force or no sensors.
+    """
+    rig, rate = recording.rig, recording.rig.sample_rate_hz
+    if recording.duration_s < SHORTEST_S:
+        raise RigError(
+            f"the record lasts {recording.duration_s:.3g} s; the diagnosis needs {SHORTEST_S:g} s, better 30 s or more"
+        )
+    if not np.any(recording.force_n):
+        raise RigError("the measured force is zero throughout; the diagnosis needs an excited record")
+    quantity: Quantity = max((s.quantity for s in rig.sensors), key=ORDER.__getitem__)
+    sensors = sensors_of(rig, quantity)
+    motion = kinematics(recording, quantity)
+    high_hz = min(REACH * force_band(recording.force_n, rate)[1], motion.trusted_hz[1])
+    factor = max(1, int(rate / (2 * high_hz)))
+    samples = recording.samples
+    length = factor * next_fast_len(-(-(samples + round(RING_S * rate)) // factor), real=True)
+    lines = length // factor // 2 + 1
+    omega = 2 * np.pi * np.arange(lines) * rate / length
+    omega[0] = 0.01 * omega[1]  # stands for the mean, which powers of omega would lose
+    quiet = motion.excited_from > 0.25 * rate
+    shape = taper(samples, round(TAPER_S * rate))
+    if not quiet:
+        shape = shape * shape[::-1]
+
+    def spectrum(signals: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows all"]:
+        return np.asarray(np.fft.rfft(signals * shape, length))
+
+    ordinary = np.maximum(omega, 2 * np.pi * low_hz)
+    measured = spectrum(np.stack([_row(recording, s) for s in sensors]))
+    beyond_rad = 2 * np.pi * rate / length * np.arange(lines - 1, measured.shape[1])
+    delivered, displaced = (
+        measured[:, :lines] * np.stack([integrated(omega, order - ORDER[s.quantity], low_hz) for s in sensors])
+        for order in (2, 0)
+    )
+    noise = acceleration_noise(motion, rig)
+    densities = _densities(rig, sensors, motion)
+    size = np.stack([ordinary ** (2 - ORDER[s.quantity]) for s in sensors])
+    return Record(
+        rig=rig,
+        sensors=sensors,
+        zero_known=motion.zero_known,
+        sample_rate_hz=rate,
+        length=length,
+        samples=samples,
+        factor=factor,
+        omega=omega,
+        force=spectrum(recording.force_n)[:lines],
+        constant=spectrum(np.ones(samples))[:lines],
+        delivered=delivered,
+        displaced=displaced,
+        noise=samples * (densities[:, None] * size) ** 2 * rate / 2,
+        power=uniform_filter1d(np.abs(delivered) ** 2, max(1, round(SMOOTHED_HZ * length / rate)), axis=1),
+        eta_beyond=_eta_beyond(rig, sensors, measured[:, lines - 1 :], beyond_rad),
+        drifts=tuple(drift_of(rig, motion, j, noise, LABORATORY, _spring(rig, j), samples) for j in range(len(rig.contacts))),
+        taken=slice(
+            0 if quiet else round(LEFT_OUT_S * rate / factor), int((samples - round(LEFT_OUT_S * rate)) / factor)
+        ),
+    )
+
+
+def _eta_beyond(
+    rig: Rig,
+    sensors: tuple[Sensor, ...],
+    measured: Complex[np.ndarray, "sensors lines"],
+    omega: Float[np.ndarray, " lines"],
+) -> Complex[np.ndarray, "contacts lines"]:
+    """Above the band of the diagnosis: from the sensors at the contacts; zero where there are none."""
+    found = np.zeros((len(rig.contacts), omega.size), dtype=complex)
+    heard = omega <= 2 * np.pi * PASSBAND * rig.sample_rate_hz
+    for j, contact in enumerate(rig.contacts):
+        for station, sign in ((contact.at, 1.0), (contact.against, -1.0)):
+            for i, sensor in enumerate(sensors):
+                if sensor.station == station:
+                    found[j] += sign * heard * measured[i] * integrated(omega, -ORDER[sensor.quantity], CORNER_HZ)
+    return found
+
+
+def _spring(rig: Rig, contact: int) -> float:
+    """The linear spring to the ground under a contact: of one mass."""
+    body = rig.body(rig.contacts[contact].at.body)
+    return body.stiffness_n_per_m if isinstance(body, Oscillator) else 0.0
+
+
+def _row(recording: Recording, sensor: Sensor) -> Float[np.ndarray, " samples"]:
+    signals = recording.signals[sensor.quantity]
+    return signals.values[signals.channels.names.index(sensor.name)]
+
+
+def _densities(rig: Rig, sensors: tuple[Sensor, ...], motion: Kinematics) -> Float[np.ndarray, " sensors"]:
+    """One-sided noise of each sensor in its own unit per sqrt(Hz): heard in the quiet seconds, else as described."""
+    heard = acceleration_noise(motion, rig) / np.sqrt(motion.sample_rate_hz / 2)
+    return np.array(
+        [
+            heard[motion.stations.index(s.station)] if s.quantity == "acceleration" else s.noise_density
+            for s in sensors
+        ]
+    )
