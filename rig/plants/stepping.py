@@ -82,9 +82,9 @@ def _modes_alone(states, n, inputs, bends, propagate, driven, pushed, held):
         states[n + 1, i] = propagate[0, 0, i] * q + propagate[0, 1, i] * v
         states[n + 1, modes + i] = propagate[1, 0, i] * q + propagate[1, 1, i] * v
     for k in range(inputs.shape[0]):
-        start, end, bent = inputs[k, n], inputs[k, n + 1], bends[k, n]
+        start, end, bend = inputs[k, n], inputs[k, n + 1], bends[k, n]
         for i in range(2 * modes):
-            states[n + 1, i] += driven[0, k, i] * start + driven[1, k, i] * end + driven[2, k, i] * bent
+            states[n + 1, i] += driven[0, k, i] * start + driven[1, k, i] * end + driven[2, k, i] * bend
     for j in range(held.shape[1]):
         if held[FORCE, j] != 0.0:
             for i in range(2 * modes):
@@ -128,9 +128,24 @@ def _solve(held, new, eta, rate, touches, reach, relief, laws, time_s, step_s, w
 @_compiled
 @no_type_check
 def advance(
-    states, held, forces, inputs, bends, propagate, driven, across, pushed, reach, relief, laws, within, first, step_s
+    states,
+    held,
+    forces,
+    bent,
+    inputs,
+    bends,
+    propagate,
+    driven,
+    across,
+    pushed,
+    reach,
+    relief,
+    laws,
+    within,
+    first,
+    step_s,
 ):
-    """Fills states (samples + 1, q and q' of every mode) from its first row on, and forces (contacts, samples).
+    """Fills states (samples + 1, q and q' of every mode) from its first row on; forces and bent (contacts, samples).
 
     held (4, contacts) goes with the first row and is left as goes with the last. inputs and bends (inputs, samples + 1)
     are the known forces. propagate (2, 2, modes) advances a mode; driven, pushed (3, inputs or contacts, 2 modes) are
@@ -159,6 +174,6 @@ def advance(
                 for i in range(2 * modes):
                     states[n + 1, i] += pushed[1, j, i] * new[FORCE, j] + pushed[2, j, i] * new[BEND, j]
         for j in range(contacts):
-            forces[j, n] = new[FORCE, j]
+            forces[j, n], bent[j, n] = new[FORCE, j], new[BEND, j]
             for row in range(4):
                 held[row, j] = new[row, j]
