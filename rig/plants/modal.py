@@ -56,7 +56,7 @@ def simulate(
     sum_j b_j f_j(eta_j, eta_j', t), eta_j = b_j . q, over contacts and cubic springs.
 
     Over a step each force is a straight line between its ends plus a parabola that vanishes there, and every mode is
-    advanced exactly. The parabola gives the force its true mean: for F and a_base that of the cubic through four
+    advanced exactly. The parabola gives the force its true mean: for F and a_base that of a smooth curve through the
     samples; for a contact that of its law along the cubic eta(t) that fits eta and eta' at both ends, so that a stop
     met within a step costs no accuracy. The contact forces are found by fixed-point iteration.
 
@@ -210,15 +210,16 @@ def _reach(
 def _bends(inputs: Float[np.ndarray, "inputs samples"]) -> Float[np.ndarray, "inputs samples"]:
     """The mean over each step of a smooth curve through the samples, less that of the straight line: -F'' h^2 / 12.
 
-    The second difference is the mean of those at both ends of the step; at a corner of the curve, the smaller.
+    F'' is the mean of the second differences at both ends of the step; of one end where the other is a corner, at
+    which the second difference stands out from both its neighbours.
     """
     bends = np.zeros(inputs.shape)
     with np.errstate(invalid="ignore"):  # a force that is not finite
-        second = np.diff(inputs, n=2)
-        left, right = second[:, :-1], second[:, 1:]
-        smaller = np.where(np.abs(left) < np.abs(right), left, right)
-        smooth = np.abs(left - right) < np.abs(smaller)
-        bends[:, 1:-2] = -np.where(smooth, (left + right) / 2, smaller) / 12
+        second = np.pad(np.diff(inputs, n=2), ((0, 0), (1, 1)))
+        size = np.abs(second)
+        corner = size[:, 1:-1] > 4 * np.maximum(size[:, :-2], size[:, 2:])
+        left, right = second[:, 1:-2], second[:, 2:-1]
+        bends[:, 1:-2] = -(np.where(corner[:, :-1], right, left) + np.where(corner[:, 1:], left, right)) / 24
     return bends
 
 

@@ -16,9 +16,9 @@ FORCE, ETA, RATE, BEND = range(4)
 _compiled = numba.njit(cache=True, inline="always", fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
 
 
-def within_a_step(step_s: float) -> Float[np.ndarray, "10 8"]:
-    """Eight Gauss points of a step: place and weight, then the weights of eta0, eta0', eta1, eta1' in eta and eta'."""
-    points, weights = np.polynomial.legendre.leggauss(8)
+def within_a_step(step_s: float) -> Float[np.ndarray, "10 16"]:
+    """Sixteen Gauss points of a step: place and weight, then the weights of eta0, eta0', eta1, eta1' in eta and eta'."""
+    points, weights = np.polynomial.legendre.leggauss(16)
     z, h = (points + 1) / 2, step_s
     value = [(1 - z) ** 2 * (1 + 2 * z), h * z * (1 - z) ** 2, z**2 * (3 - 2 * z), -h * z**2 * (1 - z)]
     slope = [-6 * z * (1 - z) / h, (1 - z) * (1 - 3 * z), 6 * z * (1 - z) / h, z * (3 * z - 2)]
