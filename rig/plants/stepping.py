@@ -17,7 +17,7 @@ _compiled = numba.njit(cache=True, inline="always", fastmath={"contract", "reass
 
 
 def within_a_step(step_s: float) -> Float[np.ndarray, "10 16"]:
-    """Sixteen Gauss points of a step: place and weight, then the weights of eta0, eta0', eta1, eta1' in eta and eta'."""
+    """Sixteen Gauss points: place and weight, then the weights of eta and eta' at both ends in eta, and in eta'."""
     points, weights = np.polynomial.legendre.leggauss(16)
     z, h = (points + 1) / 2, step_s
     value = [(1 - z) ** 2 * (1 + 2 * z), h * z * (1 - z) ** 2, z**2 * (3 - 2 * z), -h * z**2 * (1 - z)]

@@ -1,8 +1,8 @@
 """The modal plant: how fast at an error of 1e-4, against its arithmetic, and against scipy's solvers.
 
 Error: rms of the difference in the relative displacements over their rms, in the first 0.2 s of contact under each of
-four forces, against a step of 2^-18 s. The barrel in its cradle with 16 + 16 modes, two contacts, and its twelve displacements and twelve
-accelerations.
+four forces, against a step of 2^-18 s. The barrel in its cradle with 16 + 16 modes, two contacts, and its twelve
+displacements and twelve accelerations. A solver that needs longer than one before it is stopped, and not listed.
 """
 
 import time

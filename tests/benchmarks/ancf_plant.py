@@ -1,0 +1,104 @@
+"""The ancf plant against the same model set up the plain way, and what each measure contributes.
+
+Plain: Exudyn's own settings (full Newton, its own linear solver), a Python function for the contact, the axial
+stiffness as it is. Newton's tolerances are the plant's in both: with Exudyn's own (1e-8, 1e-10) the plain model stops
+with an error, as rounding of the axial forces alone leaves more. The barrel in its cradle at a hundredth of the amplitude, both with a step of 2^-13 s; error:
+of the tips' displacements over the first 0.1 s of contact, against a step of 2^-16 s.
+"""
+
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from typing import Any, no_type_check
+from unittest.mock import patch
+
+import numpy as np
+
+from rig.contact import DeadZone
+from rig.excitation import QUIET_S, force_history
+from rig.motion import Motion, joined
+from rig.plants import ancf
+from rig.reference import BarrelCradle
+from tests.benchmarks.measuring import Figure
+
+SMALL = 0.01
+SETTINGS = BarrelCradle(sensors="displacement", clearance_1_m=SMALL * 5e-3, clearance_2_m=SMALL * 5e-3)
+POWER, FINE, DURATION_S, YOUNG_S = 13, 16, 0.375, 0.1
+MEASURES = {
+    "modified Newton, sparse solver": ("_settings",),
+    "the contact compiled": ("add_contact",),
+    "softer axially": ("AXIAL_FACTOR",),
+}
+
+
+def figures() -> Iterator[Figure]:
+    true, _ = _run(FINE, ())
+    own, own_s = min((_run(POWER, ()) for _ in range(3)), key=lambda run: run[1])
+    everything = tuple(name for names in MEASURES.values() for name in names)
+    plain, plain_s = min((_run(POWER, everything) for _ in range(2)), key=lambda run: run[1])
+    yield Figure("error of the plant", _error(own, true))
+    yield Figure("error of the plain model", _error(plain, true))
+    yield Figure("simulated s per CPU s", DURATION_S / own_s)
+    for measure, names in MEASURES.items():
+        _, without_s = min((_run(POWER, names) for _ in range(2)), key=lambda run: run[1])
+        yield Figure(f"times slower without: {measure}", without_s / own_s)
+    yield Figure("times faster than the plain model", plain_s / own_s, at_least=4)
+
+
+def _run(power: int, plain: tuple[str, ...]) -> tuple[Motion, float]:
+    """The motion, and the CPU seconds of its steps alone: building the model is left out."""
+    step_s = 2.0**-power
+    force_n = force_history(SETTINGS.force(), QUIET_S + DURATION_S, 2.0**-FINE)[round(QUIET_S * 2**FINE) :]
+    spent, advance = 0.0, ancf._advance
+
+    def timed(*arguments: Any) -> None:
+        nonlocal spent
+        begin = time.process_time()
+        advance(*arguments)
+        spent += time.process_time() - begin
+
+    with ExitStack() as changes:
+        changes.enter_context(patch.object(ancf, "_advance", timed))
+        for name in plain:
+            changes.enter_context(patch.object(ancf, name, PLAIN[name]))
+        blocks = ancf.simulate(SETTINGS.rig(), SMALL * force_n[:: 2 ** (FINE - power)], step_s, lambda _: None)
+        return joined(blocks), spent
+
+
+def _error(motion: Motion, true: Motion) -> float:
+    first = int(np.argmax(true.contact_force_n.any(axis=0)))
+    every = round(motion.step_s / true.step_s)
+    young = slice(first // every, first // every + round(YOUNG_S / motion.step_s))
+    expected = true.displacement_m[:, ::every][:, young]
+    return float(np.linalg.norm(motion.displacement_m[:, young] - expected) / np.linalg.norm(expected))
+
+
+def _stock_settings(exu: Any, step_s: float) -> Any:
+    settings = exu.SimulationSettings()
+    settings.timeIntegration.verboseMode = 0
+    settings.timeIntegration.newton.relativeTolerance = 1e-5
+    settings.timeIntegration.newton.absoluteTolerance = 1e-6
+    settings.solutionSettings.writeSolutionToFile = False
+    settings.solutionSettings.sensorsWritePeriod = step_s
+    return settings
+
+
+def _python_contact(_: Any, mbs: Any, against: int, at: int, law: DeadZone) -> int:
+    from exudyn.itemInterface import CoordinateSpringDamper
+
+    lower, upper, stiffness = law.lower_clearance_m, law.upper_clearance_m, law.stiffness_n_per_m
+
+    @no_type_check
+    def force(system, t, number, eta, rate, k, c, offset):  # noqa: ARG001
+        return stiffness * (max(eta - upper, 0.0) + min(eta + lower, 0.0))
+
+    return int(
+        mbs.AddObject(
+            CoordinateSpringDamper(
+                markerNumbers=[against, at], stiffness=stiffness, damping=0.0, springForceUserFunction=force
+            )
+        )
+    )
+
+
+PLAIN = {"_settings": _stock_settings, "add_contact": _python_contact, "AXIAL_FACTOR": 1.0}
