@@ -83,7 +83,7 @@ def _observed(
     quiet = separated.force_n[:, : motion.excited_from // separated.factor]
     quiet_n = quiet.std(axis=1) if quiet.shape[1] else np.zeros(len(rig.contacts))
     quiet_n = np.maximum(quiet_n, ROUNDING * motion.force_n.std())
-    for j, contact in enumerate(rig.contacts):
+    for j in range(len(rig.contacts)):
         found.append(
             Observed(
                 eta_m=eta[j, :samples],

@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from identify.contact import Identification, identify_contact
+from identify.gap.command import gap
 from identify.kinematics import Use
 from identify.results import ContactReport, Estimate, LawReport, write_json
 from identify.spectra import POWERS, Averaging
@@ -19,6 +20,9 @@ from rig.command_line import Force, Json, progress_bar, refuse_existing, run
 from rig.recording import read
 
 app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False)
+
+
+app.command()(gap)
 
 
 @app.callback()

@@ -1,4 +1,4 @@
-"""The figures of an identification. Takes results, computes no estimate; the only import of matplotlib."""
+"""The figures of an identification. Takes results, computes no estimate."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager

@@ -60,12 +60,14 @@ class DeadZone(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         time_s: float | Float[np.ndarray, "*shape"] = 0.0,
     ) -> Float[np.ndarray, "*shape"]:
         depth = self.penetration_m(eta_m, time_s)
-        return (
-            self.stiffness_n_per_m * depth
-            + self.cubic_n_per_m3 * depth**3
-            + self.damping_n_s_per_m * rate_m_per_s * damping_share(depth)
-            + self.friction_n * np.tanh(rate_m_per_s / FRICTION_SPEED_M_PER_S)
-        )
+        force = self.stiffness_n_per_m * depth
+        if self.cubic_n_per_m3:
+            force = force + self.cubic_n_per_m3 * depth * depth * depth
+        if self.damping_n_s_per_m:
+            force = force + self.damping_n_s_per_m * rate_m_per_s * damping_share(depth)
+        if self.friction_n:
+            force = force + self.friction_n * np.tanh(rate_m_per_s / FRICTION_SPEED_M_PER_S)
+        return force
 
 
 def damping_share(depth_m: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:

@@ -31,6 +31,8 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """
 
     name: ClassVar[str]
+    separated_by: ClassVar[str] = "record for longer and at another level of force"
+    """The experiment that tells it from effects that look alike in one record."""
     needs_zero: ClassVar[bool] = False
     """Whether only a known zero of the relative displacements shows it."""
 

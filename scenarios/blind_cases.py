@@ -7,6 +7,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from identify.tolerances import jittered
 from rig.beam import Beam
 from rig.description import Rig
 from rig.effect import Effect, Parameter, parameters_of
@@ -16,7 +17,6 @@ from rig.record import record
 from rig.recording import truth_path
 from rig.reference import BarrelCradle
 from scenarios.outside import OUTSIDE, Outside, described, outside_drawn, plant, strength_of
-from scenarios.reality import jittered
 
 SINGLE_STRENGTHS, PAIR_STRENGTHS = (0.25, 2.5), (0.7, 2.5)
 SHARE_OF_A_KIND = 0.22

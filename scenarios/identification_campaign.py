@@ -18,7 +18,7 @@ from rich.table import Table
 
 from identify.answers import SEPARATED_TO, Contacts, find_contacts
 from identify.joint import Joint
-from identify.tolerances import EXACT, LABORATORY, Tolerances
+from identify.tolerances import EXACT, LABORATORY, Tolerances, jittered
 from rig.command_line import run
 from rig.contact import DeadZone
 from rig.description import Rig
@@ -26,7 +26,6 @@ from rig.plants import modal, plant_named
 from rig.record import record
 from rig.recording import Recording, Signals, channel_groups, read
 from rig.reference import BarrelCradle
-from scenarios.reality import jittered
 from scenarios.tasks import run_tasks
 
 QUANTITIES = ("clearance", "stiffness", "damping")

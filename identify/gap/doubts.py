@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Complex, Float
+from msgspec.structs import replace
 
 from identify.gap.linear import Linear
 from identify.gap.spectra import Record
@@ -11,10 +12,13 @@ from identify.kinematics import CORNER_HZ, integrated
 from identify.modal import receptance
 from identify.tolerances import Tolerances
 from rig.beam import Beam
-from rig.description import Contact
+from rig.description import Body, Contact, Rig
+from rig.oscillator import Oscillator
 
 BEYOND = 1.3
-"""Modes up to this multiple of the highest frequency are in doubt."""
+"""Modes up to this multiple of the highest frequency are in doubt, each by itself, ..."""
+SINGLY = 0.5
+"""... by this share of what is in doubt of all modes of a body together."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,7 @@ class Doubts:
 
 
 def doubts_of(record: Record, model: Linear, tolerances: Tolerances) -> Doubts:
-    """One column for each gain and position, and for frequency and damping of each elastic mode in the band."""
+    """One column for each gain and position; for frequency and damping of each body, and of each mode in the band."""
     names: list[str] = []
     changes: list[Complex[np.ndarray, "sensors lines"]] = []
     moved: list[Complex[np.ndarray, "sensors lines"] | None] = []
@@ -56,31 +60,53 @@ def doubts_of(record: Record, model: Linear, tolerances: Tolerances) -> Doubts:
                 moved.append(changes[-1] * twice)
         shapes = response.shapes([s.station for s in record.sensors])
         natural_hz, zeta = response.modes.frequencies_hz(response.count), response.modes.damping_ratios(response.count)
-        if isinstance(body, Beam):
-            stiff = (2 * np.pi * natural_hz[:, None]) ** 2
-            change = -2 * tolerances.frequency * stiff * receptance(natural_hz, zeta, omega / (2 * np.pi)) * motion
-            names.append(f"modulus of {body.name}")
+        flexible = receptance(natural_hz, zeta, omega / (2 * np.pi)) * motion
+        natural = 2 * np.pi * natural_hz[:, None]
+        loss = 1j * zeta[:, None] * natural * omega
+        of_each = {
+            "frequency": -2 * tolerances.frequency * (natural**2 + loss) * flexible,
+            "damping": -2 * tolerances.damping * loss * flexible,
+        }
+        elastic = np.flatnonzero((natural_hz > 0) & (natural_hz < BEYOND * omega[-1] / (2 * np.pi)))
+        for what, change in of_each.items():
+            names.append(f"{what} of {body.name}")
             changes.append(shapes @ change)
-            moved.append(None)
-        for m in np.flatnonzero((natural_hz > 0) & (natural_hz < BEYOND * omega[-1] / (2 * np.pi))):
-            natural = 2 * np.pi * natural_hz[m]
-            accelerated = receptance(natural_hz[m], zeta[m], omega / (2 * np.pi)) * motion[m]
-            loss = 1j * zeta[m] * natural * omega
-            for what, change in (
-                ("frequency", -2 * tolerances.frequency * (natural**2 + loss)),
-                ("damping", -2 * tolerances.damping * loss),
-            ):
+            for m in elastic if isinstance(body, Beam) else []:
                 names.append(f"{what} of {body.name} {m + 1}")
-                changes.append(np.outer(shapes[:, m], change * accelerated))
-                moved.append(None)
+                changes.append(SINGLY * np.outer(shapes[:, m], change[m]))
+        moved += [None] * (len(changes) - len(moved))
     residual, forces, eta = [], [], []
     scale = residual_scale(record)
     for change, displaced in zip(changes, moved, strict=True):
         left, force = model.projected(change)
         residual.append(scale * record.in_time(left))
         forces.append(record.in_time(force))
-        eta.append(np.zeros_like(forces[-1]) if displaced is None else record.in_time(_at_contacts(record, model, displaced)))
+        eta.append(
+            np.zeros_like(forces[-1]) if displaced is None else record.in_time(_at_contacts(record, model, displaced))
+        )
     return Doubts(tuple(names), np.array(residual), np.array(forces), np.array(eta))
+
+
+def moved(
+    rig: Rig, names: tuple[str, ...], doubts: Float[np.ndarray, " doubts"], tolerances: Tolerances
+) -> tuple[Rig, Float[np.ndarray, " doubts"]]:
+    """The rig with the doubts about its single masses put into it, and those doubts, the others being zero.
+
+    Those alone bend the residual: a single mass may have been believed from a record of another level, and a resonance
+    that lies off by a part of its width is no linear matter. A beam's modes cannot be moved one by one.
+    """
+    put = np.zeros(len(names))
+    bodies: list[Body] = []
+    for body in rig.bodies:
+        changed = {}
+        for what, field in (("frequency", "frequency_hz"), ("damping", "damping_ratio")):
+            name = f"{what} of {body.name} 1"
+            if isinstance(body, Oscillator) and name in names:
+                at = names.index(name)
+                put[at] = doubts[at]
+                changed[field] = getattr(body, field) * max(0.1, 1 + getattr(tolerances, what) * float(put[at]))
+        bodies.append(replace(body, **changed))
+    return replace(rig, bodies=tuple(bodies)), put
 
 
 def residual_scale(record: Record) -> float:
@@ -99,4 +125,4 @@ def _at_contacts(
             found += displaced[i] * ((sensor.station == contact.at) * 1.0 - (sensor.station == contact.against) * 1.0)
         return found
 
-    return np.array([of(c) for c in model.rig.contacts]).reshape(-1, displaced.shape[1])
+    return np.array([of(c) for c in model.rig.contacts], dtype=complex).reshape(-1, displaced.shape[1])

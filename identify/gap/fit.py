@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse.linalg import SuperLU
 
-from identify.gap.residual import Base, Residual, residual_of
+from identify.gap.residual import STRICT, Base, Residual, residual_of
 from rig.description import Rig
 from rig.errors import RigError
 
@@ -21,7 +21,7 @@ Build = Callable[[Float[np.ndarray, " parameters"]], Rig]
 
 @dataclass(frozen=True)
 class Fit:
-    """The parameters at which the residual is least, their covariance if the residual's variance is one."""
+    """The parameters at which the residual is least, their covariance: the samples count for STRICT times fewer."""
 
     values: Float[np.ndarray, " parameters"]
     covariance: Float[np.ndarray, "parameters parameters"]
@@ -50,11 +50,9 @@ class Normal:
         return [start - coupled @ step for start, coupled in self.eliminated]
 
 
-def derivative(
-    base: Base, build: Build, moved: Float[np.ndarray, " parameters"], at: Residual
-) -> Column:
-    """What moving the parameters so takes off the linear and the contact residuals."""
-    there = residual_of(base, build(moved), at.doubts, tuple(c.unknowns for c in at.contacts), like=at)
+def derivative(base: Base, moved: Rig, at: Residual) -> Column:
+    """What another rig takes off the linear and the contact residuals."""
+    there = residual_of(base, moved, at.doubts, tuple(c.unknowns for c in at.contacts), like=at)
     contacts = [a.residual - b.residual for a, b in zip(at.contacts, there.contacts, strict=True)]
     return at.linear - there.linear, contacts
 
@@ -97,8 +95,8 @@ class Reduced:
 def reduced(base: Base, at: Residual) -> Reduced:
     """The doubts' part of the normal equations."""
     count = len(base.doubts.names)
-    matrix = base.doubts_gram + np.eye(count)
-    gradient = base.doubts.residual.reshape(count, at.linear.size) @ at.linear.ravel() - at.doubts
+    matrix = base.doubts_gram + STRICT * np.eye(count)
+    gradient = base.doubts.residual.reshape(count, at.linear.size) @ at.linear.ravel() - STRICT * at.doubts
     every, solvers = [], []
     for j, contact in enumerate(at.contacts):
         weights = base.seen[j].weights
@@ -131,7 +129,7 @@ def fit(
     count, sizes = len(base.doubts.names), np.eye(values.size)
     for _ in range(most):
         inside = np.where(values + steps > bounds[1], -steps, steps)
-        normal = reduced(base, at).joined([derivative(base, build, values + s, at) for s in sizes * inside])
+        normal = reduced(base, at).joined([derivative(base, build(values + s), at) for s in sizes * inside])
         scaled = np.concatenate([np.ones(count), inside])
         held = normal.matrix + np.diag(np.r_[np.zeros(count), 1e-9 * np.diag(normal.matrix)[count:] + 1e-300])
         step = np.linalg.solve(held, normal.gradient)
@@ -158,7 +156,7 @@ def fit(
         values, at = moved, there
         if fell < SETTLED:
             break
-    covariance = np.linalg.pinv(normal.matrix)[count:, count:] * np.outer(steps, steps)
+    covariance = STRICT * np.linalg.pinv(normal.matrix)[count:, count:] * np.outer(steps, steps)
     return Fit(values, covariance, at)
 
 

@@ -1,5 +1,6 @@
 """Each separated contact force against the law that the rig has at its relative displacement: the contact residual."""
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -23,6 +24,8 @@ DAMPING_S = 1e-5
 """... and its damping within this multiple of its stiffness."""
 LAW_ERROR = 2e-3
 """Share of a contact force that no law of this kind explains."""
+STRICT = 300.0**0.5
+"""Weight of these tolerances: the samples are far fewer than they seem, as model errors last."""
 CLOSED = 5.0
 """A contact is closed where its force exceeds this many standard deviations."""
 
@@ -59,15 +62,24 @@ class Contact:
         return splu(csc_matrix(self.columns.T @ self.columns))
 
 
-def seen_contacts(record: Record, model: Linear) -> tuple[Seen, ...]:
-    """What the record says of its contacts, by the linear model of the rig that is believed."""
+def seen_contacts(record: Record, model: Linear, levels: Sequence[float] | None) -> tuple[Seen, ...]:
+    """What the record says of its contacts, by the linear model of the rig that is believed.
+
+    levels are the mean squares that null recordings leave, contact by contact, with the weights as they come.
+    """
     forces, spreads = record.in_time(model.contact_n), model.open_n(record)
     found = []
-    for force, open_n, contact, drift in zip(forces, spreads, model.rig.contacts, record.drifts, strict=True):
+    levels = levels or [1.0] * len(forces)
+    for force, open_n, contact, drift, level in zip(
+        forces, spreads, model.rig.contacts, record.drifts, levels, strict=True
+    ):
         closed = np.abs(force) > CLOSED * open_n
         fast_m = 0.0 if drift is None else drift.unfollowed_m
         stiffness = contact.law.stiffness_n_per_m
-        weights = 1 / np.sqrt(open_n**2 + (stiffness * fast_m * closed) ** 2 + (LAW_ERROR * force) ** 2)
+        moving = record.time_s > record.excited_s  # at rest nothing tells on which side of a stop it rests
+        weights = (
+            moving / np.sqrt(level) / np.sqrt(open_n**2 + (stiffness * fast_m * closed) ** 2 + (LAW_ERROR * force) ** 2)
+        )
         slow = drift
         if drift is not None:
             at = np.arange(record.taken.start, record.taken.stop) * record.factor
@@ -93,7 +105,7 @@ def laid_out(record: Record, model: Linear) -> tuple[Laid, ...]:
     finer = record.factor * record.finer
     eta, rate = record.finely(model.eta_m), record.finely(model.eta_m, 1)
     time_s = record.taken.start / record.rate_hz + np.arange(eta.shape[1]) / (record.rate_hz * finer)
-    forces = record.in_time(model.contact_n)
+    forces = record.in_time(model.contact_n) + model.holding_n[:, None]
     springs = [0.0 if d is None else d.spring_n_per_m for d in record.drifts]
     return tuple(Laid(f, e, r, time_s, finer, s) for f, e, r, s in zip(forces, eta, rate, springs, strict=True))
 
@@ -156,11 +168,13 @@ def contact_residual(
     by_knots = diags(seen.weights * by_eta) @ curve.value
     rows = hstack([by_knots, csr_matrix(seen.weights[:, None] * by_law)])
     prior = hstack([curve.curvature, csr_matrix((curve.target.size, 3))])
-    own = hstack([csr_matrix((3, curve.knots)), diags(np.ones(3))])
+    own = hstack([csr_matrix((3, curve.knots)), diags(np.full(3, STRICT))])
     return Contact(
         law=law,
         unknowns=unknowns,
-        residual=np.concatenate([seen.weights * residual, curve.target - curve.curvature @ knots, -unknowns[-3:]]),
+        residual=np.concatenate(
+            [seen.weights * residual, curve.target - curve.curvature @ knots, -STRICT * unknowns[-3:]]
+        ),
         columns=vstack([rows, prior, own]).tocsr(),
         by_eta=by_eta,
     )

@@ -2,11 +2,12 @@
 
 At every line the accelerations of all sensors are, by the rig's description,
 
-    A = G_F F + G_L P - G_K k3 w^3 - G_C f + G_B a_base + error
+    A = G_F F - G_K k3 w^3 - G_C f + G_B a_base + error
 
-with the accelerances G at the sensors of the force F, static loads P, cubic springs, contact forces f, and a base that
-shakes unmeasured. The f are found by least squares, without a contact law; so is a_base, held by its spectrum. What
-they leave, in standard deviations of the error, is the linear residual: sensors less contacts tell it.
+with the accelerances G at the sensors of the force F, cubic springs, contact forces f, and a base that shakes
+unmeasured. Static loads accelerate nothing: the contacts hold them. The f are found by least squares, without a contact
+law; so is a_base, held by its spectrum. What they leave, in standard deviations of the error, is the linear residual:
+sensors less contacts tell it.
 """
 
 from dataclasses import dataclass
@@ -44,7 +45,7 @@ class Linear:
 
     residual is in standard deviations; where the base shakes, a last row holds its acceleration in those of its own
     spectrum, and log_determinant is what that freedom costs. eta_m lacks the slow part that integration loses. modal
-    are the accelerations of each body's modes.
+    are the accelerations of each body's modes, holding_n the constant contact forces under static loads.
     """
 
     rig: Rig
@@ -56,6 +57,7 @@ class Linear:
     contact_n: Complex[np.ndarray, "contacts lines"]
     eta_m: Complex[np.ndarray, "contacts lines"]
     modal: tuple[Complex[np.ndarray, "modes lines"], ...]
+    holding_n: Float[np.ndarray, " contacts"]
     log_determinant: float
 
     def projected(
@@ -84,7 +86,6 @@ def linear_model(record: Record, rig: Rig, model_error: float) -> Linear:
     places: list[Station | None] = [s.station for s in sensors]
     applied = [
         (rig.force_at, record.force * np.exp(-1j * omega * rig.force_sensor.lag_s) / rig.force_sensor.gain),
-        *((load.station, load.force_n * record.constant) for load in rig.loads),
     ]
     for spring in rig.springs:
         if spring.cubic_n_per_m3:
@@ -100,7 +101,9 @@ def linear_model(record: Record, rig: Rig, model_error: float) -> Linear:
     sensed = (chain / spread).T
     unknown = -_accelerances(responses, at, across) * sensed[:, :, None]
     if rig.base_motion is not None:
-        unknown = np.concatenate([unknown, _base(record, rig, responses, at).T[:, :, None] * sensed[:, :, None]], axis=2)
+        unknown = np.concatenate(
+            [unknown, _base(record, rig, responses, at).T[:, :, None] * sensed[:, :, None]], axis=2
+        )
     contacts = len(rig.contacts)
     solve, log_determinant = _least_squares(unknown, contacts)
     residual, contact_n = _split(unknown, solve, record.delivered / spread - known * sensed.T, contacts)
@@ -111,7 +114,8 @@ def linear_model(record: Record, rig: Rig, model_error: float) -> Linear:
         for stations, sign in zip(ends, (1.0, -1.0), strict=True):
             eta += sign * _interpolated(response, places, displacements - own @ motion * high_passed, stations)
             eta += sign * response.shapes(stations) @ motion * high_passed
-    return Linear(rig, responses, spread, unknown, solve, residual, contact_n, eta, modal, log_determinant)
+    holding_n = _holding(rig, responses, across)
+    return Linear(rig, responses, spread, unknown, solve, residual, contact_n, eta, modal, holding_n, log_determinant)
 
 
 def _response(record: Record, rig: Rig, body: Body) -> Response:
@@ -152,6 +156,21 @@ def _accelerances(
         products = (sensors[:, None, :] * contacts[None]).reshape(-1, response.count)
         found += (response.accelerance.T @ products.T).reshape(found.shape)
     return found
+
+
+def _holding(
+    rig: Rig, responses: tuple[Response, ...], across: list[Float[np.ndarray, "contacts modes"]]
+) -> Float[np.ndarray, " contacts"]:
+    """The constant contact forces that hold static loads: of what floats by its balance, of a single mass the load."""
+    held = np.zeros(len(rig.contacts))
+    for response, contacts in zip(responses, across, strict=True):
+        free = response.modes.frequencies_hz(response.count) == 0
+        if not isinstance(response.body, Beam):
+            free[:] = True
+        push = np.sum([x.force_n * response.shapes([x.station])[0] for x in rig.loads] or [np.zeros(free.size)], axis=0)
+        if np.any(push[free]):
+            held += np.linalg.lstsq(contacts[:, free].T, push[free], rcond=None)[0]
+    return held
 
 
 def _cubed(record: Record, displacement: Complex[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:

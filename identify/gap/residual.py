@@ -1,27 +1,32 @@
 """The one residual of the diagnosis: a rig against a record, with everything that is always in doubt left free.
 
-    cost = |linear residual|^2 + sum over contacts |contact residual|^2 + |doubts|^2 + log determinant
+cost = |linear residual|^2 + sum over contacts |contact residual|^2 + strictness |doubts|^2 + log determinant
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-from identify.gap.doubts import Doubts, doubts_of, residual_scale
+from identify.gap.doubts import Doubts, doubts_of, moved, residual_scale
 from identify.gap.law import Contact, Laid, Seen, contact_residual, laid_out, seen_contacts, start_of
 from identify.gap.linear import Linear, linear_model
 from identify.gap.spectra import Record
-from identify.tolerances import LABORATORY
 from rig.description import Rig
 
+STRICT = 300.0
+"""Weight of the tolerances against the samples, which model errors make far fewer than they are."""
 MODEL_ERROR = 5e-4
 """Share of each acceleration that no model of this kind explains."""
 
 
 @dataclass(frozen=True)
 class Base:
-    """A record and the rig about which it is linearised: what every residual of the record shares."""
+    """A record and the rig about which it is linearised: what every residual of the record shares.
+
+    about are the doubts that are in the rig already where it is linearised.
+    """
 
     record: Record
     rig: Rig
@@ -29,6 +34,7 @@ class Base:
     seen: tuple[Seen, ...]
     doubts: Doubts
     doubts_gram: Float[np.ndarray, "doubts doubts"]
+    about: Float[np.ndarray, " doubts"]
 
 
 @dataclass(frozen=True)
@@ -42,22 +48,35 @@ class Residual:
     linear: Float[np.ndarray, "rows times"]
     contacts: tuple[Contact, ...]
     doubts: Float[np.ndarray, " doubts"]
+    names: tuple[str, ...]
 
     @property
     def cost(self) -> float:
         return (
-            float(np.sum(self.linear**2) + self.doubts @ self.doubts)
+            float(np.sum(self.linear**2) + STRICT * self.doubts @ self.doubts)
             + sum(c.cost for c in self.contacts)
-            + self.model.log_determinant
+            + self.model.log_determinant * self.linear.shape[1] / self.model.spread.shape[1]
         )
 
 
-def base_of(record: Record, rig: Rig) -> Base:
-    """The linearisation about a rig."""
-    model = linear_model(record, rig, MODEL_ERROR)
-    doubts = doubts_of(record, model, LABORATORY)
+def base_of(
+    record: Record,
+    rig: Rig,
+    seen: tuple[Seen, ...] | None = None,
+    about: Residual | None = None,
+    levels: Sequence[float] | None = None,
+) -> Base:
+    """The linearisation about a rig, with the doubts of a residual of the record in it, if one is given.
+
+    `seen` of another base of the record keeps their costs comparable; otherwise levels are
+    the mean squares of the contact residuals in null recordings.
+    """
+    there, put = moved(rig, about.names, about.doubts, record.tolerances) if about else (rig, None)
+    model = linear_model(record, there, MODEL_ERROR)
+    doubts = doubts_of(record, model, record.tolerances)
     columns = doubts.residual.reshape(len(doubts.names), -1)
-    return Base(record, rig, model, seen_contacts(record, model), doubts, columns @ columns.T)
+    put = np.zeros(len(doubts.names)) if put is None else put
+    return Base(record, rig, model, seen or seen_contacts(record, model, levels), doubts, columns @ columns.T, put)
 
 
 def residual_of(
@@ -76,18 +95,20 @@ def residual_of(
     if like is not None and same_but_laws(like.rig, rig):
         model, laid, bare = like.model, like.laid, like.bare
     else:
-        model = linear_model(record, rig, MODEL_ERROR)
+        there = moved(rig, base.doubts.names, base.about, record.tolerances)[0] if base.about.any() else rig
+        model = linear_model(record, there, MODEL_ERROR)
         laid = laid_out(record, model)
         bare = residual_scale(record) * record.in_time(model.residual)
     if unknowns is None:
         unknowns = tuple(start_of(at, s, record.rate_hz) for at, s in zip(laid, base.seen, strict=True))
-    linear = bare - np.einsum("d,drt->rt", doubts, base.doubts.residual) if doubts.any() else bare
-    more_n, more_m = (-np.einsum("d,dct->ct", doubts, c) for c in (base.doubts.contact_n, base.doubts.eta_m))
+    beside = doubts - base.about
+    linear = bare - np.einsum("d,drt->rt", beside, base.doubts.residual) if beside.any() else bare
+    more_n, more_m = (-np.einsum("d,dct->ct", beside, c) for c in (base.doubts.contact_n, base.doubts.eta_m))
     contacts = tuple(
         contact_residual(laid[j], base.seen[j], rig.contacts[j].law, unknowns[j], more_n[j], more_m[j])
         for j in range(len(rig.contacts))
     )
-    return Residual(rig, model, laid, bare, linear, contacts, doubts)
+    return Residual(rig, model, laid, bare, linear, contacts, doubts, base.doubts.names)
 
 
 def same_but_laws(one: Rig, other: Rig) -> bool:

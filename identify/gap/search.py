@@ -7,11 +7,20 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.gap.candidates import Candidate
-from identify.gap.fit import Fit, derivative, fit, reduced
-from identify.gap.residual import Base, Residual
+from identify.gap.fit import STEPS, Fit, derivative, fit, reduced
+from identify.gap.law import Seen
+from identify.gap.residual import Base, Residual, base_of, residual_of, same_but_laws
+from identify.gap.scan import linear_starts
+from identify.gap.spectra import Record
+from rig.description import Rig
+from rig.oscillator import Oscillator
 
-DEEP = 8
+DEEP = 4
 """So many of the effects that look best are fitted."""
+FINAL = 3
+"""So many of those are fitted to the end."""
+AGAIN = 2
+"""So many times the doubts about a single mass are linearised anew."""
 WORTH = 0.02
 """An effect whose linear gain is a smaller share of the best one's is not."""
 
@@ -29,6 +38,26 @@ def fitted_rig(base: Base, start: Residual | None = None) -> Fit:
     """The base's own rig with doubts, drifts and contact tolerances fitted."""
     nothing = np.zeros(0)
     return fit(base, lambda _: base.rig, nothing, nothing, (nothing, nothing), start)
+
+
+def settled(
+    record: Record,
+    rig: Rig,
+    seen: tuple[Seen, ...] | None = None,
+    start: Residual | None = None,
+    levels: Sequence[float] | None = None,
+) -> tuple[Base, Residual]:
+    """A rig fitted so to a record, linearised anew about its doubts where they bend the residual."""
+    base = base_of(record, rig, seen, start, levels)
+    at = fitted_rig(base, start).residual
+    for _ in range(_again(rig)):
+        base = base_of(record, rig, base.seen, at)
+        at = fitted_rig(base, at).residual
+    return base, at
+
+
+def _again(rig: Rig) -> int:
+    return AGAIN if any(isinstance(b, Oscillator) for b in rig.bodies) else 0
 
 
 @dataclass(frozen=True)
@@ -52,7 +81,7 @@ def looks(base: Base, at: Residual, candidates: Sequence[Candidate]) -> list[Loo
         for start in candidate.starts:
             moved = start.copy()
             moved[0] = candidate.neutral + step
-            normal = equations.joined([derivative(base, lambda v: candidate.applied(base.rig, v), moved, at)])
+            normal = equations.joined([derivative(base, candidate.applied(base.rig, moved), at)])
             inner = np.linalg.solve(normal.matrix[:count, :count], normal.matrix[:count, count])
             curvature = normal.matrix[count, count] - normal.matrix[count, :count] @ inner
             slope = normal.gradient[count] - normal.gradient[:count] @ inner
@@ -69,19 +98,55 @@ def looks(base: Base, at: Residual, candidates: Sequence[Candidate]) -> list[Loo
 
 
 def search(base: Base, at: Residual, candidates: Sequence[Candidate]) -> list[Found]:
-    """The candidates that explain most of the residual `at` of the base's rig, best first."""
-    ordered = looks(base, at, candidates)
-    chosen = [look for look in ordered[:DEEP] if look.gain > WORTH * ordered[0].gain]
-    found = []
-    for look in chosen:
-        candidate = look.candidate
-        fitted = fit(
-            base,
-            lambda v, c=candidate: c.applied(base.rig, v),
-            look.values,
-            candidate.steps,
-            candidate.bounds,
-            start=at,
-        )
-        found.append(Found(candidate, fitted, at.cost - fitted.cost))
+    """The candidates that explain most of the residual `at` of the base's rig, best first.
+
+    They are looked at linearly from where the rig alone fits best, and from where no drift has yet been bent to it;
+    and the linear residual is scanned for large ones. Those that promise most are fitted for a few steps each, the
+    best of them to the end.
+    """
+    fresh = residual_of(base, base.rig)
+    begun: dict[str, list[tuple[Fit, Candidate]]] = {}
+    for source, start in (
+        (looks(base, at, candidates), at),
+        (looks(base, fresh, [c for c in candidates if quiet(base, c)]), None),
+        (linear_starts(base, candidates), None),
+    ):
+        for look in [s for s in source[:DEEP] if s.gain > WORTH * source[0].gain]:
+            begun.setdefault(look.candidate.name, []).append(
+                (_fit(base, look.candidate, look.values, start, 3), look.candidate)
+            )
+    best = sorted((min(tries, key=lambda t: t[0].cost) for tries in begun.values()), key=lambda t: t[0].cost)
+    found = [polished(base, candidate, fitted, at.cost) for fitted, candidate in best[:FINAL]]
     return sorted(found, key=lambda one: -one.gain)
+
+
+def polished(base: Base, candidate: Candidate, fitted: Fit, before: float) -> Found:
+    """Fitted to the end, with the doubts linearised about the rig that has the effect."""
+    for _ in range(2 + _again(base.rig)):
+        about = base_of(base.record, candidate.applied(base.rig, fitted.values), base.seen, fitted.residual)
+        again = _fit(base, candidate, fitted.values, fitted.residual, STEPS, about)
+        fell = fitted.cost - again.cost
+        if fell > 0:
+            fitted = again
+        if fell < 1e-3 * fitted.cost:
+            break
+    return Found(candidate, fitted, before - fitted.cost)
+
+
+def quiet(base: Base, candidate: Candidate) -> bool:
+    """Whether the linear residual does not see an effect."""
+    rig = candidate.applied(base.rig, candidate.default)
+    return same_but_laws(base.rig, rig) or rig.loads != base.rig.loads
+
+
+def _fit(
+    base: Base,
+    candidate: Candidate,
+    values: Float[np.ndarray, " parameters"],
+    start: Residual | None,
+    most: int,
+    about: Base | None = None,
+) -> Fit:
+    return fit(
+        about or base, lambda v: candidate.applied(base.rig, v), values, candidate.steps, candidate.bounds, start, most
+    )

@@ -7,12 +7,12 @@ from jaxtyping import Complex, Float
 from scipy.fft import next_fast_len
 from scipy.ndimage import uniform_filter1d
 
-from identify.kinematics import CORNER_HZ, Kinematics, acceleration_noise, integrated, kinematics, taper
 from identify.answers import drift_of
 from identify.drift import Drift
 from identify.joint import FINE_HZ
+from identify.kinematics import CORNER_HZ, Kinematics, acceleration_noise, integrated, kinematics, taper
 from identify.spectra import force_band
-from identify.tolerances import LABORATORY
+from identify.tolerances import LABORATORY, Tolerances
 from rig.description import Quantity, Rig, Sensor
 from rig.errors import RigError
 from rig.oscillator import Oscillator
@@ -39,6 +39,7 @@ class Record:
     still in it; displaced the same as a displacement, high-passed where it had to be integrated. noise is the variance
     of each of its lines by the sensor's noise alone, power its smoothed size. eta_beyond is each relative displacement
     as measured on the lines from `high_hz` on, drifts what is known of its slow part (None where nothing is lost).
+    excited_s is when the force begins, tolerances how exactly the rig is believed.
     """
 
     rig: Rig
@@ -50,7 +51,6 @@ class Record:
     factor: int
     omega: Float[np.ndarray, " lines"]
     force: Complex[np.ndarray, " lines"]
-    constant: Complex[np.ndarray, " lines"]
     delivered: Complex[np.ndarray, "sensors lines"]
     displaced: Complex[np.ndarray, "sensors lines"]
     noise: Float[np.ndarray, "sensors lines"]
@@ -58,6 +58,8 @@ class Record:
     eta_beyond: Complex[np.ndarray, "contacts morelines"]
     drifts: tuple[Drift | None, ...]
     taken: slice
+    excited_s: float
+    tolerances: Tolerances
 
     @property
     def rate_hz(self) -> float:
@@ -69,7 +71,9 @@ class Record:
         """Of the residuals' samples."""
         return np.arange(self.taken.start, self.taken.stop) / self.rate_hz
 
-    def finely(self, eta: Complex[np.ndarray, "contacts lines"], derivative: int = 0) -> Float[np.ndarray, "contacts fine"]:
+    def finely(
+        self, eta: Complex[np.ndarray, "contacts lines"], derivative: int = 0
+    ) -> Float[np.ndarray, "contacts fine"]:
         """Relative displacements, or velocities, at 16 kHz or more, from the first to the last sample that counts."""
         fine = self.factor * self.finer
         whole = np.concatenate([eta[:, :-1], self.eta_beyond], axis=1)
@@ -88,7 +92,7 @@ class Record:
         return np.asarray(whole[..., self.taken])
 
 
-def record_of(recording: Recording, low_hz: float = CORNER_HZ) -> Record:
+def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Tolerances = LABORATORY) -> Record:
     """The spectra of a recording's accelerometers; without any, of its velocity or else its displacement sensors.
 
     Raises RigError if it is too short, or has no force or no sensors.
@@ -118,7 +122,6 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ) -> Record:
     def spectrum(signals: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows all"]:
         return np.asarray(np.fft.rfft(signals * shape, length))
 
-    ordinary = np.maximum(omega, 2 * np.pi * low_hz)
     measured = spectrum(np.stack([_row(recording, s) for s in sensors]))
     beyond_rad = 2 * np.pi * rate / length * np.arange(lines - 1, measured.shape[1])
     delivered, displaced = (
@@ -127,7 +130,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ) -> Record:
     )
     noise = acceleration_noise(motion, rig)
     densities = _densities(rig, sensors, motion)
-    size = np.stack([ordinary ** (2 - ORDER[s.quantity]) for s in sensors])
+    size = np.stack([omega ** (2 - ORDER[s.quantity]) for s in sensors])
     return Record(
         rig=rig,
         sensors=sensors,
@@ -138,13 +141,16 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ) -> Record:
         factor=factor,
         omega=omega,
         force=spectrum(recording.force_n)[:lines],
-        constant=spectrum(np.ones(samples))[:lines],
         delivered=delivered,
         displaced=displaced,
         noise=samples * (densities[:, None] * size) ** 2 * rate / 2,
         power=uniform_filter1d(np.abs(delivered) ** 2, max(1, round(SMOOTHED_HZ * length / rate)), axis=1),
         eta_beyond=_eta_beyond(rig, sensors, measured[:, lines - 1 :], beyond_rad),
-        drifts=tuple(drift_of(rig, motion, j, noise, LABORATORY, _spring(rig, j), samples) for j in range(len(rig.contacts))),
+        drifts=tuple(
+            drift_of(rig, motion, j, noise, tolerances, _spring(rig, j), samples) for j in range(len(rig.contacts))
+        ),
+        excited_s=motion.excited_from / rate,
+        tolerances=tolerances,
         taken=slice(
             0 if quiet else round(LEFT_OUT_S * rate / factor), int((samples - round(LEFT_OUT_S * rate)) / factor)
         ),
@@ -183,8 +189,5 @@ def _densities(rig: Rig, sensors: tuple[Sensor, ...], motion: Kinematics) -> Flo
     """One-sided noise of each sensor in its own unit per sqrt(Hz): heard in the quiet seconds, else as described."""
     heard = acceleration_noise(motion, rig) / np.sqrt(motion.sample_rate_hz / 2)
     return np.array(
-        [
-            heard[motion.stations.index(s.station)] if s.quantity == "acceleration" else s.noise_density
-            for s in sensors
-        ]
+        [heard[motion.stations.index(s.station)] if s.quantity == "acceleration" else s.noise_density for s in sensors]
     )

@@ -12,6 +12,7 @@ class ActuatorLag(Effect, frozen=True):
     """The true force follows the measured one `lag_s` later."""
 
     name: ClassVar[str] = "actuator_lag"
+    separated_by: ClassVar[str] = "shake a known free mass with the same force sensor"
     lag_s: Annotated[float, Parameter("s", 0.0, 3e-3)] = 5e-4
 
     def applied_to(self, rig: Rig) -> Rig:

@@ -12,6 +12,7 @@ class AsymmetricClearance(Effect, frozen=True):
     """The gap of a contact stands off centre: its upper clearance is larger by `shift_m`, its lower one smaller."""
 
     name: ClassVar[str] = "asymmetric_clearance"
+    separated_by: ClassVar[str] = "measure the relative displacement itself, with its zero"
     needs_zero: ClassVar[bool] = True
     shift_m: Annotated[float, Parameter("m", -4e-3, 4e-3)] = 5e-4
     contact: str | None = None

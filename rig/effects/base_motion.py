@@ -13,6 +13,7 @@ class ShakingBase(Effect, frozen=True):
     """The ground under clamps, springs and stops shakes unmeasured: Gaussian acceleration in a band, be it narrow."""
 
     name: ClassVar[str] = "base_motion"
+    separated_by: ClassVar[str] = "record without force, or put an accelerometer on the base"
     acceleration_rms_m_per_s2: Annotated[float, Parameter("m/s^2", 0.0, 5.0)] = 0.5
     low_hz: Annotated[float, Parameter("Hz", 0.5, 200.0)] = 8.0
     high_hz: Annotated[float, Parameter("Hz", 0.5, 200.0)] = 12.0

@@ -13,6 +13,9 @@ class ClampCompliance(Effect, frozen=True):
     """The clamp turns under the bending moment like a rotational spring E I / (length * compliance)."""
 
     name: ClassVar[str] = "clamp_compliance"
+    separated_by: ClassVar[str] = (
+        "measure close to the clamp, where a clamp that gives moves and a softer beam does not"
+    )
     compliance: Annotated[float, Parameter("1", 0.002, 0.3)] = 0.03
     beam: str | None = None
 

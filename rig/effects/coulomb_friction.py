@@ -12,6 +12,7 @@ class CoulombFriction(Effect, frozen=True):
     """Dry friction of this force opposes the relative velocity across a contact, in and out of the gap."""
 
     name: ClassVar[str] = "coulomb_friction"
+    separated_by: ClassVar[str] = "record at a low level that opens no contact"
     force_n: Annotated[float, Parameter("N", 0.0, 5.0)] = 2.0
     contact: str | None = None
 

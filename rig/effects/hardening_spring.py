@@ -12,6 +12,7 @@ class HardeningSpring(Effect, frozen=True):
     """A restoring force in the cube of the displacement holds a body to the ground, like a support that stretches."""
 
     name: ClassVar[str] = "hardening_spring"
+    separated_by: ClassVar[str] = "record at two levels: a hardening spring grows with the cube"
     cubic_n_per_m3: Annotated[float, Parameter("N/m^3", 0.0, 1e8)] = 1e6
     relative_position: Annotated[float, Parameter("1", 0.0, 1.0)] = 1.0
     body: str | None = None

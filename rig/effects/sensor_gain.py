@@ -12,6 +12,7 @@ class SensorGain(Effect, frozen=True):
     """One sensor (the last unless one is named) delivers `factor` times what its calibration says."""
 
     name: ClassVar[str] = "sensor_gain"
+    separated_by: ClassVar[str] = "exchange the sensor with another and record again"
     factor: Annotated[float, Parameter("1", 0.8, 1.2)] = 1.05
     sensor: str | None = None
 

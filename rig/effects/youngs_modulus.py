@@ -12,6 +12,9 @@ class YoungsModulus(Effect, frozen=True):
     """Young's modulus of one beam (the last unless one is named) is `factor` times what is believed."""
 
     name: ClassVar[str] = "youngs_modulus"
+    separated_by: ClassVar[str] = (
+        "fix a known mass to the beam's end: a softer beam and a giving clamp shift modes differently"
+    )
     factor: Annotated[float, Parameter("1", 0.8, 1.2)] = 0.95
     beam: str | None = None
 

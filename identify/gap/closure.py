@@ -1,0 +1,134 @@
+"""How far the gap shrinks once the effect is in the rig; in units of the floor, and in terms that people know."""
+
+import numpy as np
+from jaxtyping import Float
+from scipy.signal import csd, welch
+
+from identify.gap.floor import NOTHING, Floor, Simulate
+from identify.gap.residual import Base, Residual, base_of
+from identify.gap.results import Closure, Curve, Likeness
+from identify.gap.search import settled
+from identify.gap.spectra import record_of
+from rig.description import Rig
+from rig.recording import Recording
+
+PARTS = 16
+DRAWS = 500
+NEAR = 0.5
+"""A gap that is no larger than this above the floor is at the floor."""
+CURVE_POINTS = 400
+CELLS = 80
+
+
+def closure(judge: Base, before: Residual, after: Residual, floor: Floor, simulated: Recording) -> Closure:
+    """closed = (before - after) / (before - floor), mean squares of the residual on the validation record.
+
+    before is that of the believed rig, after that of the corrected one; floor that of the corrected one on its own
+    simulation under the validation record's force. The interval draws sixteenths of the record with replacement.
+    """
+    record = record_of(simulated, tolerances=judge.record.tolerances)
+    own, at = settled(record, after.rig, levels=floor.contacts)
+    lowest = float(np.mean(_parts(own, at, floor)))
+    parts = [_parts(judge, at, floor) for at in (before, after)]
+    size_before, size_after = (float(np.mean(p)) for p in parts)
+    if size_before - lowest < NEAR:
+        return Closure(size_before, lowest, size_after, None, None)
+    rng = np.random.default_rng(0)
+    drawn = rng.integers(0, PARTS, (DRAWS, PARTS))
+    many = [p[drawn].mean(axis=1) for p in parts]
+    fractions = (many[0] - many[1]) / np.maximum(many[0] - lowest, 1e-9)
+    low, high = np.quantile(fractions, [0.025, 0.975])
+    whole = (size_before - size_after) / (size_before - lowest)
+    return Closure(size_before, lowest, size_after, float(whole), (float(low), float(high)))
+
+
+def _parts(base: Base, at: Residual, floor: Floor) -> Float[np.ndarray, " parts"]:
+    """Mean squares of sixteenths of the record, in units of what nulls leave: sensors and contacts count alike."""
+    own = [floor.sensors.index(s.name) for s in base.record.sensors]
+    nulls = np.maximum(np.array(floor.linear)[:, own].mean(axis=0), NOTHING)
+    rows = [*(at.linear[: len(own)] ** 2 / nulls[:, None])]
+    for contact, seen in zip(at.contacts, base.seen, strict=True):
+        rows.append(contact.residual[: seen.weights.size] ** 2)
+    return np.array([float(np.mean(part)) for part in np.array_split(np.mean(rows, axis=0), PARTS)])
+
+
+def likeness(
+    measured: Recording, believed: Rig, corrected: Rig, simulate: Simulate
+) -> tuple[Recording, tuple[Likeness, ...], tuple[Curve, ...]]:
+    """The corrected rig's simulation, and what the measured record has in common with it and with the believed rig's.
+
+    Two records of the same chaotic machine differ too: nothing is decided by these figures.
+    """
+    runs = (
+        measured,
+        simulate(believed, believed, measured.force_n, 1),
+        simulate(believed, corrected, measured.force_n, 1),
+    )
+    bases = [base_of(record_of(run), believed) for run in runs]
+    figures = [_figures(base) for base in bases]
+    likenesses = tuple(Likeness(name, unit, *(f[name, unit] for f in figures)) for name, unit in figures[0])
+    curves = [_spectrum(runs), _response(runs)]
+    for j, contact in enumerate(believed.contacts):
+        eta = [1e3 * b.record.finely(b.model.eta_m)[j] for b in bases]
+        edges = np.linspace(min(e.min() for e in eta), max(e.max() for e in eta), CELLS + 1)
+        curves.append(
+            Curve(
+                f"occurrence of the relative displacement of {contact.name}",
+                "relative displacement, mm",
+                "share of the time per mm",
+                tuple(((edges[1:] + edges[:-1]) / 2).tolist()),
+                *(tuple(np.histogram(e, edges, density=True)[0].tolist()) for e in eta),
+            )
+        )
+    return runs[2], likenesses, tuple(curves)
+
+
+def _figures(base: Base) -> dict[tuple[str, str], float]:
+    found = {}
+    accelerations = base.record.in_time(base.record.delivered)
+    found["acceleration, rms of all sensors", "m/s^2"] = float(np.sqrt(np.mean(accelerations**2)))
+    seconds = accelerations.shape[1] / base.record.rate_hz
+    for contact, seen in zip(base.rig.contacts, base.seen, strict=True):
+        found[f"time that {contact.name} is closed", "%"] = 100 * float(np.mean(seen.closed))
+        found[f"impacts of {contact.name}", "1/s"] = float(np.sum(np.diff(seen.closed) > 0)) / seconds
+    return found
+
+
+def _last(run: Recording) -> Float[np.ndarray, " samples"]:
+    quantity = run.rig.sensors[-1].quantity
+    return run.signals[quantity].values[-1]
+
+
+def _spectrum(runs: tuple[Recording, ...]) -> Curve:
+    """Of the last sensor."""
+    rate = runs[0].rig.sample_rate_hz
+    hz, density = zip(*(welch(_last(r), rate, nperseg=int(2 * rate)) for r in runs), strict=True)
+    keep = slice(1, CURVE_POINTS)
+    return Curve(
+        f"power spectral density, {runs[0].rig.sensors[-1].name}",
+        "frequency, Hz",
+        "(m/s^2)^2/Hz",
+        tuple(hz[0][keep].tolist()),
+        *(tuple(d[keep].tolist()) for d in density),
+        logarithmic=True,
+    )
+
+
+def _response(runs: tuple[Recording, ...]) -> Curve:
+    """The last sensor over the force, H1."""
+    rate = runs[0].rig.sample_rate_hz
+    segment = int(2 * rate)
+    curves, keep = [], slice(1, CURVE_POINTS)
+    for run in runs:
+        hz, cross = csd(run.force_n, _last(run), rate, nperseg=segment)
+        curves.append(np.abs(cross) / np.maximum(welch(run.force_n, rate, nperseg=segment)[1], 1e-300))
+    strong = welch(runs[0].force_n, rate, nperseg=segment)[1]
+    keep = slice(1, int(np.flatnonzero(strong > 1e-3 * strong.max())[-1]))
+    return Curve(
+        f"FRF (H1), {runs[0].rig.sensors[-1].name} over force",
+        "frequency, Hz",
+        "(m/s^2)/N",
+        tuple(hz[keep].tolist()),
+        *(tuple(c[keep].tolist()) for c in curves),
+        logarithmic=True,
+    )

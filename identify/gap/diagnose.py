@@ -1,0 +1,173 @@
+"""The diagnosis: is there a gap, which effect or pair of effects causes it, or does none in the library."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from identify.gap.candidates import Candidate, candidates
+from identify.gap.fit import STEPS, Fit, fit
+from identify.gap.floor import MARGIN, SPREAD, Floor, Remainder, remainder
+from identify.gap.residual import Base, Residual, base_of
+from identify.gap.results import Verdict
+from identify.gap.search import Found, search, settled
+from identify.gap.shaking import shaken
+from identify.gap.spectra import Record
+from rig.description import Rig
+from rig.errors import RigError
+
+ALLOWED = 0.01
+"""An effect may leave this share of the gap beyond the floor: no effect is described more exactly."""
+WORTHWHILE = 0.2
+"""A second effect must take away this share of what the first one leaves."""
+TRIED = 2
+"""So many first effects are followed by a search for a second."""
+SHARPNESS = 20.0
+"""Probabilities go with this power of what is left: a remainder 10 % larger is some seven times less likely."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """One or two effects with their parameters, fitted on one record and laid against another."""
+
+    parts: tuple[Candidate, ...]
+    fitted: Fit
+    rig: Rig
+    remainder: Remainder
+    validated: Residual
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        return tuple(c.kind.name for c in self.parts)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was found: explanations best first by the validation record, and the believed rig's own remainders."""
+
+    verdict: Verdict
+    explanations: tuple[Explanation, ...]
+    probabilities: tuple[float, ...]
+    nominal: Residual
+    nominal_remainder: Remainder
+    validation: Base
+    validation_nominal: Residual
+    validation_remainder: Remainder
+
+
+def diagnosed(
+    fit_record: Record, validation: Record, floor: Floor, progress: Callable[[float], None] = lambda _: None
+) -> Outcome:
+    """Searches on one record, decides on the other."""
+    rig = fit_record.rig
+    base, at = settled(fit_record, rig, levels=floor.contacts)
+    known = candidates(rig, [s.name for s in fit_record.sensors], fit_record.zero_known)
+    progress(0.05)
+    judge, judged = settled(validation, rig, levels=floor.contacts)
+    before = remainder(judge, judged, floor)
+    fits: list[tuple[tuple[Candidate, ...], Fit]] = [
+        ((f.candidate,), f.fitted) for f in worthwhile(base, at, known, floor)
+    ]
+    progress(0.4)
+    pairs = []
+    for i, (parts, first) in enumerate(fits[:TRIED]):
+        about, left = settled(fit_record, applied(rig, parts, first.values), base.seen, first.residual)
+        if remainder(about, left, floor).at_floor(floor):
+            break
+        for second in worthwhile(about, left, known, floor)[:TRIED]:
+            if second.gain > WORTHWHILE * _excess(left, floor):
+                pairs.append(_together(base, (*parts, second.candidate), first, second))
+        progress(0.4 + 0.25 * (i + 1))
+    explanations = []
+    for parts, fitted in fits[:3] + pairs:
+        try:
+            explanations.append(_validated(judge, parts, fitted, rig, floor))
+        except RigError:
+            continue
+    explanations.sort(key=lambda e: e.validated.cost * (1 + 0.02 * len(e.parts)))
+    first_look = remainder(base, at, floor)
+    verdict, probabilities = _verdict(explanations, before, floor, judged)
+    progress(1.0)
+    return Outcome(verdict, tuple(explanations), probabilities, at, first_look, judge, judged, before)
+
+
+def applied(rig: Rig, parts: Sequence[Candidate], values: Float[np.ndarray, " parameters"]) -> Rig:
+    """The rig with several effects, whose parameters stand one after the other."""
+    at = 0
+    for part in parts:
+        count = len(part.parameters)
+        rig = part.applied(rig, values[at : at + count])
+        at += count
+    return rig
+
+
+def worthwhile(base: Base, at: Residual, known: Sequence[Candidate], floor: Floor) -> list[Found]:
+    """Effects that gain clearly more than on any null recording, most first."""
+    steady = [c for c in known if c.kind.name != "base_motion"]
+    found = search(base, at, steady)
+    if base.rig.base_motion is None:
+        found += [f for c in known if c not in steady and (f := shaken(base, at, c))]
+    count = [f for f in found if f.gain > MARGIN * floor.gains.get(f.candidate.kind.name, 0.0)]
+    return sorted(count, key=lambda f: -f.gain)
+
+
+def _excess(at: Residual, floor: Floor) -> float:
+    """The cost that a residual has beyond what nulls have."""
+    rows, times = at.linear.shape
+    expected = float(np.mean(floor.linear)) * rows * times
+    expected += times * len(floor.contacts)
+    return max(at.cost - expected, 0.0)
+
+
+def _together(base: Base, parts: tuple[Candidate, ...], first: Fit, second: Found) -> tuple[tuple[Candidate, ...], Fit]:
+    """Two effects fitted together, from where each was found; a base motion keeps what was found."""
+    values = np.concatenate([first.values, second.fitted.values])
+    steps = np.concatenate([c.steps for c in parts])
+    bounds = tuple(np.concatenate(ends) for ends in zip(*(c.bounds for c in parts), strict=True))
+    if any(c.kind.name == "base_motion" for c in parts):
+        covariance = np.zeros((values.size, values.size))
+        covariance[: first.values.size, : first.values.size] = first.covariance
+        covariance[first.values.size :, first.values.size :] = second.fitted.covariance
+        return parts, Fit(values, covariance, second.fitted.residual)
+    about = base_of(base.record, applied(base.rig, parts, values), base.seen, second.fitted.residual)
+    low, high = bounds
+    return parts, fit(
+        about, lambda v: applied(base.rig, parts, v), values, steps, (low, high), second.fitted.residual, STEPS
+    )
+
+
+def _validated(judge: Base, parts: tuple[Candidate, ...], fitted: Fit, rig: Rig, floor: Floor) -> Explanation:
+    corrected = applied(rig, parts, fitted.values)
+    about, residual = settled(judge.record, corrected, judge.seen)
+    return Explanation(parts, fitted, corrected, remainder(about, residual, floor), residual)
+
+
+def _verdict(
+    explanations: Sequence[Explanation], before: Remainder, floor: Floor, judged: Residual
+) -> tuple[Verdict, tuple[float, ...]]:
+    """The verdict, and the probabilities of the explanations; what they lack of one is that of none of them."""
+    helpful = [e for e in explanations if e.validated.cost < judged.cost]
+    if not helpful:
+        return ("no_gap" if before.at_floor(floor) else "none_of_these"), tuple(0.0 for _ in explanations)
+    costs = np.array([e.validated.cost for e in explanations])
+    best = helpful[0]
+    accepted = explained(best.remainder, before, floor)
+    none = costs.min() * (2.0 if accepted else 0.5)
+    weights = np.append(costs, none)
+    likely = (weights / weights.min()) ** -SHARPNESS
+    share = likely / likely.sum()
+    return ("effect" if accepted else "none_of_these"), tuple(float(p) for p in share[:-1])
+
+
+def explained(after: Remainder, before: Remainder, floor: Floor) -> bool:
+    """Whether what an effect leaves is at the floor, up to the share of the gap that no effect explains."""
+    for left, gap, largest in zip(
+        (after.overall, after.band, after.contact),
+        (before.overall, before.band, before.contact),
+        floor.remainders,
+        strict=True,
+    ):
+        if left > SPREAD * largest + ALLOWED * gap:
+            return False
+    return True

@@ -1,0 +1,47 @@
+"""Channels that deliver nothing or too little: dead or clipped. They are named, and left out."""
+
+import numpy as np
+from jaxtyping import Float
+from msgspec.structs import replace
+
+from rig.errors import RigError
+from rig.recording import Recording, Signals, channel_groups
+
+STUCK = 1e-3
+"""A channel that stands at its largest or smallest value for more than this share of the record is clipped."""
+
+
+def sound_channels(recording: Recording, without: tuple[str, ...] = ()) -> tuple[Recording, dict[str, str]]:
+    """The recording without its faulty channels and those of `without`, and what is wrong with each of the former.
+
+    Raises RigError if the force channel is clipped, or no sensor is left.
+    """
+    faults: dict[str, str] = {}
+    for name, signals in recording.signals.items():
+        for channel, row in zip(signals.channels.names, signals.values, strict=True):
+            fault = fault_of(row)
+            if fault and name == "force":
+                raise RigError(f"the force channel is {fault}; the diagnosis needs the force: mend it and record again")
+            if fault and channel not in without:
+                faults[channel] = fault
+    dropped = {*faults, *without}
+    if not dropped:
+        return recording, faults
+    sensors = tuple(s for s in recording.rig.sensors if s.name not in dropped)
+    if not sensors:
+        raise RigError("every channel is dead or clipped; check the sensors' cables and ranges, and record again")
+    rig = replace(recording.rig, sensors=sensors)
+    kept = {}
+    for name, channels in channel_groups(rig).items():
+        old = recording.signals[name]
+        kept[name] = Signals(channels, old.start_s, old.values[[old.channels.names.index(n) for n in channels.names]])
+    return Recording(rig, kept, recording.provenance), faults
+
+
+def fault_of(row: Float[np.ndarray, " samples"]) -> str | None:
+    """ "dead" if a channel never moves, "clipped" if it stands at its extremes, None if it is sound."""
+    low, high = float(row.min()), float(row.max())
+    if low == high:
+        return "dead"
+    stuck = max(np.mean(row == high), np.mean(row == low))
+    return "clipped" if stuck > STUCK else None

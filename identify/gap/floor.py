@@ -1,0 +1,183 @@
+"""The floor: what null recordings (of the believed rig as a laboratory builds it) leave in the same chain.
+
+Integration, chaos, sensors and a laboratory's tolerances are in it. Made once for a rig and a simulator, it is kept.
+"""
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+from scipy.signal.windows import hann
+
+from identify.gap.candidates import candidates
+from identify.gap.residual import Base, Residual
+from identify.gap.search import looks, settled
+from identify.gap.shaking import shaken
+from identify.gap.spectra import Record, record_of
+from identify.tolerances import LABORATORY, Tolerances, jittered
+from rig.description import Rig, to_json
+from rig.errors import RigError
+from rig.recording import Recording
+
+NULLS = 12
+BAND_HZ = 2.0
+SEGMENT_S = 1.0
+LEVELS = (1.0, 1.25, 1.5)
+"""Nulls are made with the force times these: large motion is less linear, and a validation record may be larger."""
+MARGIN = 3.0
+"""A gain counts from this multiple of the largest that a null recording showed for that effect."""
+NOTHING = 1e-3
+"""A smaller mean square is none: so many contacts as sensors leave no linear residual."""
+SPREAD = 1.5
+"""A remainder is at the floor up to this multiple of the largest among the nulls."""
+
+Simulate = Callable[[Rig, Rig, Float[np.ndarray, " samples"], int], Recording]
+"""The recording of the believed rig (first) that the actual one makes under a measured force, noise from a seed: the
+simulator that the diagnosis is handed."""
+
+
+class Floor(msgspec.Struct, frozen=True):
+    """Mean squares of null residuals by band (2 Hz) and sensor, and by contact; what their remainders and gains reach.
+
+    remainders are the largest of the nulls' own `Remainder`: overall, in the worst band, in the worst contact.
+    """
+
+    rig_sha256: str
+    nulls: int
+    sensors: list[str]
+    linear: list[list[float]]
+    contacts: list[float]
+    remainders: tuple[float, float, float]
+    gains: dict[str, float]
+
+
+class Remainder(msgspec.Struct, frozen=True):
+    """A residual in units of the floor: overall, in the worst 2 Hz, and in the worst contact."""
+
+    overall: float
+    band: float
+    contact: float
+
+    def at_floor(self, floor: Floor, more: float = 0.0) -> bool:
+        """Whether each is within the floor's own spread, or `more` above it."""
+        pairs = zip((self.overall, self.band, self.contact), floor.remainders, strict=True)
+        return all(mine <= SPREAD * largest + more for mine, largest in pairs)
+
+
+def remainder(base: Base, at: Residual, floor: Floor) -> Remainder:
+    """What a residual leaves, by the floor; the base must know the floor's levels of the contacts."""
+    own = [floor.sensors.index(s.name) for s in base.record.sensors]
+    levels = band_levels(base.record, at)
+    nulls = np.maximum(np.array(floor.linear)[:, own], NOTHING)
+    bands = min(len(levels), len(nulls))
+    linear = levels[:bands] / nulls[:bands]
+    return Remainder(
+        float(linear.mean()), float(linear.mean(axis=1).max(initial=0.0)), max(contact_levels(base, at), default=0.0)
+    )
+
+
+def band_levels(record: Record, at: Residual) -> Float[np.ndarray, "bands sensors"]:
+    """Mean square of the linear residual in bands of 2 Hz: the median over seconds, as large motion comes in bursts."""
+    rows = at.linear[: len(record.sensors)]
+    length = round(SEGMENT_S * record.rate_hz)
+    count = rows.shape[1] // length
+    pieces = rows[:, : count * length].reshape(len(rows), count, length)
+    weights = hann(length, sym=False)
+    power = np.median(np.abs(np.fft.rfft(pieces * weights)) ** 2, axis=1) / np.sum(weights**2)
+    wide = round(BAND_HZ * SEGMENT_S)
+    bands = power.shape[1] // wide
+    return np.asarray(power[:, : bands * wide].reshape(len(rows), bands, wide).mean(axis=2).T)
+
+
+def contact_levels(base: Base, at: Residual) -> list[float]:
+    """Mean square of each contact's residual: the median over seconds."""
+    length = round(SEGMENT_S * base.record.rate_hz)
+    found = []
+    for contact, seen in zip(at.contacts, base.seen, strict=True):
+        squares = contact.residual[: seen.weights.size] ** 2
+        count = squares.size // length
+        found.append(float(np.median(squares[: count * length].reshape(count, length).mean(axis=1))))
+    return found
+
+
+def floor_of(
+    rig: Rig,
+    force_n: Float[np.ndarray, " samples"],
+    simulate: Simulate,
+    progress: Callable[[float], None],
+    kept: Path | None = None,
+    tolerances: Tolerances = LABORATORY,
+    nulls: int = NULLS,
+) -> Floor:
+    """The floor of a rig by a simulator under such a force; read from the file `kept`, if one is given and is there.
+
+    Raises RigError if that file is of another rig.
+    """
+    name = hashlib.sha256(to_json(rig)).hexdigest()
+    if kept and kept.exists():
+        return _read(kept, name)
+    records, bands, contacts = [], [], []
+    for i in range(nulls):
+        record = record_of(
+            simulate(rig, jittered(rig, np.random.default_rng([i, 77])), LEVELS[i % len(LEVELS)] * force_n, i),
+            tolerances=tolerances,
+        )
+        base, at = settled(record, rig)
+        bands.append(band_levels(record, at))
+        contacts.append(contact_levels(base, at))
+        records.append(record)
+        progress(0.6 * (i + 1) / nulls)
+    fewest = min(len(b) for b in bands)
+    levels, own = np.array([b[:fewest] for b in bands]), np.array(contacts).reshape(nulls, -1)
+    mean, mean_contact = levels.mean(axis=0), own.mean(axis=0)
+    relative = levels / mean
+    gains: dict[str, float] = {}
+    for i, record in enumerate(records):
+        for kind, gain in null_gains(*settled(record, rig, levels=mean_contact.tolist())).items():
+            gains[kind] = max(gains.get(kind, 0.0), gain)
+        progress(0.6 + 0.4 * (i + 1) / nulls)
+    floor = Floor(
+        rig_sha256=name,
+        nulls=nulls,
+        sensors=[s.name for s in record.sensors],
+        linear=mean.tolist(),
+        contacts=mean_contact.tolist(),
+        remainders=(
+            float(relative.mean(axis=(1, 2)).max()),
+            float(relative.mean(axis=2).max()),
+            float((own / mean_contact).max(initial=0.0)),
+        ),
+        gains=gains,
+    )
+    if kept:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        part = kept.with_suffix(".part")
+        part.write_bytes(msgspec.json.encode(floor))
+        part.replace(kept)
+    return floor
+
+
+def _read(path: Path, rig_sha256: str) -> Floor:
+    try:
+        floor = msgspec.json.decode(path.read_bytes(), type=Floor)
+    except (OSError, msgspec.DecodeError) as error:
+        raise RigError(f"{path}: no floor can be read from it ({error}); remove it, and it is made anew") from error
+    if floor.rig_sha256 != rig_sha256:
+        raise RigError(f"{path}: is the floor of another rig; name another file, or remove it")
+    return floor
+
+
+def null_gains(base: Base, at: Residual) -> dict[str, float]:
+    """What each effect gains on a recording that has none, by its name."""
+    known = candidates(base.rig, [s.name for s in base.record.sensors], base.record.zero_known)
+    gains: dict[str, float] = {}
+    steady = [c for c in known if c.kind.name != "base_motion"]
+    for look in looks(base, at, steady):
+        gains[look.candidate.kind.name] = max(gains.get(look.candidate.kind.name, 0.0), look.gain)
+    for candidate in known:
+        if candidate not in steady and (found := shaken(base, at, candidate)):
+            gains[candidate.kind.name] = max(found.gain, 0.0)
+    return gains

@@ -1,0 +1,88 @@
+"""A base that shakes unmeasured: its band and level from what the linear residual holds of its pattern."""
+
+import numpy as np
+from jaxtyping import Complex, Float
+from msgspec.structs import replace as changed
+from scipy.ndimage import uniform_filter1d
+from scipy.signal.windows import hann
+
+from identify.gap.candidates import Candidate
+from identify.gap.doubts import residual_scale
+from identify.gap.fit import Fit
+from identify.gap.linear import linear_model
+from identify.gap.residual import MODEL_ERROR, Base, Residual, base_of
+from identify.gap.search import Found, fitted_rig
+from identify.gap.spectra import SMOOTHED_HZ
+from rig.description import BaseMotion
+
+SKIRT = 5e-3
+"""So much of the power is left outside the band at either end."""
+LEVELS = 10.0 ** np.arange(-9, 3, 0.5)
+"""Spectral densities that are tried, (m/s^2)^2/Hz."""
+
+
+def shaken(base: Base, at: Residual, candidate: Candidate) -> Found | None:
+    """The best base motion, by its likelihood over all bands and levels; None where the residual has none of it.
+
+    With y the residual, p the pattern of a base motion of unit density, both of unit noise, a density S lowers the
+    cost of a line by 2 (|p'y|^2/s (1 - 1/(1 + S s)) - log(1 + S s)), s = |p|^2; the best interval of lines is that
+    of largest sum. The noise is what the residual holds around each line in other patterns.
+    """
+    record = base.record
+    if len(record.sensors) < len(base.rig.contacts) + 2:
+        return None  # any residual would be a base motion's
+    hz = record.omega / (2 * np.pi)
+    low, high = float(hz[1]), float(hz[-1])
+    everywhere = BaseMotion(acceleration_rms_m_per_s2=float(np.sqrt(high - low)), low_hz=low, high_hz=high)
+    model = linear_model(record, changed(base.rig, base_motion=everywhere), MODEL_ERROR)
+    contacts = len(base.rig.contacts)
+    free = model.unknown[:, :, :contacts]
+    pattern = model.unknown[:, :, contacts]
+    pattern = pattern - (free @ (base.model.solve[:, :contacts] @ pattern[:, :, None]))[:, :, 0]
+    if len(record.sensors) <= contacts + 1:
+        return None  # nothing would be left to tell it by
+    y = _lines(base, at).T
+    size = np.sum(np.abs(pattern) ** 2, axis=1)
+    seen = np.abs(np.sum(pattern.conj() * y, axis=1)) ** 2 / np.maximum(size, 1e-300)
+    others = (np.sum(np.abs(y) ** 2, axis=1) - seen) / max(1, y.shape[1] - contacts - 1)
+    level = uniform_filter1d(others, max(1, round(SMOOTHED_HZ * record.length / record.sample_rate_hz)))
+    seen, size = seen / level, size / level
+    bounds = candidate.parameters
+    inside = (hz >= bounds["low_hz"].low) & (hz <= bounds["high_hz"].high)
+    best, band = 0.0, slice(0, 0)
+    for level in LEVELS:
+        gains = np.where(inside, seen * (1 - 1 / (1 + level * size)) - np.log1p(level * size), 0.0)
+        total, found = _largest(gains)
+        if total > best:
+            best, band = total, found
+    if not best > 0:
+        return None
+    power = np.cumsum(np.maximum(seen[band] - 1, 0.0) / size[band])
+    band = slice(*(band.start + np.searchsorted(power, np.array([SKIRT, 1 - SKIRT]) * power[-1])))
+    edges = hz[band.start], hz[band.stop]
+    rms = float(np.sqrt(power[-1] * (hz[2] - hz[1])))
+    values = np.array([np.clip(rms, 0, bounds["acceleration_rms_m_per_s2"].high), *edges])
+    about = base_of(record, candidate.applied(base.rig, values), base.seen, at)
+    fitted = fitted_rig(about, at)
+    lines = max(1.0, (band.stop - band.start) * record.samples / record.length)
+    resolution = record.sample_rate_hz / record.samples
+    spread = np.array([rms / np.sqrt(2 * lines), resolution, resolution])
+    return Found(candidate, Fit(values, np.diag(spread**2), fitted.residual), at.cost - fitted.cost)
+
+
+def _lines(base: Base, at: Residual) -> Complex[np.ndarray, "sensors lines"]:
+    """The residual over time, back on the record's lines, under a window so that no band leaks into another."""
+    record = base.record
+    rows = at.linear[: len(record.sensors)]
+    window = hann(rows.shape[1]) * np.sqrt(8 / 3)
+    whole = np.fft.rfft(rows * window, record.length // record.factor)
+    return np.asarray(whole * record.factor / residual_scale(record))
+
+
+def _largest(gains: Float[np.ndarray, " lines"]) -> tuple[float, slice]:
+    """The interval of largest sum (Kadane)."""
+    sums = np.concatenate([[0.0], np.cumsum(gains)])
+    lowest = np.minimum.accumulate(sums)
+    stop = int(np.argmax(sums - lowest))
+    start = int(np.argmin(sums[: stop + 1]))
+    return float(sums[stop] - sums[start]), slice(start, stop)
