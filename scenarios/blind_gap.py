@@ -8,7 +8,6 @@ python -m scenarios.blind_gap score --cases out/blind --found out/found --out ou
 import hashlib
 import time
 from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -17,7 +16,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from rig.command_line import Force, refuse_existing, run
+from identify.gap.answer import diagnose as diagnosis
+from identify.gap.floor import floor_of
+from rig import replay
+from rig.command_line import Force, progress_bar, refuse_existing, run
 from rig.errors import RigError
 from rig.recording import Recording, read
 from scenarios import score_figures
@@ -62,9 +64,10 @@ def make(
     console.print(f"sha256 of the answers: {digest}", soft_wrap=True)
 
 
-def diagnosis_of(fit: Recording, validate: Recording, floor: str | None) -> Diagnosis:
+def diagnosis_of(fit: Recording, validate: Recording, floor: str) -> Diagnosis:
     """The one place where the tool under test is called; `floor` is the file of what null recordings leave."""
-    return msgspec.convert(import_module("identify.gap").diagnose(fit, validate, floor), Diagnosis)
+    gap, _ = diagnosis(fit, validate, replay.modal, Path(floor))
+    return msgspec.convert(msgspec.to_builtins(gap), Diagnosis)
 
 
 class ToDiagnose(msgspec.Struct, frozen=True):
@@ -73,7 +76,7 @@ class ToDiagnose(msgspec.Struct, frozen=True):
     case: str
     fit: str
     validate: str
-    floor: str | None
+    floor: str
     sha256: dict[str, str]
 
 
@@ -89,17 +92,21 @@ class Found(msgspec.Struct, frozen=True):
 def diagnose(
     cases: Cases,
     out: Annotated[Path, typer.Option(help="Folder for what is found.")],
-    floor: Annotated[Path | None, typer.Option(help="File of the floor, as the diagnosis wants it.")] = None,
+    floor: Annotated[Path | None, typer.Option(help="File of the floor; made with Exudyn if it is not there.")] = None,
 ) -> None:
     """Diagnoses every case from its recordings alone; run again after an interruption, it goes on."""
     fits = sorted(p for p in (cases / "recordings").glob("*.mcap") if not p.stem.endswith("_validate"))
     if not fits:
         raise RigError(f"{cases / 'recordings'}: has no recordings; make the cases first")
+    kept = floor or out / "floor.json"
+    first = read(fits[0])
+    with progress_bar("the floor: nulls with Exudyn") as progress:
+        floor_of(first.rig, first.force_n, replay.ancf, progress, kept)
     tasks = []
     for fit in fits:
         validate = fit.with_name(f"{fit.stem}_validate.mcap")
         hashes = {path.name: sha256_of(path) for path in (fit, validate)}
-        tasks.append(ToDiagnose(fit.stem, str(fit), str(validate), str(floor) if floor else None, hashes))
+        tasks.append(ToDiagnose(fit.stem, str(fit), str(validate), str(kept), hashes))
     found = run_tasks(diagnosed, tasks, Found, out / "tasks")
     _written(out / "found.json", msgspec.json.format(msgspec.json.encode(found), indent=2))
     Console().print(f"{len(found)} diagnoses in {out / 'found.json'}", soft_wrap=True)

@@ -57,7 +57,7 @@ def diagnose(
     gap = Gap(
         verdict=outcome.verdict,
         sentence=_sentence(outcome, faults),
-        size=max(outcome.validation_remainder.overall, outcome.validation_remainder.contact),
+        size=outcome.validation_remainder.size,
         causes=tuple(_cause(e, p) for e, p in zip(outcome.explanations, outcome.probabilities, strict=True)),
         equivalent=(tuple(alike),) if len(alike) > 1 else (),
         separate_by=tuple(f"{name}: {how}" for name, how in alike.items()) if len(alike) > 1 else (),
@@ -92,8 +92,7 @@ def _cause(explanation: Explanation, probability: float) -> Cause:
             parameters[f"{part.kind.name}.{name}"] = Value(value, float(spread[at]), about.unit)
             at += 1
         places |= {f"{part.kind.name}.{field}": place for field, place in part.place.items()}
-    left = max(explanation.remainder.overall, explanation.remainder.contact)
-    return Cause(explanation.effects, probability, parameters, places, left)
+    return Cause(explanation.effects, probability, parameters, places, explanation.remainder.size)
 
 
 def _alike(outcome: Outcome) -> dict[str, str]:
@@ -107,14 +106,14 @@ def _alike(outcome: Outcome) -> dict[str, str]:
 
 def _sentence(outcome: Outcome, faults: dict[str, str]) -> str:
     said = "".join(f" Channel {name} is {what} and was left out." for name, what in faults.items())
-    size = max(outcome.validation_remainder.overall, outcome.validation_remainder.contact)
+    size = outcome.validation_remainder.size
     if outcome.verdict == "no_gap":
         return f"No gap: the record is what the believed rig would give, as far as noise and integration show it.{said}"
     if outcome.verdict == "none_of_these":
         return f"There is a gap ({size:.3g} times the floor), and no effect of the library explains it.{said}"
     best = outcome.explanations[0]
     words = " and ".join(c.name.replace(":", " of ", 1) for c in best.parts)
-    left = max(best.remainder.overall, best.remainder.contact)
+    left = best.remainder.size
     return (
         f"There is a gap ({size:.3g} times the floor); {words} explains it, down to {left:.3g} times the floor.{said}"
     )

@@ -1,10 +1,12 @@
 """How far the gap shrinks once the effect is in the rig; in units of the floor, and in terms that people know."""
 
+from collections.abc import Iterable
+
 import numpy as np
 from jaxtyping import Float
 from scipy.signal import csd, welch
 
-from identify.gap.floor import NOTHING, Floor, Simulate
+from identify.gap.floor import NOTHING, SPREAD, Floor, Simulate
 from identify.gap.residual import Base, Residual, base_of
 from identify.gap.results import Closure, Curve, Likeness
 from identify.gap.search import settled
@@ -14,8 +16,6 @@ from rig.recording import Recording
 
 PARTS = 16
 DRAWS = 500
-NEAR = 0.5
-"""A gap that is no larger than this above the floor is at the floor."""
 CURVE_POINTS = 400
 CELLS = 80
 
@@ -31,25 +31,30 @@ def closure(judge: Base, before: Residual, after: Residual, floor: Floor, simula
     lowest = float(np.mean(_parts(own, at, floor)))
     parts = [_parts(judge, at, floor) for at in (before, after)]
     size_before, size_after = (float(np.mean(p)) for p in parts)
-    if size_before - lowest < NEAR:
+    if size_before < SPREAD * lowest:
         return Closure(size_before, lowest, size_after, None, None)
     rng = np.random.default_rng(0)
     drawn = rng.integers(0, PARTS, (DRAWS, PARTS))
     many = [p[drawn].mean(axis=1) for p in parts]
-    fractions = (many[0] - many[1]) / np.maximum(many[0] - lowest, 1e-9)
+    fractions = (many[0] - many[1]) / np.maximum(many[0] - lowest, 1e-12)
     low, high = np.quantile(fractions, [0.025, 0.975])
     whole = (size_before - size_after) / (size_before - lowest)
     return Closure(size_before, lowest, size_after, float(whole), (float(low), float(high)))
 
 
 def _parts(base: Base, at: Residual, floor: Floor) -> Float[np.ndarray, " parts"]:
-    """Mean squares of sixteenths of the record, in units of what nulls leave: sensors and contacts count alike."""
+    """Mean squares of sixteenths of the record, in units of what nulls leave: sensors and contacts count alike.
+
+    What the tolerances cost is spread over them.
+    """
     own = [floor.sensors.index(s.name) for s in base.record.sensors]
     nulls = np.maximum(np.array(floor.linear)[:, own].mean(axis=0), NOTHING)
     rows = [*(at.linear[: len(own)] ** 2 / nulls[:, None])]
     for contact, seen in zip(at.contacts, base.seen, strict=True):
         rows.append(contact.residual[: seen.weights.size] ** 2)
-    return np.array([float(np.mean(part)) for part in np.array_split(np.mean(rows, axis=0), PARTS)])
+    spent = at.cost - float(np.sum(at.linear**2)) - sum(float(np.sum(r)) for r in rows[len(own) :])
+    samples = rows[0].size * len(rows)
+    return np.array([float(np.mean(part)) for part in np.array_split(np.mean(rows, axis=0), PARTS)]) + spent / samples
 
 
 def likeness(
@@ -77,7 +82,7 @@ def likeness(
                 "relative displacement, mm",
                 "share of the time per mm",
                 tuple(((edges[1:] + edges[:-1]) / 2).tolist()),
-                *(tuple(np.histogram(e, edges, density=True)[0].tolist()) for e in eta),
+                *_three(np.histogram(e, edges, density=True)[0] for e in eta),
             )
         )
     return runs[2], likenesses, tuple(curves)
@@ -109,8 +114,8 @@ def _spectrum(runs: tuple[Recording, ...]) -> Curve:
         "frequency, Hz",
         "(m/s^2)^2/Hz",
         tuple(hz[0][keep].tolist()),
-        *(tuple(d[keep].tolist()) for d in density),
-        logarithmic=True,
+        *_three(d[keep] for d in density),
+        True,
     )
 
 
@@ -118,7 +123,7 @@ def _response(runs: tuple[Recording, ...]) -> Curve:
     """The last sensor over the force, H1."""
     rate = runs[0].rig.sample_rate_hz
     segment = int(2 * rate)
-    curves, keep = [], slice(1, CURVE_POINTS)
+    curves = []
     for run in runs:
         hz, cross = csd(run.force_n, _last(run), rate, nperseg=segment)
         curves.append(np.abs(cross) / np.maximum(welch(run.force_n, rate, nperseg=segment)[1], 1e-300))
@@ -129,6 +134,14 @@ def _response(runs: tuple[Recording, ...]) -> Curve:
         "frequency, Hz",
         "(m/s^2)/N",
         tuple(hz[keep].tolist()),
-        *(tuple(c[keep].tolist()) for c in curves),
-        logarithmic=True,
+        *_three(c[keep] for c in curves),
+        True,
     )
+
+
+def _three(
+    rows: Iterable[Float[np.ndarray, " points"]],
+) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+    """Of the measured, the believed and the corrected."""
+    measured, believed, corrected = (tuple(row.tolist()) for row in rows)
+    return measured, believed, corrected

@@ -21,6 +21,8 @@ ALLOWED = 0.01
 """An effect may leave this share of the gap beyond the floor: no effect is described more exactly."""
 WORTHWHILE = 0.2
 """A second effect must take away this share of what the first one leaves."""
+SECOND = 0.1
+"""... and of what it leaves on the validation record."""
 TRIED = 2
 """So many first effects are followed by a search for a second."""
 SHARPNESS = 20.0
@@ -85,7 +87,7 @@ def diagnosed(
             explanations.append(_validated(judge, parts, fitted, rig, floor))
         except RigError:
             continue
-    explanations.sort(key=lambda e: e.validated.cost * (1 + 0.02 * len(e.parts)))
+    explanations.sort(key=_price)
     first_look = remainder(base, at, floor)
     verdict, probabilities = _verdict(explanations, before, floor, judged)
     progress(1.0)
@@ -143,6 +145,11 @@ def _validated(judge: Base, parts: tuple[Candidate, ...], fitted: Fit, rig: Rig,
     return Explanation(parts, fitted, corrected, remainder(about, residual, floor), residual)
 
 
+def _price(explanation: Explanation) -> float:
+    """The cost on the validation record; a second effect must earn its place."""
+    return explanation.validated.cost * (1 + SECOND * (len(explanation.parts) - 1))
+
+
 def _verdict(
     explanations: Sequence[Explanation], before: Remainder, floor: Floor, judged: Residual
 ) -> tuple[Verdict, tuple[float, ...]]:
@@ -150,7 +157,7 @@ def _verdict(
     helpful = [e for e in explanations if e.validated.cost < judged.cost]
     if not helpful:
         return ("no_gap" if before.at_floor(floor) else "none_of_these"), tuple(0.0 for _ in explanations)
-    costs = np.array([e.validated.cost for e in explanations])
+    costs = np.array([_price(e) for e in explanations])
     best = helpful[0]
     accepted = explained(best.remainder, before, floor)
     none = costs.min() * (2.0 if accepted else 0.5)
@@ -163,8 +170,8 @@ def _verdict(
 def explained(after: Remainder, before: Remainder, floor: Floor) -> bool:
     """Whether what an effect leaves is at the floor, up to the share of the gap that no effect explains."""
     for left, gap, largest in zip(
-        (after.overall, after.band, after.contact),
-        (before.overall, before.band, before.contact),
+        after.each,
+        before.each,
         floor.remainders,
         strict=True,
     ):

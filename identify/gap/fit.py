@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse.linalg import SuperLU
 
-from identify.gap.residual import STRICT, Base, Residual, residual_of
+from identify.gap.residual import Base, Residual, residual_of
 from rig.description import Rig
 from rig.errors import RigError
 
@@ -15,13 +15,16 @@ STEPS = 12
 SETTLED = 0.1
 """Gauss-Newton stops when the cost falls by less than this."""
 
-Column = tuple[Float[np.ndarray, "rows times"], list[Float[np.ndarray, " rows"]]]
+Column = tuple[Float[np.ndarray, "rows times"], list[Float[np.ndarray, " _"]]]
 Build = Callable[[Float[np.ndarray, " parameters"]], Rig]
 
 
 @dataclass(frozen=True)
 class Fit:
-    """The parameters at which the residual is least, their covariance: the samples count for STRICT times fewer."""
+    """The parameters at which the residual is least, and their covariance.
+
+    The samples count for `Record.strictness` times fewer.
+    """
 
     values: Float[np.ndarray, " parameters"]
     covariance: Float[np.ndarray, "parameters parameters"]
@@ -38,14 +41,14 @@ class Normal:
 
     matrix: Float[np.ndarray, "global global"]
     gradient: Float[np.ndarray, " global"]
-    eliminated: tuple[tuple[Float[np.ndarray, " unknowns"], Float[np.ndarray, "unknowns global"]], ...]
+    eliminated: tuple[tuple[Float[np.ndarray, " _"], Float[np.ndarray, "_ global"]], ...]
 
     @property
     def gain(self) -> float:
         """By how much the linearised cost falls."""
         return float(self.gradient @ np.linalg.solve(self.matrix, self.gradient))
 
-    def unknowns(self, step: Float[np.ndarray, " global"]) -> list[Float[np.ndarray, " unknowns"]]:
+    def unknowns(self, step: Float[np.ndarray, " global"]) -> list[Float[np.ndarray, " _"]]:
         """The steps of the contacts' unknowns that go with a step of the others."""
         return [start - coupled @ step for start, coupled in self.eliminated]
 
@@ -65,7 +68,7 @@ class Reduced:
     at: Residual
     matrix: Float[np.ndarray, "doubts doubts"]
     gradient: Float[np.ndarray, " doubts"]
-    rows: tuple[Float[np.ndarray, "doubts rows"], ...]
+    rows: tuple[Float[np.ndarray, "doubts _"], ...]
     solvers: tuple[SuperLU, ...]
 
     def joined(self, columns: list[Column]) -> Normal:
@@ -95,8 +98,10 @@ class Reduced:
 def reduced(base: Base, at: Residual) -> Reduced:
     """The doubts' part of the normal equations."""
     count = len(base.doubts.names)
-    matrix = base.doubts_gram + STRICT * np.eye(count)
-    gradient = base.doubts.residual.reshape(count, at.linear.size) @ at.linear.ravel() - STRICT * at.doubts
+    matrix = base.doubts_gram + base.record.strictness * np.eye(count)
+    gradient = (
+        base.doubts.residual.reshape(count, at.linear.size) @ at.linear.ravel() - base.record.strictness * at.doubts
+    )
     every, solvers = [], []
     for j, contact in enumerate(at.contacts):
         weights = base.seen[j].weights
@@ -156,9 +161,9 @@ def fit(
         values, at = moved, there
         if fell < SETTLED:
             break
-    covariance = STRICT * np.linalg.pinv(normal.matrix)[count:, count:] * np.outer(steps, steps)
+    covariance = base.record.strictness * np.linalg.pinv(normal.matrix)[count:, count:] * np.outer(steps, steps)
     return Fit(values, covariance, at)
 
 
-def _state(start: Residual) -> tuple[Float[np.ndarray, " doubts"], tuple[Float[np.ndarray, " unknowns"], ...]]:
+def _state(start: Residual) -> tuple[Float[np.ndarray, " doubts"], tuple[Float[np.ndarray, " _"], ...]]:
     return start.doubts, tuple(c.unknowns for c in start.contacts)

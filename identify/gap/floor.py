@@ -31,6 +31,10 @@ MARGIN = 3.0
 """A gain counts from this multiple of the largest that a null recording showed for that effect."""
 NOTHING = 1e-3
 """A smaller mean square is none: so many contacts as sensors leave no linear residual."""
+EXACT = 0.01
+"""No law is believed to leave less than this of the mean square that its error is put at."""
+ORDINARY = 2.0
+"""So many standard deviations of a tolerance are ordinary."""
 SPREAD = 1.5
 """A remainder is at the floor up to this multiple of the largest among the nulls."""
 
@@ -42,7 +46,8 @@ simulator that the diagnosis is handed."""
 class Floor(msgspec.Struct, frozen=True):
     """Mean squares of null residuals by band (2 Hz) and sensor, and by contact; what their remainders and gains reach.
 
-    remainders are the largest of the nulls' own `Remainder`: overall, in the worst band, in the worst contact.
+    remainders are the largest of the nulls' own `Remainder`: overall, in the worst band, in the worst contact,
+    and the largest use of a tolerance.
     """
 
     rig_sha256: str
@@ -50,21 +55,33 @@ class Floor(msgspec.Struct, frozen=True):
     sensors: list[str]
     linear: list[list[float]]
     contacts: list[float]
-    remainders: tuple[float, float, float]
+    remainders: tuple[float, float, float, float]
     gains: dict[str, float]
 
 
 class Remainder(msgspec.Struct, frozen=True):
-    """A residual in units of the floor: overall, in the worst 2 Hz, and in the worst contact."""
+    """A residual in units of the floor: overall, in the worst 2 Hz, in the worst contact.
+
+    strain is how far the worst tolerance is used, in its standard deviations.
+    """
 
     overall: float
     band: float
     contact: float
+    strain: float
 
-    def at_floor(self, floor: Floor, more: float = 0.0) -> bool:
-        """Whether each is within the floor's own spread, or `more` above it."""
-        pairs = zip((self.overall, self.band, self.contact), floor.remainders, strict=True)
-        return all(mine <= SPREAD * largest + more for mine, largest in pairs)
+    @property
+    def each(self) -> tuple[float, float, float, float]:
+        return self.overall, self.band, self.contact, self.strain
+
+    @property
+    def size(self) -> float:
+        """The larger of the linear and the contact part."""
+        return max(self.overall, self.contact)
+
+    def at_floor(self, floor: Floor) -> bool:
+        """Whether each is within the floor's own spread."""
+        return all(mine <= SPREAD * largest for mine, largest in zip(self.each, floor.remainders, strict=True))
 
 
 def remainder(base: Base, at: Residual, floor: Floor) -> Remainder:
@@ -75,8 +92,17 @@ def remainder(base: Base, at: Residual, floor: Floor) -> Remainder:
     bands = min(len(levels), len(nulls))
     linear = levels[:bands] / nulls[:bands]
     return Remainder(
-        float(linear.mean()), float(linear.mean(axis=1).max(initial=0.0)), max(contact_levels(base, at), default=0.0)
+        float(linear.mean()),
+        float(linear.mean(axis=1).max(initial=0.0)),
+        max(contact_levels(base, at), default=0.0),
+        strain(at),
     )
+
+
+def strain(at: Residual) -> float:
+    """The largest doubt or contact tolerance of a residual, in standard deviations."""
+    own = [c.unknowns[-3:] for c in at.contacts]
+    return float(np.max(np.abs(np.concatenate([at.doubts, *own])), initial=0.0))
 
 
 def band_levels(record: Record, at: Residual) -> Float[np.ndarray, "bands sensors"]:
@@ -119,36 +145,38 @@ def floor_of(
     name = hashlib.sha256(to_json(rig)).hexdigest()
     if kept and kept.exists():
         return _read(kept, name)
-    records, bands, contacts = [], [], []
+    records = []
+    contacts = []
     for i in range(nulls):
-        record = record_of(
-            simulate(rig, jittered(rig, np.random.default_rng([i, 77])), LEVELS[i % len(LEVELS)] * force_n, i),
-            tolerances=tolerances,
-        )
-        base, at = settled(record, rig)
-        bands.append(band_levels(record, at))
-        contacts.append(contact_levels(base, at))
-        records.append(record)
+        force = LEVELS[i % len(LEVELS)] * force_n
+        made = simulate(rig, jittered(rig, np.random.default_rng([i, 77])), force, i)
+        records.append(record_of(made, tolerances=tolerances))
+        contacts.append(contact_levels(*settled(records[-1], rig)))
         progress(0.6 * (i + 1) / nulls)
-    fewest = min(len(b) for b in bands)
-    levels, own = np.array([b[:fewest] for b in bands]), np.array(contacts).reshape(nulls, -1)
-    mean, mean_contact = levels.mean(axis=0), own.mean(axis=0)
-    relative = levels / mean
+    mean_contact = np.maximum(np.mean(contacts, axis=0), EXACT).tolist()
+    bands, contacts, strains = [], [], []  # again, with the contacts weighed by what nulls leave there
     gains: dict[str, float] = {}
     for i, record in enumerate(records):
-        for kind, gain in null_gains(*settled(record, rig, levels=mean_contact.tolist())).items():
+        base, at = settled(record, rig, levels=mean_contact)
+        bands.append(band_levels(record, at))
+        contacts.append(contact_levels(base, at))
+        strains.append(strain(at))
+        for kind, gain in null_gains(base, at).items():
             gains[kind] = max(gains.get(kind, 0.0), gain)
         progress(0.6 + 0.4 * (i + 1) / nulls)
+    levels = np.array(bands)
+    relative = levels / levels.mean(axis=0)
     floor = Floor(
         rig_sha256=name,
         nulls=nulls,
-        sensors=[s.name for s in record.sensors],
-        linear=mean.tolist(),
-        contacts=mean_contact.tolist(),
+        sensors=[s.name for s in records[0].sensors],
+        linear=levels.mean(axis=0).tolist(),
+        contacts=mean_contact,
         remainders=(
             float(relative.mean(axis=(1, 2)).max()),
             float(relative.mean(axis=2).max()),
-            float((own / mean_contact).max(initial=0.0)),
+            float(np.max(contacts, initial=1.0)),
+            max(*strains, ORDINARY),
         ),
         gains=gains,
     )

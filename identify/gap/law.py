@@ -24,8 +24,6 @@ DAMPING_S = 1e-5
 """... and its damping within this multiple of its stiffness."""
 LAW_ERROR = 2e-3
 """Share of a contact force that no law of this kind explains."""
-STRICT = 300.0**0.5
-"""Weight of these tolerances: the samples are far fewer than they seem, as model errors last."""
 CLOSED = 5.0
 """A contact is closed where its force exceeds this many standard deviations."""
 
@@ -37,6 +35,7 @@ class Seen:
     weights: Float[np.ndarray, " times"]
     closed: Float[np.ndarray, " times"]
     curve: Spline
+    strictness: float
 
 
 @dataclass(frozen=True)
@@ -84,7 +83,7 @@ def seen_contacts(record: Record, model: Linear, levels: Sequence[float] | None)
         if drift is not None:
             at = np.arange(record.taken.start, record.taken.stop) * record.factor
             slow = replace(drift, acceleration_m_per_s2=drift.acceleration_m_per_s2[at])
-        found.append(Seen(weights, closed.astype(float), spline(force.size, record.rate_hz, slow)))
+        found.append(Seen(weights, closed.astype(float), spline(force.size, record.rate_hz, slow), record.strictness))
     return tuple(found)
 
 
@@ -168,12 +167,12 @@ def contact_residual(
     by_knots = diags(seen.weights * by_eta) @ curve.value
     rows = hstack([by_knots, csr_matrix(seen.weights[:, None] * by_law)])
     prior = hstack([curve.curvature, csr_matrix((curve.target.size, 3))])
-    own = hstack([csr_matrix((3, curve.knots)), diags(np.full(3, STRICT))])
+    own = hstack([csr_matrix((3, curve.knots)), diags(np.full(3, seen.strictness**0.5))])
     return Contact(
         law=law,
         unknowns=unknowns,
         residual=np.concatenate(
-            [seen.weights * residual, curve.target - curve.curvature @ knots, -STRICT * unknowns[-3:]]
+            [seen.weights * residual, curve.target - curve.curvature @ knots, -(seen.strictness**0.5) * unknowns[-3:]]
         ),
         columns=vstack([rows, prior, own]).tocsr(),
         by_eta=by_eta,

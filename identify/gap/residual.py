@@ -15,8 +15,6 @@ from identify.gap.linear import Linear, linear_model
 from identify.gap.spectra import Record
 from rig.description import Rig
 
-STRICT = 300.0
-"""Weight of the tolerances against the samples, which model errors make far fewer than they are."""
 MODEL_ERROR = 5e-4
 """Share of each acceleration that no model of this kind explains."""
 
@@ -49,11 +47,12 @@ class Residual:
     contacts: tuple[Contact, ...]
     doubts: Float[np.ndarray, " doubts"]
     names: tuple[str, ...]
+    strictness: float
 
     @property
     def cost(self) -> float:
         return (
-            float(np.sum(self.linear**2) + STRICT * self.doubts @ self.doubts)
+            float(np.sum(self.linear**2) + self.strictness * self.doubts @ self.doubts)
             + sum(c.cost for c in self.contacts)
             + self.model.log_determinant * self.linear.shape[1] / self.model.spread.shape[1]
         )
@@ -83,7 +82,7 @@ def residual_of(
     base: Base,
     rig: Rig,
     doubts: Float[np.ndarray, " doubts"] | None = None,
-    unknowns: tuple[Float[np.ndarray, " unknowns"], ...] | None = None,
+    unknowns: tuple[Float[np.ndarray, " _"], ...] | None = None,
     like: Residual | None = None,
 ) -> Residual:
     """The residual of a rig at some doubts and contact unknowns (none of either: zero), without any fit.
@@ -108,7 +107,7 @@ def residual_of(
         contact_residual(laid[j], base.seen[j], rig.contacts[j].law, unknowns[j], more_n[j], more_m[j])
         for j in range(len(rig.contacts))
     )
-    return Residual(rig, model, laid, bare, linear, contacts, doubts, base.doubts.names)
+    return Residual(rig, model, laid, bare, linear, contacts, doubts, base.doubts.names, record.strictness)
 
 
 def same_but_laws(one: Rig, other: Rig) -> bool:

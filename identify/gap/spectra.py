@@ -28,6 +28,8 @@ REACH = 2.5
 """The diagnosis looks up to this multiple of the force's highest frequency."""
 SHORTEST_S = 10.0
 SMOOTHED_HZ = 1.0
+COUNTED_HZ = 20.0
+"""So many samples a second count as independent, of all channels together."""
 ORDER: dict[Quantity, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
 
 
@@ -81,6 +83,11 @@ class Record:
             whole = whole * (2j * np.pi * self.sample_rate_hz / self.length * np.arange(whole.shape[1]))
         moved = self.finer * np.fft.irfft(whole, self.length * self.finer)
         return np.asarray(moved[:, self.taken.start * fine : (self.taken.stop - 1) * fine + 1])
+
+    @property
+    def strictness(self) -> float:
+        """How much more the tolerances weigh than samples do, as model errors last: samples for each that counts."""
+        return max(1.0, len(self.sensors) * self.rate_hz / COUNTED_HZ)
 
     @property
     def finer(self) -> int:

@@ -35,7 +35,8 @@ def where(base: Base, at: Residual, floor: Floor) -> Where:
     positions: dict[str, dict[str, float]] = {}
     for sensor in record.sensors:
         place = positions.setdefault(sensor.station.body, {})
-        place[f"{sensor.station.position_m:g}"] = channels[sensor.name]
+        at_station = f"{sensor.station.position_m:g}"
+        place[at_station] = place.get(at_station, 0.0) + channels[sensor.name]
     return Where(
         channels=channels,
         parts=parts,
