@@ -25,6 +25,8 @@ QUIETEST = 1e-5
 
 Answer = Joint | str
 """What is known of a contact, or why nothing is."""
+ROUNDING = 1e-7
+"""No contact force is believed to be quieter, of the exciting force: what a record without noise leaves is rounding."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,7 @@ def _observed(
     found = []
     quiet = separated.force_n[:, : motion.excited_from // separated.factor]
     quiet_n = quiet.std(axis=1) if quiet.shape[1] else np.zeros(len(rig.contacts))
+    quiet_n = np.maximum(quiet_n, ROUNDING * motion.force_n.std())
     for j in range(len(rig.contacts)):
         found.append(
             Observed(

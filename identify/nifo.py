@@ -1,5 +1,6 @@
 """NIFO: the contact force as a further input, per frequency (equations 4, 5 and 23 to 28 of the paper)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -7,7 +8,8 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from identify.modal import ModalEquation, receptance
-from identify.spectra import Blocks
+from identify.regression import influences, line_by_line, variance_of_sum
+from identify.spectra import Blocks, Term
 from rig.errors import RigError
 
 Form = Literal["weak", "paper"]
@@ -71,30 +73,40 @@ def nifo(
         raise RigError(
             f"{len(blocks.starts)} blocks for {unknowns} unknowns a line; use shorter blocks or record longer"
         )
-    omega = 2 * np.pi * blocks.frequency_hz
-    modal_force = equation.shape_at_force * blocks.spectra(force_n)
-    contact = [equation.shape_at_contacts[j] * blocks.spectra(penetration_m[j]) for j in seen]
-    response = blocks.spectra(equation.displacement)
+    response = equation.displacement
+    inputs = [[Term(force_n, factor=equation.shape_at_force)]]
+    inputs += [[Term(penetration_m[j], factor=equation.shape_at_contacts[j])] for j in seen]
     if form == "weak":
-        once = blocks.spectra(equation.displacement, derivative=1)
-        twice = blocks.spectra(equation.displacement, derivative=2)
-        inputs = [modal_force - twice + 2j * omega * once, *contact, once]
-    else:
-        inputs = [modal_force, *contact]
-    weights, changes = _regression(np.stack(inputs, axis=2).transpose(1, 0, 2), response.T)
-    frf, shares = weights[:, 0], weights[:, 1 : 1 + len(seen)]
-    stiffness = -shares / frf[:, None]
-    # how each block moves the spectral mean: first order, summed with its neighbour, which shares samples with it
-    moved = (-(changes[:, :, 1 : 1 + len(seen)] + stiffness[:, None] * changes[:, :, :1]) / frf[:, None, None]).real
-    influence = moved.mean(axis=0)
-    variance = np.sum(influence**2, axis=0) + 2 * np.sum(influence[1:] * influence[:-1], axis=0)
+        inputs[0].append(Term(response, derivative=2, factor=-1.0))
+        inputs.append([Term(response, derivative=1)])
+    rate = 2j * 2 * np.pi * blocks.frequency_hz
+
+    def spectra(chosen: Sequence[int]) -> Complex[np.ndarray, "channels blocks lines"]:
+        found = blocks.together([*inputs, [Term(response)]], [blocks.starts[k] for k in chosen])
+        if form == "weak":
+            found[0] += rate * found[-2]
+        return found
+
+    weights, inverse = line_by_line(spectra, len(blocks.starts))
+    frf = weights[:, 0]
+    stiffness = -weights[:, 1 : 1 + len(seen)] / frf[:, None]
+
+    def of_the_mean(
+        changes: Complex[np.ndarray, "some blocks unknowns"], some: slice
+    ) -> Float[np.ndarray, "blocks contacts"]:
+        ours, alone = changes[:, :, 1 : 1 + len(seen)], changes[:, :, :1]
+        return -((ours + stiffness[some, None] * alone) / frf[some, None, None]).real.sum(axis=0) / frf.size
+
+    variance = variance_of_sum(
+        lambda chosen: influences(spectra, chosen, weights, inverse, of_the_mean), len(blocks.starts)
+    )
     return Nifo(
         equation=equation,
         contacts=seen,
         frequency_hz=blocks.frequency_hz,
         frf=frf,
         stiffness_n_per_m=stiffness.T,
-        stiffness_error_n_per_m=np.sqrt(np.maximum(variance, np.sum(influence**2, axis=0) / 4)),
+        stiffness_error_n_per_m=np.sqrt(variance),
         averages=len(blocks.starts),
         resolution_hz=blocks.resolution_hz,
     )
@@ -112,19 +124,3 @@ def fitted_mode(result: Nifo) -> tuple[float, float]:
     (square, rate), *_ = np.linalg.lstsq(*both, rcond=None)
     natural = float(np.sqrt(max(float(square), 0.0)))
     return natural / (2 * np.pi), float(rate) / (2 * natural) if natural > 0 else 0.0
-
-
-def _regression(
-    inputs: Complex[np.ndarray, "lines blocks unknowns"], response: Complex[np.ndarray, "lines blocks"]
-) -> tuple[Complex[np.ndarray, "lines unknowns"], Complex[np.ndarray, "lines blocks unknowns"]]:
-    """Least squares at each line, and the first-order change that leaving out each block would make (jackknife)."""
-    scale = np.linalg.norm(inputs, axis=1, keepdims=True)
-    scale[scale == 0] = 1.0
-    q, r = np.linalg.qr(inputs / scale)
-    inverse = np.linalg.inv(r)
-    weights = (inverse @ (q.conj().transpose(0, 2, 1) @ response[:, :, None]))[:, :, 0] / scale[:, 0]
-    residual = response - (inputs @ weights[:, :, None])[:, :, 0]
-    leverage = np.sum(np.abs(q) ** 2, axis=2)
-    pulled = residual / np.maximum(1 - leverage, 1e-3)
-    changes = -(q.conj() * pulled[:, :, None]) @ inverse.transpose(0, 2, 1) / scale
-    return weights, changes

@@ -1,11 +1,12 @@
 """Blocks, windows and their spectra; and a contact law evaluated without aliasing."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import msgspec
 import numpy as np
 from jaxtyping import Complex, Float
-from scipy.fft import next_fast_len
+from scipy.fft import next_fast_len, rfft
 from scipy.signal import resample
 
 from rig.contact import dead_zone
@@ -43,6 +44,15 @@ class Averaging(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 
 @dataclass(frozen=True)
+class Term:
+    """A signal under the window, or under its first or second time derivative, times a factor."""
+
+    signal: Float[np.ndarray, " samples"]
+    derivative: int = 0
+    factor: float = 1.0
+
+
+@dataclass(frozen=True)
 class Blocks:
     """Where the blocks of a record start, their length in samples, and the spectral lines that are looked at."""
 
@@ -64,8 +74,25 @@ class Blocks:
         self, signal: Float[np.ndarray, " samples"], derivative: int = 0
     ) -> Complex[np.ndarray, "blocks lines"]:
         """The Fourier transforms of the blocks under the window, or under its first or second time derivative."""
-        weights = window(self.window, self.length, self.sample_rate_hz)[derivative]
-        return np.array([np.fft.rfft(weights * signal[s : s + self.length])[self.lines] for s in self.starts])
+        return self.together([[Term(signal, derivative)]], self.starts)[0]
+
+    def together(
+        self, channels: Sequence[Sequence[Term]], starts: Sequence[int]
+    ) -> Complex[np.ndarray, "channels blocks lines"]:
+        """The Fourier transforms of several channels, each a sum of terms, of the blocks that start there."""
+        windows = window(self.window, self.length, self.sample_rate_hz)
+        weights = [[term.factor * windows[term.derivative] for term in terms] for terms in channels]
+        rows = np.empty((len(channels), self.length))
+        found = np.empty((len(channels), len(starts), self.lines.stop - self.lines.start), dtype=complex)
+        for block, start in enumerate(starts):
+            now = slice(start, start + self.length)
+            for channel, terms in enumerate(channels):
+                first, *others = zip(weights[channel], terms, strict=True)
+                np.multiply(first[0], first[1].signal[now], out=rows[channel])
+                for weight, term in others:
+                    rows[channel] += weight * term.signal[now]
+            found[:, block] = rfft(rows, axis=1)[:, self.lines]
+        return found
 
 
 def blocks(samples: int, sample_rate_hz: float, averaging: Averaging, band_hz: tuple[float, float]) -> Blocks:

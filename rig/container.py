@@ -4,17 +4,20 @@ mcap's own readers allocate what a record declares, decompress whatever comes, a
 """
 
 import struct
-import zlib
-from collections.abc import Iterator
-from io import BufferedIOBase, BytesIO
+from collections.abc import Callable, Container, Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from mmap import ACCESS_READ, mmap
 from pathlib import Path, PurePosixPath
 
 import lz4.frame
+import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema, Statistics
+from mcap.records import Attachment, Channel, DataEnd, McapRecord, Message, Metadata, Schema, Statistics
+from zlib_ng.zlib_ng import crc32
 
 from rig.errors import RigError
 
@@ -23,6 +26,9 @@ MAX_BYTES = 64 * 1024 * 1024
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
+_CHANNEL = struct.Struct("<H")
+_CHUNK = struct.Struct("<QQQII")  # times, size, checksum, length of the name of the compression
+_LENGTH = struct.Struct("<Q")
 _KINDS = {
     Opcode.ATTACHMENT: Attachment,
     Opcode.CHANNEL: Channel,
@@ -44,49 +50,51 @@ def part_of(path: Path) -> Path:
     return part
 
 
-def opened(path: Path) -> BufferedIOBase:
-    """The file behind its first eight bytes; raises RigError with a sentence if it is no MCAP file."""
+def opened(path: Path) -> memoryview:
+    """The file, mapped, behind its first eight bytes; raises RigError with a sentence if it is no MCAP file."""
     try:
-        content = path.open("rb")
-        start = content.read(len(_MAGIC))
+        with path.open("rb") as file:
+            start = file.read(len(_MAGIC))
+            if start == _MAGIC:
+                return memoryview(mmap(file.fileno(), 0, access=ACCESS_READ))[len(_MAGIC) :]
     except OSError as error:
         raise RigError(f"{path}: cannot be opened ({error.strerror}); check the name") from error
-    if start == _MAGIC:
-        return content
-    content.close()
     if not start:
         raise RigError(f"{path}: is empty; record it again")
     raise RigError(f"{path}: is no MCAP file; give a recording made by `rig record` or `rig import`")
 
 
-def whole(content: BufferedIOBase) -> Iterator[McapRecord]:
+def whole(content: memoryview, wanted: Callable[[Channel], bool] = lambda _: True) -> Iterator[McapRecord]:
     """Every record of a complete file that `opened` gave; raises one of DAMAGE where it is cut or damaged.
 
-    A record that is refused for its size or name raises RigError, without the name of the file.
+    The messages of channels that are not wanted are counted, no more. A record that is refused for its size or name
+    raises RigError, without the name of the file.
     """
-    crc, messages = zlib.crc32(_MAGIC), 0
-    for opcode, body in _split(content):
-        for record in records(opcode, body):
+    crc, messages, unwanted = crc32(_MAGIC), 0, set[int]()
+    for opcode, begin, end in _split(content):
+        for record in records(opcode, content[begin:end], unwanted):
             if isinstance(record, DataEnd) and record.data_section_crc not in (0, crc):
                 raise ValueError("the checksum of its data is wrong")
             if isinstance(record, Statistics) and record.message_count != messages:
                 raise ValueError(f"{messages} messages where its statistics count {record.message_count}")
-            messages += isinstance(record, Message)
+            if isinstance(record, Channel) and not wanted(record):
+                unwanted.add(record.id)
+            messages += record.messages if isinstance(record, Unread) else isinstance(record, Message)
             yield record
-        crc = zlib.crc32(body, zlib.crc32(_HEAD.pack(opcode, len(body)), crc))
+        crc = crc32(content[begin - _HEAD.size : end], crc)
         if opcode == Opcode.FOOTER:
-            if content.read() != _MAGIC:
+            if content[end:] != _MAGIC:
                 break
             return
     raise EOFError("its end is missing")
 
 
-def complete(content: BufferedIOBase) -> Iterator[McapRecord]:
+def complete(content: memoryview) -> Iterator[McapRecord]:
     """Every sound record of a file that `opened` gave, cut off or damaged as it may be."""
     try:
-        for opcode, body in _split(content):
+        for opcode, begin, end in _split(content):
             try:
-                found = list(records(opcode, body))
+                found = list(records(opcode, content[begin:end]))
             except DAMAGE:
                 continue
             yield from found
@@ -96,17 +104,20 @@ def complete(content: BufferedIOBase) -> Iterator[McapRecord]:
         return
 
 
-def records(opcode: int, body: bytes) -> Iterator[McapRecord]:
+@dataclass(frozen=True)
+class Unread:
+    """Messages that nobody wants."""
+
+    messages: int
+
+
+def records(opcode: int, body: memoryview, unwanted: Container[int] = ()) -> Iterator[McapRecord | Unread]:
     """The records that matter here in one top-level record; a chunk is decompressed within MAX_BYTES.
 
     Raises one of DAMAGE if the checksum is wrong or the content is no such record, RigError if it is refused.
     """
     if opcode == Opcode.CHUNK:
-        for inner, content in _split(BytesIO(_decompressed(Chunk.read(ReadDataStream(BytesIO(body)))))):
-            if inner == Opcode.MESSAGE:
-                yield _message(content)
-            elif inner in (Opcode.SCHEMA, Opcode.CHANNEL):
-                yield from records(inner, content)
+        yield from _in_chunk(_decompressed(body), unwanted)
     elif opcode == Opcode.MESSAGE:
         yield _message(body)
     elif opcode in _KINDS:
@@ -116,46 +127,78 @@ def records(opcode: int, body: bytes) -> Iterator[McapRecord]:
         yield record
 
 
-def _message(body: bytes) -> Message:
+def _in_chunk(data: memoryview, unwanted: Container[int]) -> Iterator[McapRecord | Unread]:
+    after = 0
+    while after < len(data):
+        opcode, begin, after = _next(data, after)
+        if opcode == Opcode.MESSAGE and _CHANNEL.unpack_from(data, begin)[0] in unwanted:
+            alike = _alike(data[begin - _HEAD.size :], _HEAD.size + after - begin)
+            after += (alike - 1) * (_HEAD.size + after - begin)
+            yield Unread(alike)
+        elif opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
+            yield from records(opcode, data[begin:after])
+
+
+def _alike(data: memoryview, length: int) -> int:
+    """How many records of that kind, length and channel, all in their first eleven bytes, come one behind the other."""
+    rows = len(data) // length
+    starts, ends = (np.ndarray((rows,), "<u8", data, offset=place, strides=(length,)) for place in (0, 3))
+    same = (starts == starts[0]) & (ends == ends[0])
+    return rows if same.all() else int(np.argmin(same))
+
+
+def _message(body: memoryview) -> Message:
     channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(body)
     return Message(channel, log_time, body[_MESSAGE.size :], publish_time, sequence)
 
 
-def _split(content: BufferedIOBase) -> Iterator[tuple[int, bytes]]:
-    """Opcode and body of every record."""
-    while head := content.read(_HEAD.size):
-        opcode, length = _HEAD.unpack(head)
-        if opcode == 0:
-            raise ValueError("a record without a kind")
-        if length > MAX_BYTES:
-            raise RigError(f"a record declares {length} bytes; write records of at most {MAX_BYTES} bytes")
-        body = content.read(length)
-        if len(body) < length:
-            raise EOFError(f"a record of {length} bytes ends after {len(body)}")
-        yield opcode, body
+def _split(content: memoryview) -> Iterator[tuple[int, int, int]]:
+    """Every record's opcode, and where its body begins and ends."""
+    end = 0
+    while end < len(content):
+        opcode, begin, end = _next(content, end)
+        yield opcode, begin, end
 
 
-def _decompressed(chunk: Chunk) -> bytes:
-    size = chunk.uncompressed_size
+def _next(content: memoryview, at: int) -> tuple[int, int, int]:
+    opcode, length = _HEAD.unpack_from(content, at)
+    begin = at + _HEAD.size
+    if opcode == 0:
+        raise ValueError("a record without a kind")
+    if length > MAX_BYTES:
+        raise RigError(f"a record declares {length} bytes; write records of at most {MAX_BYTES} bytes")
+    if begin + length > len(content):
+        raise EOFError(f"a record of {length} bytes ends after {len(content) - begin}")
+    return opcode, begin, begin + length
+
+
+def _decompressed(body: memoryview) -> memoryview:
+    """The records in a chunk."""
+    _, _, size, crc, name = _CHUNK.unpack_from(body)
+    compression = bytes(body[_CHUNK.size : _CHUNK.size + name]).decode()
+    (length,) = _LENGTH.unpack_from(body, _CHUNK.size + name)
     if size > MAX_BYTES:
         raise RigError(f"a chunk declares {size} bytes when decompressed; write at most {MAX_BYTES}")
-    if chunk.compression == "lz4":
-        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size)
-    elif chunk.compression == "zstd":
-        data = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(size)
-    elif chunk.compression == "":
-        data = chunk.data
+    packed = body[_CHUNK.size + name + _LENGTH.size :][:length]
+    if len(packed) < length:
+        raise EOFError(f"a chunk of {length} bytes ends after {len(packed)}")
+    if compression == "lz4":
+        data = memoryview(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size))
+    elif compression == "zstd":
+        data = memoryview(zstandard.ZstdDecompressor().stream_reader(packed).read(size))
+    elif compression == "":
+        data = packed
     else:
-        raise ValueError(f"unknown compression {chunk.compression!r}")
-    if len(data) != size or chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+        raise ValueError(f"unknown compression {compression!r}")
+    if len(data) != size or crc not in (0, crc32(data)):
         raise ValueError("the checksum of a chunk is wrong")
     return data
 
 
-def _check_attachment(record: Attachment, body: bytes) -> None:
+def _check_attachment(record: Attachment, body: memoryview) -> None:
     name = PurePosixPath(record.name.replace("\\", "/"))
     if name.is_absolute() or ".." in name.parts:
         raise RigError(f"the attachment {record.name!r} is named like a path out of its folder; rename it")
     (crc,) = struct.unpack("<I", body[-4:])
-    if crc not in (0, zlib.crc32(body[:-4])):
+    if crc not in (0, crc32(body[:-4])):
         raise ValueError(f"the checksum of the attachment {record.name!r} is wrong")

@@ -36,23 +36,24 @@ class Block:
 
 def encode_block(
     time_ns: int, first_sample: int, sample_rate_hz: float, values: Float[np.ndarray, "channels samples"]
-) -> bytes:
+) -> tuple[bytes, Float[np.ndarray, "channels samples"]]:
+    """The message in two pieces, one behind the other: its head, and the little-endian doubles as they are."""
     message = _Block(first_sample=first_sample, sample_rate_hz=sample_rate_hz, channels=values.shape[0])
     message.timestamp.FromNanoseconds(time_ns)
-    # a packed double field is its tag, its length in bytes and the little-endian doubles: appended whole, since
-    # protobuf would take them one by one
-    data = np.ascontiguousarray(values, dtype="<f8").tobytes()
-    return bytes(message.SerializeToString()) + _VALUES_TAG + _varint(len(data)) + data
+    # a packed double field is its tag, its length in bytes and the doubles: left as they are, since protobuf would take
+    # them one by one
+    data = np.array(values, dtype="<f8", order="C")
+    return bytes(message.SerializeToString()) + _VALUES_TAG + _varint(data.nbytes), data
 
 
-def decode_block(data: bytes) -> Block:
-    """The block in a message; raises ValueError if it is none."""
-    message = _Block()
+def decode_block(data: bytes | memoryview) -> Block:
+    """The block in a message; raises ValueError if it is none. Its values may be a view of the data."""
+    message, (end_of_head, begin) = _Block(), _values_in(data)
     try:
-        message.ParseFromString(data)
+        message.ParseFromString(bytes(data[:end_of_head]))
     except Exception as error:  # protobuf's own error type differs between its implementations
         raise ValueError(f"a block cannot be decoded: {error}") from error
-    values = np.array(message.values, dtype=float)
+    values = np.frombuffer(data, "<f8", offset=begin) if begin else np.array(message.values, dtype=float)
     if message.channels == 0 or values.size % message.channels:
         raise ValueError(f"a block of {values.size} values for {message.channels} channels")
     return Block(
@@ -63,12 +64,47 @@ def decode_block(data: bytes) -> Block:
     )
 
 
-def encode_preview(values: Float[np.ndarray, " channels"]) -> bytes:
-    """A Float64MultiArray in CDR: no dimensions, no offset, the count, four bytes of alignment, the values."""
-    return _CDR_EMPTY_LAYOUT + struct.pack("<II", values.size, 0) + values.astype("<f8").tobytes()
+def preview_head(channels: int) -> bytes:
+    """What stands before the little-endian doubles of a Float64MultiArray in CDR: no dimensions, no offset, the count.
+
+    Four bytes of alignment follow.
+    """
+    return _CDR_EMPTY_LAYOUT + struct.pack("<II", channels, 0)
 
 
 _CDR_EMPTY_LAYOUT = bytes([0, 1, 0, 0]) + struct.pack("<II", 0, 0)  # encapsulation, dim[0], data_offset
+
+
+def _values_in(data: bytes | memoryview) -> tuple[int, int]:
+    """Where the fields before the values end, and where the doubles begin, which must be the last and in one piece.
+
+    Otherwise the end of the message, and 0.
+    """
+    at = 0
+    while at < min(len(data), _LONGEST_HEAD):
+        head, tag, at = at, data[at], at + 1
+        if tag == _VALUES_TAG[0]:
+            length, at = _number(data, at)
+            if length == len(data) - at and length % 8 == 0:
+                return head, at
+            break
+        if tag & 7 == 1:
+            at += 8
+        else:
+            length, at = _number(data, at)
+            at += length if tag & 7 == 2 else 0
+    return len(data), 0
+
+
+def _number(data: bytes | memoryview, at: int) -> tuple[int, int]:
+    """A varint, and where what follows it begins."""
+    value, shift = 0, 0
+    while at < len(data) and shift < 64:
+        value |= (data[at] & 0x7F) << shift
+        at, shift = at + 1, shift + 7
+        if data[at - 1] < 0x80:
+            break
+    return value, at
 
 
 def _varint(value: int) -> bytes:
@@ -110,3 +146,4 @@ def _block_type() -> tuple[Any, bytes]:
 
 _Block, BLOCK_SCHEMA = _block_type()
 _VALUES_TAG = bytes([5 << 3 | 2])
+_LONGEST_HEAD = 64

@@ -1,6 +1,5 @@
 """A recording and its MCAP file: the only thing that passes between rig and identify. Sole owner of the layout."""
 
-import json
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -9,11 +8,12 @@ from typing import IO
 
 import numpy as np
 from jaxtyping import Float
-from mcap.records import Attachment, Channel, McapRecord, Message, Metadata
-from mcap.writer import CompressionType, Writer
+from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
 
 from rig import container, messages
-from rig.description import UNITS, Rig, Station, from_json, stations_of, to_json
+from rig.channels import Channels, described, understood
+from rig.container_writer import ContainerWriter, Gathered
+from rig.description import UNITS, Rig, from_json, stations_of, to_json
 from rig.errors import CutOffError, RigError
 from rig.sensors import quantities_of, sensors_of
 
@@ -21,17 +21,6 @@ BLOCK = 1024
 CHUNK_BYTES = 128 * 1024
 PREVIEW_HZ = 100.0
 RIG_NAME = "rig.json"
-
-
-@dataclass(frozen=True)
-class Channels:
-    """The channels of one group: same quantity, same clock. `stations` is None where a channel has no single place."""
-
-    quantity: str
-    unit: str
-    names: tuple[str, ...]
-    stations: tuple[Station | None, ...]
-    sample_rate_hz: float
 
 
 @dataclass(frozen=True)
@@ -75,51 +64,72 @@ class RecordingWriter:
         self, stream: IO[bytes], rig: Rig, groups: Mapping[str, Channels], provenance: Mapping[str, str]
     ) -> None:
         self._stream = stream
-        self._writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4, enable_data_crcs=True)
-        self._writer.start(profile="", library="rig")
-        self._writer.add_attachment(0, 0, RIG_NAME, "application/json", to_json(rig))
-        self._writer.add_metadata("provenance", dict(provenance))
-        stream.flush()
-        block = self._writer.register_schema(messages.BLOCK_NAME, "protobuf", messages.BLOCK_SCHEMA)
-        preview = self._writer.register_schema(messages.PREVIEW_NAME, "ros2msg", messages.PREVIEW_SCHEMA)
         self._groups = dict(groups)
-        self._ids = {
-            name: (
-                self._writer.register_channel(f"/rig/{name}/block", "protobuf", block, _described(group)),
-                self._writer.register_channel(f"/rig/{name}/preview", "cdr", preview, _described(group)),
-            )
-            for name, group in groups.items()
-        }
+        self._ids = {name: (2 * k + 1, 2 * k + 2) for k, name in enumerate(groups)}
+        self._writer = ContainerWriter(
+            stream,
+            front=[
+                Attachment(0, 0, RIG_NAME, "application/json", to_json(rig)),
+                Metadata(name="provenance", metadata=dict(provenance)),
+            ],
+            schemas=[
+                Schema(id=1, name=messages.BLOCK_NAME, encoding="protobuf", data=messages.BLOCK_SCHEMA),
+                Schema(id=2, name=messages.PREVIEW_NAME, encoding="ros2msg", data=messages.PREVIEW_SCHEMA),
+            ],
+            channels=[
+                Channel(
+                    id=self._ids[name][k],
+                    topic=f"/rig/{name}/{kind}",
+                    message_encoding=encoding,
+                    schema_id=1 + k,
+                    metadata=described(group),
+                )
+                for name, group in groups.items()
+                for k, (kind, encoding) in enumerate((("block", "protobuf"), ("preview", "cdr")))
+            ],
+        )
+        stream.flush()
+        self._chunk = Gathered()
         self._pending = {name: np.zeros((len(group.names), 0)) for name, group in groups.items()}
         self._written = dict.fromkeys(groups, 0)
 
     def append(self, group: str, values: Float[np.ndarray, "channels samples"]) -> None:
-        pending = np.concatenate([self._pending[group], values], axis=1)
+        waiting = self._pending[group]
+        pending = np.concatenate([waiting, values], axis=1) if waiting.size else values
         whole = pending.shape[1] // BLOCK * BLOCK
-        for first in range(0, whole, BLOCK):
-            self._write(group, pending[:, first : first + BLOCK])
-        self._pending[group] = pending[:, whole:]
+        if whole:
+            self._write(group, pending[:, :whole], BLOCK)
+        self._pending[group] = pending[:, whole:].copy()
         self._stream.flush()  # a kill loses nothing but the chunk in the making
 
     def finish(self) -> None:
         """Writes what is left, and the index: from here on the file is complete."""
         for group, rest in self._pending.items():
             if rest.shape[1]:
-                self._write(group, rest)
+                self._write(group, rest, rest.shape[1])
+        if self._chunk.size:
+            self._writer.write_chunk(self._chunk)
         self._writer.finish()
 
-    def _write(self, group: str, values: Float[np.ndarray, "channels samples"]) -> None:
-        channels, first = self._groups[group], self._written[group]
-        time_ns = round(first / channels.sample_rate_hz * 1e9)
+    def _write(self, group: str, values: Float[np.ndarray, "channels samples"], length: int) -> None:
+        """Blocks of that length, and their means over hundredths of a second: a look for people, not for computing."""
+        rate, first = self._groups[group].sample_rate_hz, self._written[group]
         block_id, preview_id = self._ids[group]
-        data = messages.encode_block(time_ns, first, channels.sample_rate_hz, values)
-        self._writer.add_message(block_id, time_ns, data, time_ns, first // BLOCK)
-        stride = max(1, round(channels.sample_rate_hz / PREVIEW_HZ))
-        for k in range(0, values.shape[1], stride):
-            moment_ns = round((first + k) / channels.sample_rate_hz * 1e9)
-            mean = values[:, k : k + stride].mean(axis=1)  # a look for people, not for computing
-            self._writer.add_message(preview_id, moment_ns, messages.encode_preview(mean), moment_ns)
-        self._written[group] += values.shape[1]
+        count, samples = values.shape
+        begins = np.arange(0, samples, length)
+        for begin in begins.tolist():
+            time_ns = round((first + begin) / rate * 1e9)
+            data = messages.encode_block(time_ns, first + begin, rate, values[:, begin : begin + length])
+            self._chunk.add(block_id, time_ns, (first + begin) // BLOCK, *data)
+            if self._chunk.size >= CHUNK_BYTES:
+                self._writer.write_chunk(self._chunk)
+                self._chunk = Gathered()
+        within = np.arange(0, length, max(1, round(rate / PREVIEW_HZ)))
+        sums = np.add.reduceat(values.reshape(count, -1, length), within, axis=2)
+        means = (sums / np.diff(within, append=length)).reshape(count, -1)
+        moments_ns = np.round((first + begins[:, None] + within).ravel() / rate * 1e9).astype("<u8")
+        self._chunk.add_many(preview_id, moments_ns, messages.preview_head(count), means.T)
+        self._written[group] += samples
 
 
 @contextmanager
@@ -219,6 +229,11 @@ class Contents:
     blocks: dict[str, list[messages.Block]]
 
 
+def is_of_blocks(channel: Channel) -> bool:
+    parts = channel.topic.split("/")
+    return len(parts) == 4 and parts[1] == "rig" and parts[3] == "block"
+
+
 def gathered(records: Iterable[McapRecord]) -> Contents:
     """Sorts the records of a file; raises ValueError or RigError, without the name of the file, if one is wrong."""
     found = Contents({}, {}, {}, {})
@@ -228,12 +243,11 @@ def gathered(records: Iterable[McapRecord]) -> Contents:
             found.attachments[record.name] = record.data
         elif isinstance(record, Metadata) and record.name == "provenance":
             found.provenance.update(record.metadata)
-        elif isinstance(record, Channel) and record.id not in numbers:
-            parts = record.topic.split("/")
-            if len(parts) == 4 and parts[1] == "rig" and parts[3] == "block":
-                numbers[record.id] = parts[2]
-                found.groups[parts[2]] = _understood(record.topic, record.metadata)
-                found.blocks[parts[2]] = []
+        elif isinstance(record, Channel) and record.id not in numbers and is_of_blocks(record):
+            group = record.topic.split("/")[2]
+            numbers[record.id] = group
+            found.groups[group] = understood(record.topic, record.metadata)
+            found.blocks[group] = []
         elif isinstance(record, Message) and record.channel_id in numbers:
             found.blocks[numbers[record.channel_id]].append(messages.decode_block(record.data))
     return found
@@ -246,15 +260,15 @@ def rig_of(path: Path, contents: Contents) -> Rig:
 
 
 def _loaded(path: Path) -> Recording:
-    with container.opened(path) as content:
-        try:
-            contents = gathered(container.whole(content))
-        except RigError as error:
-            raise RigError(f"{path}: {error}") from error
-        except container.DAMAGE as error:
-            state = "damaged" if isinstance(error, ValueError) else "cut off or damaged"
-            reason = str(error) or type(error).__name__
-            raise RigError(f"{path}: is {state} ({reason}); try `rig recover`, or restore a copy") from error
+    content = container.opened(path)
+    try:
+        contents = gathered(container.whole(content, is_of_blocks))
+    except RigError as error:
+        raise RigError(f"{path}: {error}") from error
+    except container.DAMAGE as error:
+        state = "damaged" if isinstance(error, ValueError) else "cut off or damaged"
+        reason = str(error) or type(error).__name__
+        raise RigError(f"{path}: is {state} ({reason}); try `rig recover`, or restore a copy") from error
     rig = rig_of(path, contents)
     signals = {name: assembled(path, name, group, contents.blocks[name]) for name, group in contents.groups.items()}
     if "force" not in signals:
@@ -280,14 +294,22 @@ def assembled(path: Path, name: str, channels: Channels, blocks: list[messages.B
         expected += block.values.shape[1]
     if not expected:
         raise RigError(f"{path}: group {name} holds no samples; record it again")
-    values = np.concatenate([b.values for b in blocks], axis=1)
-    if not np.isfinite(values).all():
-        row, sample = np.argwhere(~np.isfinite(values))[0]
+    values = np.empty((len(channels.names), expected))
+    for block in blocks:
+        values[:, block.first_sample : block.first_sample + block.values.shape[1]] = block.values
+        if not np.isfinite(block.values.sum()):  # or only too large together
+            _check_finite(path, channels, block)
+    return Signals(channels, blocks[0].time_ns * 1e-9, values)
+
+
+def _check_finite(path: Path, channels: Channels, block: messages.Block) -> None:
+    if not np.isfinite(block.values).all():
+        row, column = np.argwhere(~np.isfinite(block.values))[0]
+        sample = block.first_sample + column
         raise RigError(
             f"{path}: channel {channels.names[row]!r} is not a finite number at sample {sample} "
             f"({sample / channels.sample_rate_hz:.4f} s); repair or leave out that channel"
         )
-    return Signals(channels, blocks[0].time_ns * 1e-9, values)
 
 
 def _check_against(path: Path, recording: Recording) -> None:
@@ -310,28 +332,3 @@ def _check_against(path: Path, recording: Recording) -> None:
     for sensor in rig.sensors:
         if sensor.quantity not in signals or sensor.name not in signals[sensor.quantity].channels.names:
             raise RigError(f"{path}: sensor {sensor.name!r} of {RIG_NAME} has no channel; record it or take it out")
-
-
-def _described(channels: Channels) -> dict[str, str]:
-    """A group as MCAP channel metadata (values are JSON)."""
-    places = [None if s is None else {"body": s.body, "position_m": s.position_m} for s in channels.stations]
-    return {
-        "quantity": channels.quantity,
-        "unit": channels.unit,
-        "sample_rate_hz": json.dumps(channels.sample_rate_hz),
-        "names": json.dumps(channels.names),
-        "stations": json.dumps(places),
-    }
-
-
-def _understood(topic: str, metadata: Mapping[str, str]) -> Channels:
-    try:
-        names = tuple(str(n) for n in json.loads(metadata["names"]))
-        places = json.loads(metadata["stations"])
-        stations = tuple(None if p is None else Station(str(p["body"]), float(p["position_m"])) for p in places)
-        rate = float(json.loads(metadata["sample_rate_hz"]))
-        if len(names) != len(stations) or not rate > 0:
-            raise ValueError(f"{len(names)} names, {len(stations)} stations, {rate} Hz")
-        return Channels(metadata["quantity"], metadata["unit"], names, stations, rate)
-    except (KeyError, TypeError, ValueError) as error:
-        raise RigError(f"the metadata of channel {topic} cannot be read ({error!r}); see the README") from error

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rig import container
+from rig.channels import Channels
 from rig.errors import RigError
 from rig.messages import Block
-from rig.recording import BLOCK, Channels, assembled, gathered, rig_of, with_history, writing
+from rig.recording import BLOCK, assembled, gathered, rig_of, with_history, writing
 
 
 @dataclass(frozen=True)
@@ -36,11 +37,10 @@ def recover(bad: Path, good: Path) -> tuple[Loss, ...]:
     """
     if container.part_of(good) == bad:
         raise RigError(f"{good}: would be written over {bad}; give another name")
-    with container.opened(bad) as content:
-        try:
-            contents = gathered(container.complete(content))
-        except ValueError as error:
-            raise RigError(f"{bad}: cannot be recovered ({error}); restore it from a copy") from error
+    try:
+        contents = gathered(container.complete(container.opened(bad)))
+    except ValueError as error:
+        raise RigError(f"{bad}: cannot be recovered ({error}); restore it from a copy") from error
     rig = rig_of(bad, contents)
     blocks = {name: {b.first_sample: b for b in found} for name, found in contents.blocks.items()}
     kept = min((_unbroken(found) for found in blocks.values()), default=0)

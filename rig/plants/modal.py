@@ -1,25 +1,22 @@
 """The assumed-mode model of the paper (equations 13 to 20), advanced by an exact linear propagator."""
 
 from collections.abc import Iterator
-from functools import cache
-from typing import Any, no_type_check
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import expm
 
 from rig.beam import Beam
-from rig.contact import DAMPING_DEPTH_M, FRICTION_SPEED_M_PER_S
+from rig.contact import FRICTION_SPEED_M_PER_S
 from rig.description import Body, Rig, Station, contact_stations, stations_of
 from rig.errors import RigError
 from rig.modes import Modes, modes_of, participation
 from rig.motion import Motion, Progress
 from rig.plants.loading import base_motion, connections, equilibrium, true_force
 
-BLOCK = 1 << 14
-TOLERANCE_N = 1e-9
-QUANTITIES = ("displacement", "velocity", "acceleration")
-_LAW = (  # the columns of the compiled loop's table
+BLOCK = 1 << 13
+LAW = (  # the columns of the compiled loop's table
     "lower_clearance_m",
     "upper_clearance_m",
     "stiffness_n_per_m",
@@ -30,6 +27,25 @@ _LAW = (  # the columns of the compiled loop's table
 )
 
 
+@dataclass(frozen=True)
+class _Model:
+    """Modes of all bodies, the shapes at every station, what acts on them, and where they rest.
+
+    inputs has a row per known force (the exciting force, static loads, the base), one sample longer than the record:
+    its first is the state of rest. gains are the modal forces per unit of each.
+    """
+
+    omega: Float[np.ndarray, " modes"]
+    zeta: Float[np.ndarray, " modes"]
+    rows: dict[Station, Float[np.ndarray, " modes"]]
+    across: Float[np.ndarray, "contacts modes"]
+    laws: Float[np.ndarray, "contacts 7"]
+    inputs: Float[np.ndarray, "inputs samples"]
+    gains: Float[np.ndarray, "inputs modes"]
+    at_rest: Float[np.ndarray, " modes"]
+    holding_n: Float[np.ndarray, " contacts"]
+
+
 def simulate(
     rig: Rig, force_n: Float[np.ndarray, " samples"], step_s: float, progress: Progress, modes: int = 16
 ) -> Iterator[Motion]:
@@ -37,84 +53,174 @@ def simulate(
 
     The modes are those of the bodies with what is attached to them, in a frame that moves with the base. Every mode
     obeys q'' + 2 zeta omega q' + omega^2 q = p with the modal force p = phi(x_F) F + p_static - g a_base -
-    sum_j b_j f_j(eta_j, eta_j', t), eta_j = b_j . q, over contacts and cubic springs. Over a step p is taken as linear
-    in time and the mode is advanced exactly; the contact forces at the end of the step are found by fixed-point
-    iteration, so the only error, second order in the step, is that p bends within a step.
+    sum_j b_j f_j(eta_j, eta_j', t), eta_j = b_j . q, over contacts and cubic springs.
 
-    Yields blocks of at most 2^14 samples. Raises RigError if a contact is too stiff for the step or the result is not
+    Over a step each force is a straight line between its ends plus a parabola that vanishes there, and every mode is
+    advanced exactly. The parabola gives the force its true mean: for F and a_base that of a smooth curve through the
+    samples; for a contact that of its law along the cubic eta(t) that fits eta and eta' at both ends, so that a stop
+    met within a step costs no accuracy. The contact forces are found by fixed-point iteration.
+
+    Yields blocks of at most 2^13 samples. Raises RigError if a contact is too stiff for the step or the result is not
     finite.
     """
-    model = _model(rig, step_s, modes)
+    from rig.plants.stepping import advance, within_a_step
+
     base = base_motion(rig, len(force_n), step_s)
-    applied_n = true_force(rig, force_n, step_s)
-    drive, static, inertia = model["drive"], model["static"], model["inertia"]
-    state = np.stack([model["at_rest"], np.zeros(len(static))])
-    contact_n = model["holding_n"].copy()
-    previous = static
+    model = _model(rig, true_force(rig, force_n, step_s), base, modes)
+    propagate, response = _propagator(model.omega, model.zeta, step_s)
+    driven, pushed = (
+        (response[:, None] * g[:, None]).reshape(3, len(g), 2 * model.omega.size) for g in (model.gains, -model.across)
+    )
+    constants = (propagate, driven, model.across, pushed, *_reach(model, pushed, step_s), model.laws)
+    within = within_a_step(step_s)
+    all_bends = _bends(model.inputs)
+    states = np.zeros((min(BLOCK, len(force_n)) + 1, 2 * model.omega.size))
+    states[0, : model.omega.size] = model.at_rest
+    none = np.zeros(len(model.across))
+    held = np.stack([model.holding_n, model.across @ model.at_rest, none, none])
+    course_n, course_bent_n = np.tile(model.holding_n[:, None], 4), np.zeros((len(model.across), 1))
     for first in range(0, len(force_n), BLOCK):
-        now = slice(first, first + BLOCK)
-        modal_force = np.outer(applied_n[now], drive) + static
-        if base:
-            modal_force -= np.outer(base["acceleration"][now], inertia)
-        coordinates, contact_force = _compiled()(state, contact_n, previous, modal_force, first, *model["kernel"])
-        previous = modal_force[-1]
-        if not np.all(np.isfinite(coordinates)):
+        now = slice(first, min(first + BLOCK, len(force_n)))
+        applied, bends = (np.ascontiguousarray(rows[:, first : now.stop + 1]) for rows in (model.inputs, all_bends))
+        contact_n, bent_n = np.empty((2, len(model.across), now.stop - first))
+        advance(states, held, contact_n, bent_n, applied, bends, *constants, within, first, step_s)
+        moved = states[1 : now.stop - first + 1]
+        if not np.all(np.isfinite(moved[-1])):  # what is not finite stays so
             raise RigError(
                 f"the modal plant diverged near {first * step_s:.3f} s at step {step_s} s; use a smaller step"
             )
-        samples = coordinates.shape[2]
-        progress(min(1.0, (first + samples) / len(force_n)))
-        sensed = np.array([row @ coordinates[QUANTITIES.index(q)] for row, q in model["sensors"]]).reshape(-1, samples)
-        displacement = model["stations"] @ coordinates[0]
+        progress(now.stop / len(force_n))
+        course_n = np.concatenate([course_n[:, -4:], contact_n], axis=1)
+        course_bent_n = np.concatenate([course_bent_n[:, -1:], bent_n], axis=1)
+        heard_n = _without_alias(course_n, course_bent_n)
+        sensed, displacement, eta = _observed(rig, model, moved, applied[:, 1:], heard_n)
         if base:
-            sensed += np.array([base[q][now] for _, q in model["sensors"]]).reshape(-1, samples)
+            sensed += np.array([base[s.quantity][now] for s in rig.sensors]).reshape(sensed.shape)
             displacement += base["displacement"][now]
-        contacts = len(rig.contacts)
         yield Motion(
             start_s=first * step_s,
             step_s=step_s,
             force_n=force_n[now],
             sensed=sensed,
             displacement_m=displacement,
-            eta_m=model["connections"][:contacts] @ coordinates[0],
-            contact_force_n=contact_force[:contacts],
+            eta_m=eta,
+            contact_force_n=contact_n[: len(rig.contacts)],
         )
+        states[0] = moved[-1]
 
 
-def _model(rig: Rig, step_s: float, modes: int) -> dict[str, Any]:
+def _observed(
+    rig: Rig,
+    model: _Model,
+    states: Float[np.ndarray, "samples states"],
+    applied: Float[np.ndarray, "inputs samples"],
+    contact_n: Float[np.ndarray, "all samples"],
+) -> tuple[
+    Float[np.ndarray, "sensors samples"], Float[np.ndarray, "stations samples"], Float[np.ndarray, "contacts samples"]
+]:
+    """What the sensors, the stations and the contacts see of the modes, relative to the base."""
+    size, places = model.omega.size, stations_of(rig)
+    shapes = np.array([model.rows[s] for s in places]).reshape(-1, size)
+    # one product over the modes for all that is asked of the displacement
+    moved = np.concatenate([shapes, model.across[: len(rig.contacts)]]) @ states[:, :size].T
+    sensed = np.empty((len(rig.sensors), len(states)))
+    for quantity in {s.quantity for s in rig.sensors}:
+        which = [k for k, s in enumerate(rig.sensors) if s.quantity == quantity]
+        at = [places.index(rig.sensors[k].station) for k in which]
+        rows = shapes[at]
+        if quantity == "displacement":
+            sensed[which] = moved[at]
+        elif quantity == "velocity":
+            sensed[which] = rows @ states[:, size:].T
+        else:
+            own = np.concatenate([-(model.omega**2) * rows, -2 * model.zeta * model.omega * rows], axis=1)
+            pushed = np.concatenate([rows @ model.gains.T, -rows @ model.across.T], axis=1)
+            sensed[which] = own @ states.T + pushed @ np.concatenate([applied, contact_n])
+    return sensed, moved[: len(places)], moved[len(places) :]
+
+
+def _without_alias(
+    course_n: Float[np.ndarray, "contacts longer"], bent_n: Float[np.ndarray, "contacts long"]
+) -> Float[np.ndarray, "contacts samples"]:
+    """Contact forces whose samples give the true impulse when added up, as the samples of a force with corners do not.
+
+    Accelerometers hear these: else each closure would leave an error in the velocity. What the bend of a step has more
+    than a smooth course would (-f'' h^2 / 12, from the samples before) is moved to the samples after it, about the
+    middle of the step. Begins with four more samples of the forces, and one more bend.
+    """
+    second = np.diff(course_n, n=2)
+    corner = bent_n + (3 * second[:, 1:] - second[:, :-1]) / 24
+    return course_n[:, 4:] + 1.5 * corner[:, 1:] - 0.5 * corner[:, :-1]
+
+
+def _model(
+    rig: Rig, applied_n: Float[np.ndarray, " samples"], base: dict[str, Float[np.ndarray, " samples"]], modes: int
+) -> _Model:
+    """The rig under the true force and the motion of its base."""
     bodies = [(b, modes_of(rig, b), modes if isinstance(b, Beam) else 1) for b in rig.bodies]
     omega = 2 * np.pi * np.concatenate([shapes.frequencies_hz(n) for _, shapes, n in bodies])
     zeta = np.concatenate([shapes.damping_ratios(n) for _, shapes, n in bodies])
-    propagate, from_start, from_end = _propagator(omega, zeta, step_s)
-    wanted = {*stations_of(rig), rig.force_at, *(load.station for load in rig.loads)}
-    wanted |= {station for c in connections(rig) for station in contact_stations(c)}
-    rows = {station: _shape_row(bodies, station) for station in wanted}
     contacts, laws = connections(rig), tuple(c.law for c in connections(rig))
+    wanted = {*stations_of(rig), rig.force_at, *(load.station for load in rig.loads)}
+    wanted |= {station for c in contacts for station in contact_stations(c)}
+    rows = {station: _shape_row(bodies, station) for station in wanted}
     across = np.array([rows[c.at] - (rows[c.against] if c.against else 0) for c in contacts])
     across = across.reshape(len(contacts), omega.size)
-    table = np.array([[getattr(law, field) for field in _LAW] for law in laws]).reshape(len(laws), len(_LAW))
-    reach = np.stack([(across * from_end[k]) @ across.T for k in range(2)])  # end force -> -eta, -eta'
-    slope = table[:, 3] + table[:, 5] / FRICTION_SPEED_M_PER_S
-    loop = np.abs(reach[0]) @ table[:, 2] + np.abs(reach[1]) @ slope
+    static = np.zeros(omega.size) + sum(load.force_n * rows[load.station] for load in rig.loads)
+    at_rest = equilibrium(omega**2, across, laws, static)
+    holding = [law.force_n(np.array([eta]), np.zeros(1))[0] for law, eta in zip(laws, across @ at_rest, strict=True)]
+    known = [(0.0, applied_n, rows[rig.force_at])]
+    if rig.loads:
+        known.append((1.0, np.ones(applied_n.size), static))
+    if base:
+        inertia = np.concatenate([participation(rig, body, shapes, n) for body, shapes, n in bodies])
+        known.append((0.0, base["acceleration"], -inertia))
+    return _Model(
+        omega=omega,
+        zeta=zeta,
+        rows=rows,
+        across=across,
+        laws=np.array([[getattr(law, field) for field in LAW] for law in laws]).reshape(len(laws), len(LAW)),
+        inputs=np.array([np.append(before, samples) for before, samples, _ in known]),
+        gains=np.array([gain for _, _, gain in known]),
+        at_rest=at_rest,
+        holding_n=np.array(holding, dtype=float),
+    )
+
+
+def _reach(
+    model: _Model, pushed: Float[np.ndarray, "3 contacts states"], step_s: float
+) -> tuple[Float[np.ndarray, "2 2 contacts contacts"], Float[np.ndarray, " contacts"]]:
+    """What each end force, and each bend, adds to every eta and eta'; and how much of a change that leaves to make.
+
+    Raises RigError if a force would change itself by half or more.
+    """
+    parts = pushed[1:].reshape(2, len(model.across), 2, model.omega.size)
+    reach = np.ascontiguousarray(np.einsum("ji,fkxi->fxjk", model.across, parts))
+    slope = model.laws[:, 3] + model.laws[:, 5] / FRICTION_SPEED_M_PER_S
+    loop = np.abs(reach[0, 0]) @ model.laws[:, 2] + np.abs(reach[0, 1]) @ slope
     if np.any(loop > 0.5):
         raise RigError(
             f"a contact is too stiff for the step of {step_s} s (loop gain {loop.max():.2g}); use a smaller step"
         )
-    static = np.zeros(omega.size) + sum(load.force_n * rows[load.station] for load in rig.loads)
-    at_rest = equilibrium(omega**2, across, laws, static)
-    holding = [law.force_n(np.array([eta]), np.zeros(1))[0] for law, eta in zip(laws, across @ at_rest, strict=True)]
-    kernel = (propagate, from_start, from_end, across, table, reach, omega, zeta)
-    return {
-        "kernel": (*(np.ascontiguousarray(a) for a in kernel), step_s),
-        "drive": rows[rig.force_at],
-        "static": static,
-        "inertia": np.concatenate([participation(rig, body, shapes, n) for body, shapes, n in bodies]),
-        "at_rest": at_rest,
-        "holding_n": np.array(holding, dtype=float),
-        "connections": across,
-        "stations": np.array([rows[s] for s in stations_of(rig)]),
-        "sensors": [(rows[s.station], s.quantity) for s in rig.sensors],
-    }
+    own = -np.diag(reach[0, 0]) * model.laws[:, 2] - np.diag(reach[0, 1]) * slope
+    return reach, 1 / (1 + own)
+
+
+def _bends(inputs: Float[np.ndarray, "inputs samples"]) -> Float[np.ndarray, "inputs samples"]:
+    """The mean over each step of a smooth curve through the samples, less that of the straight line: -F'' h^2 / 12.
+
+    F'' is the mean of the second differences at both ends of the step; of one end where the other is a corner, at
+    which the second difference stands out from both its neighbours.
+    """
+    bends = np.zeros(inputs.shape)
+    with np.errstate(invalid="ignore"):  # a force that is not finite
+        second = np.pad(np.diff(inputs, n=2), ((0, 0), (1, 1)))
+        size = np.abs(second)
+        corner = size[:, 1:-1] > 4 * np.maximum(size[:, :-2], size[:, 2:])
+        left, right = second[:, 1:-2], second[:, 2:-1]
+        bends[:, 1:-2] = -(np.where(corner[:, :-1], right, left) + np.where(corner[:, 1:], left, right)) / 24
+    return bends
 
 
 def _shape_row(bodies: list[tuple[Body, Modes, int]], station: Station) -> Float[np.ndarray, " allmodes"]:
@@ -129,93 +235,18 @@ def _shape_row(bodies: list[tuple[Body, Modes, int]], station: Station) -> Float
 
 def _propagator(
     omega: Float[np.ndarray, " modes"], zeta: Float[np.ndarray, " modes"], step_s: float
-) -> tuple[Float[np.ndarray, "2 2 modes"], Float[np.ndarray, "2 modes"], Float[np.ndarray, "2 modes"]]:
-    """Exact step of q, q' under a force linear in time: x1 = A x0 + B0 p0 + B1 p1 (augmented matrix exponential)."""
-    augmented = np.zeros((omega.size, 4, 4))
+) -> tuple[Float[np.ndarray, "2 2 modes"], Float[np.ndarray, "3 2 modes"]]:
+    """Exact step of x = (q, q') under p(s) = (1 - s) p0 + s p1 + 6 b s (1 - s): x1 = A x0 + r0 p0 + r1 p1 + r2 b.
+
+    A and the three r come from one augmented matrix exponential, that of (q, q', p, dp/ds, d2p/ds2).
+    """
+    augmented = np.zeros((omega.size, 5, 5))
     augmented[:, 0, 1] = step_s
     augmented[:, 1, 0] = -(omega**2) * step_s
     augmented[:, 1, 1] = -2 * zeta * omega * step_s
     augmented[:, 1, 2] = step_s
-    augmented[:, 2, 3] = 1.0
+    augmented[:, 2, 3] = augmented[:, 3, 4] = 1.0
     powers = expm(augmented)
-    from_end = powers[:, :2, 3].T
-    return powers[:, :2, :2].transpose(1, 2, 0), powers[:, :2, 2].T - from_end, from_end
-
-
-@cache
-def _compiled() -> Any:
-    import numba
-
-    @numba.njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
-    @no_type_check  # numba compiles the plain function only
-    def advance(
-        state,
-        contact_n,
-        previous,
-        modal_force,
-        first,
-        propagate,
-        from_start,
-        from_end,
-        contacts,
-        laws,
-        reach,
-        omega,
-        zeta,
-        step_s,
-    ):
-        samples, modes, count = modal_force.shape[0], omega.size, laws.shape[0]
-        coordinates = np.empty((3, modes, samples))
-        contact_force = np.empty((count, samples))
-        q, v = state[0], state[1]
-        eta, rate, end_force = np.empty(count), np.empty(count), contact_n.copy()
-        before = previous
-        for n in range(samples):
-            eta[:] = 0.0
-            rate[:] = 0.0
-            for i in range(modes):
-                p0 = before[i]
-                for j in range(count):
-                    p0 -= contacts[j, i] * contact_n[j]
-                p1 = modal_force[n, i]
-                q1 = propagate[0, 0, i] * q[i] + propagate[0, 1, i] * v[i] + from_start[0, i] * p0 + from_end[0, i] * p1
-                v1 = propagate[1, 0, i] * q[i] + propagate[1, 1, i] * v[i] + from_start[1, i] * p0 + from_end[1, i] * p1
-                q[i] = q1
-                v[i] = v1
-                for j in range(count):
-                    eta[j] += contacts[j, i] * q1
-                    rate[j] += contacts[j, i] * v1
-            for _ in range(60):
-                change = 0.0
-                for j in range(count):
-                    e, r = eta[j], rate[j]
-                    for k in range(count):
-                        e -= reach[0, j, k] * end_force[k]
-                        r -= reach[1, j, k] * end_force[k]
-                    worn = laws[j, 6] * (first + n) * step_s
-                    depth = max(e - laws[j, 1] - worn, 0.0) + min(e + laws[j, 0] + worn, 0.0)
-                    f = (laws[j, 2] + laws[j, 4] * depth**2) * depth
-                    f += laws[j, 3] * r * min(1.0, abs(depth) / DAMPING_DEPTH_M)
-                    if laws[j, 5] != 0.0:
-                        f += laws[j, 5] * np.tanh(r / FRICTION_SPEED_M_PER_S)
-                    change = max(change, abs(f - end_force[j]))
-                    end_force[j] = f
-                if change <= TOLERANCE_N:
-                    break
-            for j in range(count):
-                contact_n[j] = end_force[j]
-                contact_force[j, n] = end_force[j]
-            before = modal_force[n]
-            for i in range(modes):
-                p = 0.0
-                for j in range(count):
-                    p -= contacts[j, i] * end_force[j]
-                q[i] += from_end[0, i] * p
-                v[i] += from_end[1, i] * p
-                p += before[i]
-                coordinates[0, i, n] = q[i]
-                coordinates[1, i, n] = v[i]
-                coordinates[2, i, n] = p - omega[i] * (2.0 * zeta[i] * v[i] + omega[i] * q[i])
-        return coordinates, contact_force
-
-    return advance
+    constant, linear, quadratic = powers[:, :2, 2:].transpose(2, 1, 0)
+    propagate = np.ascontiguousarray(powers[:, :2, :2].transpose(1, 2, 0))
+    return propagate, np.stack([constant - linear, linear, 6 * linear - 12 * quadratic])

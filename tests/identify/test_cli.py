@@ -21,6 +21,7 @@ def identify(monkeypatch, capfd):
     """Runs the command and gives its exit status, standard output and standard error."""
 
     def run(*words):
+        monkeypatch.setenv("COLUMNS", "120")  # so that no cell of a table wraps
         monkeypatch.setattr(sys, "argv", ["identify", *(str(w) for w in words)])
         with pytest.raises(SystemExit) as exit_:
             cli.main()

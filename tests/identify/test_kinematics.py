@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from identify.kinematics import CORNER_HZ, TAPER_S, acceleration_noise, kinematics
+from rig.channels import Channels
 from rig.contact import DeadZone
 from rig.description import Contact, Rig, Sensor, Station
 from rig.errors import RigError
 from rig.oscillator import Oscillator
-from rig.recording import Channels, Recording, Signals
+from rig.recording import Recording, Signals
 from rig.sensors import PASSBAND
 
 RATE_HZ = 512.0

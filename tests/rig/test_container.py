@@ -121,7 +121,7 @@ def test_what_other_writers_make_is_read(tmp_path, compression, chunked):
             channel = writer.register_channel(f"/rig/{group}/block", "protobuf", schema, metadata)
             for first in range(0, 3000, 500):
                 block = encode_block(0, first, about.sample_rate_hz, values[:, first : first + 500])
-                writer.add_message(channel, 0, block, 0)
+                writer.add_message(channel, 0, b"".join(map(bytes, block)), 0)
         writer.finish()
     for signals in read(path).signals.values():
         np.testing.assert_array_equal(signals.values, values)

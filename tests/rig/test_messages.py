@@ -9,9 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from rig.messages import BLOCK_NAME, BLOCK_SCHEMA, decode_block, encode_block, encode_preview
+from rig.messages import BLOCK_NAME, BLOCK_SCHEMA, decode_block, preview_head
+from rig.messages import encode_block as pieces_of_block
 
 values = arrays(float, array_shapes(min_dims=2, max_dims=2, max_side=40), elements=st.floats(width=64))
+
+
+def encode_block(*block):
+    return b"".join(map(bytes, pieces_of_block(*block)))
 
 
 def plain_protobuf(data):
@@ -55,7 +60,7 @@ def test_what_is_no_block_is_refused(data, reason):
 
 @given(arrays(float, st.integers(1, 20), elements=st.floats(width=64)))
 def test_a_preview_is_a_float64_multi_array_in_cdr(channels):
-    data = encode_preview(channels)
+    data = preview_head(channels.size) + channels.tobytes()
     assert data[:4] == bytes([0, 1, 0, 0])  # CDR, little-endian
     body = data[4:]
     dimensions, offset, count = struct.unpack_from("<III", body)

@@ -162,12 +162,14 @@ def with_nan(topic, data):
     block = decode_block(data)
     values = block.values.copy()
     values[0, 5] = np.nan
-    return encode_block(block.time_ns, block.first_sample, block.sample_rate_hz, values)
+    return b"".join(map(bytes, encode_block(block.time_ns, block.first_sample, block.sample_rate_hz, values)))
 
 
 def at_another_rate(topic, data):
-    block = decode_block(data) if topic == "/rig/force/block" else None
-    return encode_block(block.time_ns, block.first_sample, 2 * block.sample_rate_hz, block.values) if block else data
+    if topic != "/rig/force/block":
+        return data
+    block = decode_block(data)
+    return b"".join(map(bytes, encode_block(block.time_ns, block.first_sample, 2 * block.sample_rate_hz, block.values)))
 
 
 def no_block(topic, data):

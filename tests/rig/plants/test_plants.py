@@ -31,7 +31,7 @@ def test_there_is_no_other_plant():
         plant_named("bicycle")
 
 
-def test_one_mass_between_stops_converges_to_its_solution_with_the_square_of_the_step(plant):
+def test_one_mass_between_stops_converges_to_its_solution_at_least_with_the_square_of_the_step(plant):
     rig = msgspec.structs.replace(Sdof().rig(), sensors=())
     body, law = rig.bodies[0], rig.contacts[0].law
     amplitudes_n = np.linspace(2, 6, 5)  # the error depends on where in a step each contact falls: an average
@@ -62,7 +62,7 @@ def test_one_mass_between_stops_converges_to_its_solution_with_the_square_of_the
         errors.append(np.linalg.norm(found - solutions) / np.linalg.norm(solutions))
     assert errors[-1] < 1e-3
     order = -np.polyfit(powers, np.log2(errors), 1)[0]
-    assert order == pytest.approx(2, abs=0.3)
+    assert order > 1.7
 
 
 ELEMENTS = 20
