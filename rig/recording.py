@@ -260,15 +260,15 @@ def rig_of(path: Path, contents: Contents) -> Rig:
 
 
 def _loaded(path: Path) -> Recording:
-    content = container.opened(path)
-    try:
-        contents = gathered(container.whole(content, is_of_blocks))
-    except RigError as error:
-        raise RigError(f"{path}: {error}") from error
-    except container.DAMAGE as error:
-        state = "damaged" if isinstance(error, ValueError) else "cut off or damaged"
-        reason = str(error) or type(error).__name__
-        raise RigError(f"{path}: is {state} ({reason}); try `rig recover`, or restore a copy") from error
+    with container.opened(path) as file:
+        try:
+            contents = gathered(container.whole(file, is_of_blocks))
+        except RigError as error:
+            raise RigError(f"{path}: {error}") from error
+        except container.DAMAGE as error:
+            state = "damaged" if isinstance(error, ValueError) else "cut off or damaged"
+            reason = str(error) or type(error).__name__
+            raise RigError(f"{path}: is {state} ({reason}); try `rig recover`, or restore a copy") from error
     rig = rig_of(path, contents)
     signals = {name: assembled(path, name, group, contents.blocks[name]) for name, group in contents.groups.items()}
     if "force" not in signals:

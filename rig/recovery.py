@@ -37,10 +37,11 @@ def recover(bad: Path, good: Path) -> tuple[Loss, ...]:
     """
     if container.part_of(good) == bad:
         raise RigError(f"{good}: would be written over {bad}; give another name")
-    try:
-        contents = gathered(container.complete(container.opened(bad)))
-    except ValueError as error:
-        raise RigError(f"{bad}: cannot be recovered ({error}); restore it from a copy") from error
+    with container.opened(bad) as file:
+        try:
+            contents = gathered(container.complete(file))
+        except ValueError as error:
+            raise RigError(f"{bad}: cannot be recovered ({error}); restore it from a copy") from error
     rig = rig_of(bad, contents)
     blocks = {name: {b.first_sample: b for b in found} for name, found in contents.blocks.items()}
     kept = min((_unbroken(found) for found in blocks.values()), default=0)
