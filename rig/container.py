@@ -3,6 +3,7 @@
 mcap's own readers allocate what a record declares, decompress whatever comes, and skip the checksum of attachments.
 """
 
+import os
 import struct
 from collections.abc import Callable, Container, Iterator
 from contextlib import ExitStack
@@ -23,7 +24,7 @@ from rig.errors import RigError
 
 MAX_BYTES = 64 * 1024 * 1024
 """The largest record, and the largest content of a chunk, that is read."""
-_PIECE_BYTES = 4 * 1024 * 1024  # a file is read in pieces of this size, each of which holds many records
+_PIECE_BYTES = 16 * 1024 * 1024  # a file is read in pieces of this size, each of which holds many records
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
@@ -170,7 +171,8 @@ def _at_least(count: int, file: BufferedReader, content: memoryview, at: int) ->
     if len(content) - at >= count:
         return content, at
     rest = content[at:]
-    piece = np.empty(max(_PIECE_BYTES, count), "u1").data
+    left = max(0, os.fstat(file.fileno()).st_size - file.tell())
+    piece = np.empty(min(max(_PIECE_BYTES, count), len(rest) + left), "u1").data
     piece[: len(rest)] = rest
     end = len(rest) + file.readinto(piece[len(rest) :])
     if end < count:
