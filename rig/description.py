@@ -156,8 +156,10 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     force_sensor: ForceSensor = ForceSensor()
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.sample_rate_hz) and self.sample_rate_hz > 0):
-            raise RigError(f"rig {self.name!r}: sample_rate_hz is {self.sample_rate_hz}; give a value above zero")
+        if not 1e-6 <= self.sample_rate_hz <= 1e9:
+            raise RigError(
+                f"rig {self.name!r}: sample_rate_hz is {self.sample_rate_hz}; give a value above zero, 1e-6 to 1e9"
+            )
         for kind, names in (
             ("body", [b.name for b in self.bodies]),
             ("contact", [c.name for c in self.contacts]),
@@ -224,5 +226,5 @@ def from_json(text: bytes, source: str) -> Rig:
     """
     try:
         return msgspec.json.decode(text, type=Rig)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise RigError(f"{source}: not a rig description: {error}; see the README on rig.json") from error

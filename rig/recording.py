@@ -89,7 +89,7 @@ class RecordingWriter:
             ],
         )
         stream.flush()
-        self._chunk = Gathered()
+        self._chunk = self._writer.first_chunk()
         self._pending = {name: np.zeros((len(group.names), 0)) for name, group in groups.items()}
         self._written = dict.fromkeys(groups, 0)
 
@@ -107,7 +107,7 @@ class RecordingWriter:
         for group, rest in self._pending.items():
             if rest.shape[1]:
                 self._write(group, rest, rest.shape[1])
-        if self._chunk.size:
+        if self._chunk.times_ns:
             self._writer.write_chunk(self._chunk)
         self._writer.finish()
 
@@ -200,7 +200,7 @@ def read(path: Path) -> Recording:
     channel, has a gap in its samples, or holds values that are not finite.
     """
     recording = _loaded(path)
-    _check_against(path, recording)
+    check_against_rig(path, recording.rig, recording.signals)
     return recording
 
 
@@ -238,7 +238,10 @@ def gathered(records: Iterable[McapRecord]) -> Contents:
     """Sorts the records of a file; raises ValueError or RigError, without the name of the file, if one is wrong."""
     found = Contents({}, {}, {}, {})
     numbers: dict[int, str] = {}
+    channels: dict[int, Channel] = {}
     for record in records:
+        if isinstance(record, Channel) and (before := channels.setdefault(record.id, record)) != record:
+            raise ValueError(f"channel {record.id} is described in two ways: {before.topic} and {record.topic}")
         if isinstance(record, Attachment):
             found.attachments[record.name] = record.data
         elif isinstance(record, Metadata) and record.name == "provenance":
@@ -297,7 +300,9 @@ def assembled(path: Path, name: str, channels: Channels, blocks: list[messages.B
     values = np.empty((len(channels.names), expected))
     for block in blocks:
         values[:, block.first_sample : block.first_sample + block.values.shape[1]] = block.values
-        if not np.isfinite(block.values.sum()):  # or only too large together
+        with np.errstate(over="ignore", invalid="ignore"):
+            suspect = not np.isfinite(block.values.sum())  # or only too large together
+        if suspect:
             _check_finite(path, channels, block)
     return Signals(channels, blocks[0].time_ns * 1e-9, values)
 
@@ -312,16 +317,26 @@ def _check_finite(path: Path, channels: Channels, block: messages.Block) -> None
         )
 
 
-def _check_against(path: Path, recording: Recording) -> None:
-    rig, signals = recording.rig, recording.signals
-    believed = {s.name: s for s in rig.sensors}
+def check_against_rig(path: Path, rig: Rig, signals: Mapping[str, Signals]) -> None:
+    """Raises RigError unless the channels are those of the rig's sensors and force, at their places and in SI."""
+    believed, groups = {s.name: s for s in rig.sensors}, channel_groups(rig)
     for name, signal in signals.items():
         if signal.channels.sample_rate_hz != rig.sample_rate_hz:
             raise RigError(
                 f"{path}: group {name} is sampled at {signal.channels.sample_rate_hz} Hz, "
                 f"{RIG_NAME} says {rig.sample_rate_hz} Hz; make them agree"
             )
-        if name not in quantities_of(rig):
+        if name not in groups:
+            continue
+        about, unit = signal.channels, groups[name].unit
+        if (about.quantity, about.unit) != (name, unit):
+            raise RigError(f"{path}: group {name} holds {about.quantity!r} in {about.unit!r}; write {name} in {unit}")
+        if name == "force":
+            if len(about.names) != 1 or about.stations[0] not in (None, rig.force_at):
+                raise RigError(
+                    f"{path}: group force has the channels {about.names} at {about.stations}, {RIG_NAME} one at "
+                    f"{rig.force_at}; make them agree"
+                )
             continue
         for channel, station in zip(signal.channels.names, signal.channels.stations, strict=True):
             if channel not in believed or believed[channel].station != station:

@@ -1,8 +1,10 @@
 """Measured data as columns, from the files in which laboratories keep them: CSV, UFF, MATLAB and TDMS."""
 
 import csv
+import logging
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rig.errors import RigError
+from rig.table_files import check_segments, inflated
 
 
 @dataclass(frozen=True)
@@ -54,8 +57,10 @@ def columns_of(path: Path, text: TextForm) -> tuple[Column, ...]:
         columns = tuple(READERS[suffix](path, text))
     except OSError as error:
         raise RigError(f"{path}: cannot be opened ({error.strerror or error}); check the name") from error
-    except (RigError, MemoryError):
+    except RigError:
         raise
+    except MemoryError as error:
+        raise RigError(f"{path}: needs more memory than there is; export it again, or a shorter record") from error
     except Exception as error:  # what the formats' libraries raise on a bad file is not to be listed
         reason = (str(error) or type(error).__name__).splitlines()[0]
         raise RigError(f"{path}: cannot be read as {suffix} ({reason}); export it again") from error
@@ -131,7 +136,7 @@ def _mat(path: Path, _: TextForm) -> Iterable[Column]:
     from scipy.io import loadmat
 
     try:
-        variables: dict[str, Any] = loadmat(path, appendmat=False)
+        variables: dict[str, Any] = loadmat(BytesIO(inflated(path)))
     except NotImplementedError as error:
         raise RigError(f"{path}: is a MATLAB file of version 7.3; store it by save(..., '-v7')") from error
     for name, array in variables.items():
@@ -146,7 +151,13 @@ def _mat(path: Path, _: TextForm) -> Iterable[Column]:
 
 def _tdms(path: Path, _: TextForm) -> Iterable[Column]:
     from nptdms import TdmsFile
+    from nptdms.log import log_manager
 
+    log_manager.set_level(logging.CRITICAL)  # what it finds is said by an error, or is no fault
+    check_segments(path)
+    declared = sum(len(c) for group in TdmsFile.read_metadata(path).groups() for c in group.channels())
+    if declared > path.stat().st_size:
+        raise RigError(f"{path}: declares {declared} values, more than it has bytes; export it again")
     for group in TdmsFile.read(path).groups():
         for channel in group.channels():
             values = channel[:]
