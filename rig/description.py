@@ -13,6 +13,7 @@ from rig.oscillator import Oscillator
 
 Quantity = Literal["displacement", "velocity", "acceleration"]
 Body = Beam | Oscillator
+LONGEST_DELAY_S = 1.0
 UNITS: dict[str, str] = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N"}
 
 
@@ -51,8 +52,8 @@ class Sensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     def __post_init__(self) -> None:
         if not (np.isfinite(self.gain) and self.gain != 0):
             raise RigError(f"sensor {self.name!r}: gain is {self.gain}; give a finite value other than zero")
-        if not np.isfinite(self.delay_s):
-            raise RigError(f"sensor {self.name!r}: delay_s is {self.delay_s}; give a finite value")
+        if not abs(self.delay_s) <= LONGEST_DELAY_S:
+            raise RigError(f"sensor {self.name!r}: delay_s is {self.delay_s}; give a finite value, -1 to 1 s")
         if not (np.isfinite(self.noise_density) and self.noise_density >= 0):
             raise RigError(f"sensor {self.name!r}: noise_density is {self.noise_density}; give zero or above")
         if self.measuring_range is not None and not 0 < self.measuring_range < np.inf:
@@ -132,8 +133,8 @@ class ForceSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     def __post_init__(self) -> None:
         if not (np.isfinite(self.gain) and self.gain != 0):
             raise RigError(f"force sensor: gain is {self.gain}; give a finite value other than zero")
-        if not (np.isfinite(self.lag_s) and self.lag_s >= 0):
-            raise RigError(f"force sensor: lag_s is {self.lag_s}; give a finite value, zero or above")
+        if not 0 <= self.lag_s <= LONGEST_DELAY_S:
+            raise RigError(f"force sensor: lag_s is {self.lag_s}; give a finite value, zero to 1 s")
 
 
 class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

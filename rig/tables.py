@@ -2,18 +2,20 @@
 
 import csv
 import logging
+import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
 from jaxtyping import Float
 
 from rig.errors import RigError
-from rig.table_files import check_segments, inflated
+from rig.matlab import arrays_of
+
+_SEGMENT_HEAD_BYTES = 28  # of TDMS
+_BIG_ENDIAN = 1 << 6
 
 
 @dataclass(frozen=True)
@@ -133,15 +135,7 @@ def _uff(path: Path, _: TextForm) -> Iterable[Column]:
 
 
 def _mat(path: Path, _: TextForm) -> Iterable[Column]:
-    from scipy.io import loadmat
-
-    try:
-        variables: dict[str, Any] = loadmat(BytesIO(inflated(path)))
-    except NotImplementedError as error:
-        raise RigError(f"{path}: is a MATLAB file of version 7.3; store it by save(..., '-v7')") from error
-    for name, array in variables.items():
-        if name.startswith("__") or not isinstance(array, np.ndarray) or array.dtype.kind not in "iuf":
-            continue
+    for name, array in arrays_of(path):
         if array.ndim != 2 or array.size < 2:
             continue
         rows = array if array.shape[0] < array.shape[1] else array.T  # a record is longer than it has channels
@@ -154,7 +148,7 @@ def _tdms(path: Path, _: TextForm) -> Iterable[Column]:
     from nptdms.log import log_manager
 
     log_manager.set_level(logging.CRITICAL)  # what it finds is said by an error, or is no fault
-    check_segments(path)
+    _check_segments(path)
     declared = sum(len(c) for group in TdmsFile.read_metadata(path).groups() for c in group.channels())
     if declared > path.stat().st_size:
         raise RigError(f"{path}: declares {declared} values, more than it has bytes; export it again")
@@ -165,6 +159,22 @@ def _tdms(path: Path, _: TextForm) -> Iterable[Column]:
                 unit = channel.properties.get("unit_string")
                 rate = _rate(float(channel.properties.get("wf_increment", 0.0)))
                 yield Column(f"{group.name}/{channel.name}", values.astype(float), str(unit) if unit else None, rate)
+
+
+def _check_segments(path: Path) -> None:
+    """Raises RigError unless a TDMS file ends where its last segment does."""
+    size, at = path.stat().st_size, 0
+    with path.open("rb") as file:
+        while at < size:
+            file.seek(at)
+            head = file.read(_SEGMENT_HEAD_BYTES)
+            if len(head) < _SEGMENT_HEAD_BYTES or head[:4] != b"TDSm":
+                raise RigError(f"{path}: has no whole segment at byte {at}; export it again")
+            (kind,) = struct.unpack_from("<I", head, 4)
+            (length,) = struct.unpack_from(">Q" if kind & _BIG_ENDIAN else "<Q", head, 12)
+            at += _SEGMENT_HEAD_BYTES + length
+    if at != size:
+        raise RigError(f"{path}: is cut off; export it again")
 
 
 def _rate(interval_s: float) -> float | None:

@@ -6,7 +6,6 @@ by which it is run again alone, in this process: --only NUMBER.
 
 import argparse
 import json
-import os
 import resource
 import signal
 import subprocess
@@ -17,9 +16,6 @@ import warnings
 from collections import Counter, defaultdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
-
-for _library in ("OPENBLAS", "OMP", "MKL"):
-    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 import numpy as np
 
@@ -114,15 +110,9 @@ def _run(kinds: dict, seed: int, number: int, folder: Path) -> str:
             warnings.simplefilter("error")  # a warning is printed, and is no sentence
             return work(np.random.default_rng([seed, number]), folder)
     except Exception as error:
-        where = traceback.extract_tb(error.__traceback__)[-1]
-        mine = [
-            f for f in traceback.extract_tb(error.__traceback__) if "/rig/" in f.filename or "/identify/" in f.filename
-        ]
-        place = (
-            f"{Path(mine[-1].filename).name}:{mine[-1].lineno}"
-            if mine
-            else f"{Path(where.filename).name}:{where.lineno}"
-        )
+        frames = traceback.extract_tb(error.__traceback__)
+        mine = [f for f in frames if f"{Path.cwd()}/rig/" in f.filename] or frames
+        place = f"{Path(mine[-1].filename).name}:{mine[-1].lineno}"
         return f"{type(error).__name__} at {place}: {str(error)[:400]}"
 
 
