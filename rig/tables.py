@@ -5,6 +5,7 @@ import logging
 import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
 import msgspec
@@ -148,11 +149,13 @@ def _tdms(path: Path, _: TextForm) -> Iterable[Column]:
     from nptdms.log import log_manager
 
     log_manager.set_level(logging.CRITICAL)  # what it finds is said by an error, or is no fault
-    _check_segments(path)
-    declared = sum(len(c) for group in TdmsFile.read_metadata(path).groups() for c in group.channels())
-    if declared > path.stat().st_size:
+    content = BytesIO(path.read_bytes())  # a read from it takes no more memory than there is to read
+    _check_segments(path, content.getbuffer())
+    declared = sum(len(c) for group in TdmsFile.read_metadata(content).groups() for c in group.channels())
+    if declared > len(content.getbuffer()):
         raise RigError(f"{path}: declares {declared} values, more than it has bytes; export it again")
-    for group in TdmsFile.read(path).groups():
+    content.seek(0)
+    for group in TdmsFile.read(content).groups():
         for channel in group.channels():
             values = channel[:]
             if values.dtype.kind in "iuf":
@@ -161,19 +164,17 @@ def _tdms(path: Path, _: TextForm) -> Iterable[Column]:
                 yield Column(f"{group.name}/{channel.name}", values.astype(float), str(unit) if unit else None, rate)
 
 
-def _check_segments(path: Path) -> None:
+def _check_segments(path: Path, content: memoryview) -> None:
     """Raises RigError unless a TDMS file ends where its last segment does."""
-    size, at = path.stat().st_size, 0
-    with path.open("rb") as file:
-        while at < size:
-            file.seek(at)
-            head = file.read(_SEGMENT_HEAD_BYTES)
-            if len(head) < _SEGMENT_HEAD_BYTES or head[:4] != b"TDSm":
-                raise RigError(f"{path}: has no whole segment at byte {at}; export it again")
-            (kind,) = struct.unpack_from("<I", head, 4)
-            (length,) = struct.unpack_from(">Q" if kind & _BIG_ENDIAN else "<Q", head, 12)
-            at += _SEGMENT_HEAD_BYTES + length
-    if at != size:
+    at = 0
+    while at < len(content):
+        head = content[at : at + _SEGMENT_HEAD_BYTES]
+        if len(head) < _SEGMENT_HEAD_BYTES or bytes(head[:4]) != b"TDSm":
+            raise RigError(f"{path}: has no whole segment at byte {at}; export it again")
+        (kind,) = struct.unpack_from("<I", head, 4)
+        (length,) = struct.unpack_from(">Q" if kind & _BIG_ENDIAN else "<Q", head, 12)
+        at += _SEGMENT_HEAD_BYTES + length
+    if at != len(content):
         raise RigError(f"{path}: is cut off; export it again")
 
 
