@@ -156,7 +156,7 @@ def test_a_file_that_is_cut_while_it_is_read_is_refused(tmp_path, monkeypatch):
     path = tmp_path / "r.mcap"
     write(path)
 
-    def cut(channel):
+    def cut(_):
         os.truncate(path, 1000)
         return True
 
