@@ -13,8 +13,13 @@ from rig.oscillator import Oscillator
 
 Quantity = Literal["displacement", "velocity", "acceleration"]
 Body = Beam | Oscillator
-LONGEST_DELAY_S = 1.0
 UNITS: dict[str, str] = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N"}
+LONGEST_DELAY_S = 1.0
+
+
+def _is_gain(value: float) -> bool:
+    """Finite and other than zero, and so that no number within reason becomes infinite or zero by it."""
+    return 1e-12 <= abs(value) <= 1e12
 
 
 class Station(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -50,7 +55,7 @@ class Sensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     bits: int | None = None
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.gain) and self.gain != 0):
+        if not _is_gain(self.gain):
             raise RigError(f"sensor {self.name!r}: gain is {self.gain}; give a finite value other than zero")
         if not abs(self.delay_s) <= LONGEST_DELAY_S:
             raise RigError(f"sensor {self.name!r}: delay_s is {self.delay_s}; give a finite value, -1 to 1 s")
@@ -131,7 +136,7 @@ class ForceSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     lag_s: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.gain) and self.gain != 0):
+        if not _is_gain(self.gain):
             raise RigError(f"force sensor: gain is {self.gain}; give a finite value other than zero")
         if not 0 <= self.lag_s <= LONGEST_DELAY_S:
             raise RigError(f"force sensor: lag_s is {self.lag_s}; give a finite value, zero to 1 s")

@@ -157,6 +157,12 @@ def _check_recording(back: Recording, rig: Rig | None, whole: bool) -> None:
         assert name == "force" or (about.names, about.stations) == (expected.names, expected.stations)
 
 
+def simulate(rig: Rig, path: Path) -> None:
+    """A short recording."""
+    force = BandLimitedGaussian(rms_n=0.5, low_hz=0.0, high_hz=50.0)
+    record(rig, force, plant=modal.simulate, duration_s=1.1, step_s=2.0**-12, path=path, progress=lambda _: None)
+
+
 def rig_description(rng: np.random.Generator, folder: Path) -> str:
     """A mutated rig.json is read, and simulated if it is taken for one."""
     rig = SDOF if rng.random() < 0.4 else BARREL
@@ -167,15 +173,7 @@ def rig_description(rng: np.random.Generator, folder: Path) -> str:
         _check_said(json.loads(text), msgspec.to_builtins(found))
         assert from_json(to_json(found), "again") == found, "does not survive JSON"
         try:
-            record(
-                found,
-                BandLimitedGaussian(rms_n=0.5, low_hz=0.0, high_hz=50.0),
-                plant=modal.simulate,
-                duration_s=1.1,
-                step_s=2.0**-12,
-                path=folder / "r.mcap",
-                progress=lambda _: None,
-            )
+            simulate(found, folder / "r.mcap")
         except RigError as error:
             raise RigError(f"{folder / 'rig.json'}: {error}") from error
         read(folder / "r.mcap")
