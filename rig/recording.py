@@ -11,6 +11,7 @@ from jaxtyping import Float
 from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
 
 from rig import container, messages
+from rig.agreement import check_channels
 from rig.channels import Channels, described, understood
 from rig.container_writer import ContainerWriter, Gathered
 from rig.description import UNITS, Rig, from_json, stations_of, to_json
@@ -200,7 +201,9 @@ def read(path: Path) -> Recording:
     channel, has a gap in its samples, or holds values that are not finite.
     """
     recording = _loaded(path)
-    check_against_rig(path, recording.rig, recording.signals)
+    check_channels(
+        path, recording.rig, {n: s.channels for n, s in recording.signals.items()}, channel_groups(recording.rig)
+    )
     return recording
 
 
@@ -315,35 +318,3 @@ def _check_finite(path: Path, channels: Channels, block: messages.Block) -> None
             f"{path}: channel {channels.names[row]!r} is not a finite number at sample {sample} "
             f"({sample / channels.sample_rate_hz:.4f} s); repair or leave out that channel"
         )
-
-
-def check_against_rig(path: Path, rig: Rig, signals: Mapping[str, Signals]) -> None:
-    """Raises RigError unless the channels are those of the rig's sensors and force, at their places and in SI."""
-    believed, groups = {s.name: s for s in rig.sensors}, channel_groups(rig)
-    for name, signal in signals.items():
-        if signal.channels.sample_rate_hz != rig.sample_rate_hz:
-            raise RigError(
-                f"{path}: group {name} is sampled at {signal.channels.sample_rate_hz} Hz, "
-                f"{RIG_NAME} says {rig.sample_rate_hz} Hz; make them agree"
-            )
-        if name not in groups:
-            continue
-        about, unit = signal.channels, groups[name].unit
-        if (about.quantity, about.unit) != (name, unit):
-            raise RigError(f"{path}: group {name} holds {about.quantity!r} in {about.unit!r}; write {name} in {unit}")
-        if name == "force":
-            if len(about.names) != 1 or about.stations[0] not in (None, rig.force_at):
-                raise RigError(
-                    f"{path}: group force has the channels {about.names} at {about.stations}, {RIG_NAME} one at "
-                    f"{rig.force_at}; make them agree"
-                )
-            continue
-        for channel, station in zip(signal.channels.names, signal.channels.stations, strict=True):
-            if channel not in believed or believed[channel].station != station:
-                raise RigError(
-                    f"{path}: channel {channel!r} of group {name} is no sensor of {RIG_NAME}, or stands elsewhere "
-                    "there; make them agree"
-                )
-    for sensor in rig.sensors:
-        if sensor.quantity not in signals or sensor.name not in signals[sensor.quantity].channels.names:
-            raise RigError(f"{path}: sensor {sensor.name!r} of {RIG_NAME} has no channel; record it or take it out")

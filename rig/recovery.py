@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from rig import container
+from rig.agreement import check_channels
 from rig.channels import Channels
 from rig.errors import RigError
 from rig.messages import Block
 from rig.recording import (
     BLOCK,
     assembled,
-    check_against_rig,
+    channel_groups,
     gathered,
     rig_of,
     truth_groups,
@@ -65,7 +66,7 @@ def recover(bad: Path, good: Path) -> tuple[Loss, ...]:
         for name, channels in contents.groups.items()
     }
     if set(signals) != set(truth_groups(rig)):
-        check_against_rig(bad, rig, signals)
+        check_channels(bad, rig, contents.groups, channel_groups(rig))
     history = with_history(contents.provenance, f"recovered from {bad.name}; " + "; ".join(map(str, losses)))
     with writing(good, rig, contents.groups, history) as recording:
         for first in range(0, kept, BLOCK):
