@@ -146,9 +146,9 @@ def _part_of(path: Path) -> Path:
 def _record(path: Path, most_bytes: int | None = None) -> subprocess.Popen[str]:
     limit = ""
     if most_bytes is not None:
-        limit = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, {(most_bytes, most_bytes)});"
+        limit = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, {(most_bytes, most_bytes)}); "
     words = ("record", "sdof", "--plant", "modal", "--duration", DURATION_S, "--out", path)
-    program = [sys.executable, "-c", f"{limit} from rig.cli import main; main()", *map(str, words)]
+    program = [sys.executable, "-c", f"{limit}from rig.cli import main; main()", *map(str, words)]
     return subprocess.Popen(program, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
 
 
