@@ -15,9 +15,10 @@ import msgspec
 import typer
 from rich.console import Console
 from rich.table import Table
+from threadpoolctl import threadpool_limits
 
 from identify.gap.answer import diagnose as diagnosis
-from identify.gap.floor import floor_of
+from identify.gap.floor import floors_of
 from rig import replay
 from rig.command_line import Force, progress_bar, refuse_existing, run
 from rig.errors import RigError
@@ -26,6 +27,7 @@ from scenarios import score_figures
 from scenarios.blind_cases import Case, Key, made, planned, sha256_of
 from scenarios.scoreboard import NO_LIMIT, Compared, Diagnosis, Score, scored
 from scenarios.tasks import run_tasks
+from scenarios.true_closure import shares as closures
 
 T = TypeVar("T")
 app = typer.Typer(pretty_exceptions_enable=False, no_args_is_help=True)
@@ -100,8 +102,8 @@ def diagnose(
         raise RigError(f"{cases / 'recordings'}: has no recordings; make the cases first")
     kept = floor or out / "floor.json"
     first = read(fits[0])
-    with progress_bar("the floor: nulls with Exudyn") as progress:
-        floor_of(first.rig, first.force_n, replay.ancf, progress, kept)
+    with threadpool_limits(1), progress_bar("the floor: nulls with Exudyn") as progress:
+        floors_of(first.rig, first.force_n, replay.ancf, progress, kept)
     tasks = []
     for fit in fits:
         validate = fit.with_name(f"{fit.stem}_validate.mcap")
@@ -127,13 +129,16 @@ def score(
     limits: Annotated[
         Path | None, typer.Option(help="JSON file: of every effect the strength from which it can be detected.")
     ] = None,
+    floor: Annotated[Path | None, typer.Option(help="File of the floor, if it is not beside what was found.")] = None,
 ) -> None:
     """Opens the sealed answers, if they are those that were hashed, and compares."""
     answers = opened(cases).cases
     check_recordings(cases, answers)
     known = _decoded(limits, dict[str, float]) if limits else {}
     compared = beside(answers, _decoded(found / "found.json", list[Found]))
-    board = scored(compared, known)
+    floors = floor or found / "floor.json"
+    shares = closures(compared, cases / "recordings", floors, out / "tasks") if floors.exists() else []
+    board = scored(compared, known, shares)
     out.mkdir(parents=True, exist_ok=True)
     _written(out / "score.json", msgspec.json.format(msgspec.json.encode(board), indent=2))
     figures = score_figures.drawn(compared, known, out)
@@ -190,6 +195,8 @@ def shown(board: Score, title: str) -> Table:
         between = "{:.2f} to {:.2f}".format(*board.closed_interval_95) if board.closed_interval_95 else ""
         median = f"{board.median_closed_fraction:.2f}"
         table.add_row("median closed fraction, of those right", f"{board.closed_cases}", median, between)
+    if board.share_of_true_closure is not None:
+        table.add_row("... of what the true effect closes", "", f"{board.share_of_true_closure:.3f}", "")
     table.add_row("median CPU time of a case", "", f"{board.cpu_s_median:.0f} s", "")
     return table
 

@@ -48,7 +48,6 @@ class Closure(msgspec.Struct, frozen=True):
     after: float
     closed_fraction: float | None = None
     interval_95: tuple[float, float] | None = None
-    best_closed_fraction: float | None = None
 
 
 class Where(msgspec.Struct, frozen=True):
@@ -87,6 +86,7 @@ class Score(msgspec.Struct, frozen=True):
     median_closed_fraction: float | None
     closed_interval_95: tuple[float, float] | None
     closed_cases: int
+    share_of_true_closure: float | None
     cpu_s_median: float
 
 
@@ -132,8 +132,12 @@ class Compared:
         return all(s >= limits.get(n, NO_LIMIT) for n, s in zip(self.names, self.truth.strengths, strict=True))
 
 
-def scored(compared: Sequence[Compared], limits: Mapping[str, float]) -> Score:
-    """The scoreboard of all cases; `limits` has the strength from which an effect counts as detectable."""
+def scored(compared: Sequence[Compared], limits: Mapping[str, float], shares: Sequence[float] = ()) -> Score:
+    """The scoreboard of all cases.
+
+    `limits` has the strength from which an effect counts as detectable; `shares` what was closed of each gap that was
+    diagnosed rightly, as a share of what the true effect closes.
+    """
     by_kind = {kind: [c for c in compared if c.truth.kind == kind] for kind in ("null", "single", "pair", "outside")}
     singles, pairs = by_kind["single"], by_kind["pair"]
     placed = [c for c in singles if c.exact and place_fields(effect_named(c.truth.effects[0]))]
@@ -162,6 +166,7 @@ def scored(compared: Sequence[Compared], limits: Mapping[str, float]) -> Score:
         median_closed_fraction=float(np.median(closed)) if closed else None,
         closed_interval_95=(float(between.low), float(between.high)) if between else None,
         closed_cases=len(closed),
+        share_of_true_closure=float(np.median(shares)) if shares else None,
         cpu_s_median=float(np.median([c.found.cpu_s for c in compared])),
     )
 

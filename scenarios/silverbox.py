@@ -20,6 +20,7 @@ from scipy.optimize import least_squares
 from scipy.signal import welch
 
 from identify.gap.answer import diagnose
+from identify.gap.report import write_all
 from identify.kinematics import kinematics
 from identify.results import write_json
 from identify.spectra import force_band
@@ -97,13 +98,15 @@ def silverbox(
         diagnosed=diagnosed,
         corrected=corrected,
     )
-    write_json(gap, out / "gap.json")
+    write_all(gap, diagnosed, "Silverbox", out)
     write_json(judged, out / "silverbox.json")
     drawn(validation, corrected, arrow, errors, out)
     console = Console()
     console.print(gap.sentence)
     console.print(table(judged))
-    console.print(f"records, gap.json, silverbox.json, where.png, arrow.png: in {out}", soft_wrap=True)
+    console.print(
+        f"records, gap.html, gap.json, rig.json, silverbox.json, where.png, arrow.png: in {out}", soft_wrap=True
+    )
 
 
 def recordings(volts: Float[np.ndarray, "2 samples"]) -> tuple[Recording, Recording, Recording]:

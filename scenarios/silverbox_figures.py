@@ -1,5 +1,6 @@
 """Figures of the Silverbox: what force no linear rig has, and the errors of both rigs over time."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib as mpl
@@ -32,7 +33,7 @@ def drawn(
 
 def _where(recording: Recording, corrected: Rig) -> Figure:
     """The force beyond mass, damping and linear spring, F - m a - c v - k x, over the displacement."""
-    motion, body = kinematics(recording), mass_of(corrected)
+    motion, body = kinematics(replace(recording, rig=corrected)), mass_of(corrected)
     (x,), (v,), (a,) = motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2
     beyond = motion.force_n - body.mass_kg * a - body.damping_n_s_per_m * v - body.stiffness_n_per_m * x
     at = np.linspace(x.min(), x.max(), 200)

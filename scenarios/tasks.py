@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import msgspec
+from threadpoolctl import threadpool_limits
 
 from rig.command_line import progress_bar
 
@@ -26,13 +27,13 @@ def run_tasks(
     """The results of a function for each set of parameters, in their order.
 
     A result is kept in the folder under a hash of the function's name, its parameters and this package's version, and
-    not computed again. By default one process a core runs the tasks; any executor will do.
+    not computed again. By default one process a core, with one thread, runs the tasks; any executor will do.
     """
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"{_key(function, p)}.json" for p in parameters]
     missing = [(p, path) for p, path in zip(parameters, paths, strict=True) if not path.exists()]
     if missing:
-        pool = executor or ProcessPoolExecutor(os.cpu_count())
+        pool = executor or ProcessPoolExecutor(os.cpu_count(), initializer=threadpool_limits, initargs=(1,))
         with progress_bar(f"{len(missing)} of {len(parameters)} tasks") as progress:
             try:
                 waiting = {pool.submit(function, p): path for p, path in missing}

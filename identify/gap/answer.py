@@ -7,8 +7,9 @@ import numpy as np
 
 from identify.gap.closure import closure, likeness
 from identify.gap.diagnose import Explanation, Outcome, diagnosed
+from identify.gap.doubts import moved
 from identify.gap.faults import sound_channels
-from identify.gap.floor import Simulate, floor_of
+from identify.gap.floor import Simulate, floors_of
 from identify.gap.results import Cause, Gap, Value
 from identify.gap.spectra import record_of
 from identify.gap.where import where
@@ -41,16 +42,20 @@ def diagnose(
     elif to_json(recording.rig) != to_json(validation.rig):
         raise RigError("the validation recording is of another rig (their rig.json differ); record the same rig twice")
     full = recording.rig
-    floor = floor_of(full, recording.force_n, simulate, lambda x: progress("floor", x), floor_file, tolerances)
+    floors = floors_of(full, recording.force_n, simulate, lambda x: progress("floor", x), floor_file, tolerances)
     fit_part, faults = sound_channels(recording)
     other, more = sound_channels(validation, without=tuple(faults))
     if more:
         fit_part, _ = sound_channels(recording, without=tuple(more))
     faults |= more
     fit_record, other_record = (record_of(part, tolerances=tolerances) for part in (fit_part, other))
-    outcome = diagnosed(fit_record, other_record, floor, lambda x: progress("causes", x))
+    outcome = diagnosed(fit_record, other_record, floors, lambda x: progress("causes", x))
+    floor = floors.of(other_record)
     best = outcome.explanations[0] if outcome.verdict == "effect" else None
-    corrected = best.rig if best else fit_part.rig
+    corrected = fit_part.rig
+    if best:
+        found = best.fitted.residual
+        corrected, _ = moved(best.rig, found.names, found.doubts, tolerances)
     simulated, likenesses, curves = likeness(other, fit_part.rig, corrected, simulate)
     after = best.validated if best else outcome.validation_nominal
     alike = _alike(outcome)
@@ -85,7 +90,8 @@ def _cause(explanation: Explanation, probability: float) -> Cause:
     parameters: dict[str, Value] = {}
     places: dict[str, str] = {}
     at = 0
-    spread = np.sqrt(np.maximum(np.diag(explanation.fitted.covariance), 0.0))
+    misfit = max(1.0, explanation.remainder.size)  # nulls leave one
+    spread = np.sqrt(np.maximum(np.diag(explanation.fitted.covariance), 0.0) * misfit)
     for part in explanation.parts:
         for name, about in part.parameters.items():
             value = float(explanation.fitted.values[at])

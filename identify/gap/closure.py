@@ -28,7 +28,7 @@ def closure(judge: Base, before: Residual, after: Residual, floor: Floor, simula
     """
     record = record_of(simulated, tolerances=judge.record.tolerances)
     own, at = settled(record, after.rig, levels=floor.contacts)
-    lowest = float(np.mean(_parts(own, at, floor)))
+    lowest = size(own, at, floor)
     parts = [_parts(judge, at, floor) for at in (before, after)]
     size_before, size_after = (float(np.mean(p)) for p in parts)
     if size_before < SPREAD * lowest:
@@ -40,6 +40,11 @@ def closure(judge: Base, before: Residual, after: Residual, floor: Floor, simula
     low, high = np.quantile(fractions, [0.025, 0.975])
     whole = (size_before - size_after) / (size_before - lowest)
     return Closure(size_before, lowest, size_after, float(whole), (float(low), float(high)))
+
+
+def size(base: Base, at: Residual, floor: Floor) -> float:
+    """The mean square of a residual, in units of what nulls leave."""
+    return float(np.mean(_parts(base, at, floor)))
 
 
 def _parts(base: Base, at: Residual, floor: Floor) -> Float[np.ndarray, " parts"]:

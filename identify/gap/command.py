@@ -9,10 +9,10 @@ from typing import Annotated
 import msgspec
 import typer
 from rich.console import Console
+from threadpoolctl import threadpool_limits
 
 from identify.gap.answer import diagnose
 from identify.gap.floor import Simulate
-from identify.results import write_json
 from rig.command_line import Force, Json, progress_bar, refuse_existing
 from rig.description import Rig, to_json
 from rig.errors import RigError
@@ -55,17 +55,12 @@ def gap(
             whole = fraction if share is None else 0.7 * fraction if stage == "floor" else 0.7 + 0.3 * fraction
             progress(whole)
 
-        found, corrected = diagnose(recording, validation, simulate, kept, show)
+        with threadpool_limits(1):  # the matrices are small
+            found, corrected = diagnose(recording, validation, simulate, kept, show)
     if out is not None:
-        from identify.gap.pictures import pictures
-        from identify.gap.report import write_page
+        from identify.gap.report import write_all
 
-        out.mkdir(parents=True, exist_ok=True)
-        write_page(found, pictures(found), f"{recording.rig.name}: {real.name}", out / "gap.html")
-        part = out / "rig.json.part"
-        part.write_bytes(to_json(corrected))
-        part.replace(out / "rig.json")
-        write_json(found, out / "gap.json")
+        write_all(found, corrected, f"{recording.rig.name}: {real.name}", out)
     if as_json:
         sys.stdout.buffer.write(msgspec.json.encode(found) + b"\n")
     else:

@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.gap.candidates import Candidate, candidates
-from identify.gap.fit import STEPS, Fit, fit
-from identify.gap.floor import MARGIN, SPREAD, Floor, Remainder, remainder
+from identify.gap.fit import Fit, fit
+from identify.gap.floor import MARGIN, SPREAD, Floor, Floors, Remainder, remainder
 from identify.gap.residual import Base, Residual, base_of
 from identify.gap.results import Verdict
-from identify.gap.search import Found, search, settled
+from identify.gap.search import Found, search, settled, without_doubts
 from identify.gap.shaking import shaken
 from identify.gap.spectra import Record
 from rig.description import Rig
@@ -19,12 +19,18 @@ from rig.errors import RigError
 
 ALLOWED = 0.01
 """An effect may leave this share of the gap beyond the floor: no effect is described more exactly."""
+ASIDE = 1e-3
+"""No second effect is looked for in what is a smaller share of the gap than this."""
 WORTHWHILE = 0.2
 """A second effect must take away this share of what the first one leaves."""
 SECOND = 0.1
 """... and of what it leaves on the validation record."""
 TRIED = 2
-"""So many first effects are followed by a search for a second."""
+"""So many first effects are followed by a search for a second, ..."""
+NEARLY = 3.0
+"""... if they leave at most this multiple of what the best one leaves, ..."""
+HOPELESS = 0.95
+"""... and the best one at most this share of the gap."""
 SHARPNESS = 20.0
 """Probabilities go with this power of what is left: a remainder 10 % larger is some seven times less likely."""
 
@@ -59,23 +65,25 @@ class Outcome:
 
 
 def diagnosed(
-    fit_record: Record, validation: Record, floor: Floor, progress: Callable[[float], None] = lambda _: None
+    fit_record: Record, validation: Record, floors: Floors, progress: Callable[[float], None] = lambda _: None
 ) -> Outcome:
     """Searches on one record, decides on the other."""
     rig = fit_record.rig
+    floor, other_floor = floors.of(fit_record), floors.of(validation)
     base, at = settled(fit_record, rig, levels=floor.contacts)
     known = candidates(rig, [s.name for s in fit_record.sensors], fit_record.zero_known)
+    first_look = remainder(base, at, floor)
     progress(0.05)
-    judge, judged = settled(validation, rig, levels=floor.contacts)
-    before = remainder(judge, judged, floor)
+    judge, judged = settled(validation, rig, levels=other_floor.contacts)
+    before = remainder(judge, judged, other_floor)
     fits: list[tuple[tuple[Candidate, ...], Fit]] = [
         ((f.candidate,), f.fitted) for f in worthwhile(base, at, known, floor)
     ]
     progress(0.4)
     pairs = []
-    for i, (parts, first) in enumerate(fits[:TRIED]):
+    for i, (parts, first) in enumerate(_firsts(fits, at, floor)):
         about, left = settled(fit_record, applied(rig, parts, first.values), base.seen, first.residual)
-        if remainder(about, left, floor).at_floor(floor):
+        if explained(remainder(about, left, floor), first_look, floor, ASIDE):
             break
         for second in worthwhile(about, left, known, floor)[:TRIED]:
             if second.gain > WORTHWHILE * _excess(left, floor):
@@ -84,14 +92,25 @@ def diagnosed(
     explanations = []
     for parts, fitted in fits[:3] + pairs:
         try:
-            explanations.append(_validated(judge, parts, fitted, rig, floor))
+            explanations.append(_validated(judge, parts, fitted, rig, other_floor))
         except RigError:
             continue
     explanations.sort(key=_price)
-    first_look = remainder(base, at, floor)
-    verdict, probabilities = _verdict(explanations, before, floor, judged)
+    verdict, probabilities = _verdict(explanations, before, other_floor, judged)
     progress(1.0)
     return Outcome(verdict, tuple(explanations), probabilities, at, first_look, judge, judged, before)
+
+
+def _firsts(
+    fits: Sequence[tuple[tuple[Candidate, ...], Fit]], at: Residual, floor: Floor
+) -> list[tuple[tuple[Candidate, ...], Fit]]:
+    """Those first effects that are worth a search for a second: the best, and others that leave about as little."""
+    if not fits:
+        return []
+    excess = [_excess(f.residual, floor) for _, f in fits[:TRIED]]
+    if excess[0] > HOPELESS * _excess(at, floor):
+        return []
+    return [f for f, left in zip(fits, excess, strict=False) if left <= NEARLY * excess[0]]
 
 
 def applied(rig: Rig, parts: Sequence[Candidate], values: Float[np.ndarray, " parameters"]) -> Rig:
@@ -107,7 +126,7 @@ def applied(rig: Rig, parts: Sequence[Candidate], values: Float[np.ndarray, " pa
 def worthwhile(base: Base, at: Residual, known: Sequence[Candidate], floor: Floor) -> list[Found]:
     """Effects that gain clearly more than on any null recording, most first."""
     steady = [c for c in known if c.kind.name != "base_motion"]
-    found = search(base, at, steady)
+    found = search(base, at, steady, floor.gains)
     if base.rig.base_motion is None:
         found += [f for c in known if c not in steady and (f := shaken(base, at, c))]
     count = [f for f in found if f.gain > MARGIN * floor.gains.get(f.candidate.kind.name, 0.0)]
@@ -135,7 +154,7 @@ def _together(base: Base, parts: tuple[Candidate, ...], first: Fit, second: Foun
     about = base_of(base.record, applied(base.rig, parts, values), base.seen, second.fitted.residual)
     low, high = bounds
     return parts, fit(
-        about, lambda v: applied(base.rig, parts, v), values, steps, (low, high), second.fitted.residual, STEPS
+        about, lambda v: applied(base.rig, parts, v), values, steps, (low, high), without_doubts(second.fitted.residual)
     )
 
 
@@ -167,14 +186,14 @@ def _verdict(
     return ("effect" if accepted else "none_of_these"), tuple(float(p) for p in share[:-1])
 
 
-def explained(after: Remainder, before: Remainder, floor: Floor) -> bool:
-    """Whether what an effect leaves is at the floor, up to the share of the gap that no effect explains."""
+def explained(after: Remainder, before: Remainder, floor: Floor, share: float = ALLOWED) -> bool:
+    """Whether what an effect leaves is at the floor, up to a share of the gap."""
     for left, gap, largest in zip(
         after.each,
         before.each,
         floor.remainders,
         strict=True,
     ):
-        if left > SPREAD * largest + ALLOWED * gap:
+        if left > SPREAD * largest + share * gap:
             return False
     return True

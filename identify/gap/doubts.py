@@ -15,6 +15,8 @@ from rig.beam import Beam
 from rig.description import Body, Contact, Rig
 from rig.oscillator import Oscillator
 
+LIMIT = 6.0
+"""No doubt goes further than so many of its standard deviations: beyond, something else is wrong."""
 BEYOND = 1.3
 """Modes up to this multiple of the highest frequency are in doubt, each by itself, ..."""
 SINGLY = 0.5
@@ -90,23 +92,34 @@ def doubts_of(record: Record, model: Linear, tolerances: Tolerances) -> Doubts:
 def moved(
     rig: Rig, names: tuple[str, ...], doubts: Float[np.ndarray, " doubts"], tolerances: Tolerances
 ) -> tuple[Rig, Float[np.ndarray, " doubts"]]:
-    """The rig with the doubts about its single masses put into it, and those doubts, the others being zero.
+    """The rig with the doubts about its single masses and their sensors put into it, and those doubts, the others zero.
 
     Those alone bend the residual: a single mass may have been believed from a record of another level, and a resonance
     that lies off by a part of its width is no linear matter. A beam's modes cannot be moved one by one.
     """
     put = np.zeros(len(names))
+
+    def factor(name: str, tolerance: float) -> float:
+        if name not in names:
+            return 1.0
+        at = names.index(name)
+        put[at] = doubts[at]
+        return max(0.1, 1 + tolerance * float(doubts[at]))
+
     bodies: list[Body] = []
     for body in rig.bodies:
-        changed = {}
-        for what, field in (("frequency", "frequency_hz"), ("damping", "damping_ratio")):
-            name = f"{what} of {body.name} 1"
-            if isinstance(body, Oscillator) and name in names:
-                at = names.index(name)
-                put[at] = doubts[at]
-                changed[field] = getattr(body, field) * max(0.1, 1 + getattr(tolerances, what) * float(put[at]))
-        bodies.append(replace(body, **changed))
-    return replace(rig, bodies=tuple(bodies)), put
+        if isinstance(body, Oscillator):
+            natural_hz = body.frequency_hz * factor(f"frequency of {body.name}", tolerances.frequency)
+            ratio = body.damping_ratio * factor(f"damping of {body.name}", tolerances.damping)
+            bodies.append(replace(body, frequency_hz=natural_hz, damping_ratio=ratio))
+        else:
+            bodies.append(body)
+    single = {b.name for b in rig.bodies if isinstance(b, Oscillator)}
+    sensors = tuple(
+        replace(s, gain=s.gain * factor(f"gain of {s.name}", tolerances.gain)) if s.station.body in single else s
+        for s in rig.sensors
+    )
+    return replace(rig, bodies=tuple(bodies), sensors=sensors), put
 
 
 def residual_scale(record: Record) -> float:

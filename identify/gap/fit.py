@@ -5,13 +5,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import solve_triangular
+from scipy.optimize import lsq_linear
 from scipy.sparse.linalg import SuperLU
 
+from identify.gap.doubts import LIMIT
 from identify.gap.residual import Base, Residual, residual_of
 from rig.description import Rig
 from rig.errors import RigError
 
 STEPS = 12
+ROUNDING = 1e-9
 SETTLED = 0.1
 """Gauss-Newton stops when the cost falls by less than this."""
 
@@ -137,7 +141,11 @@ def fit(
         normal = reduced(base, at).joined([derivative(base, build(values + s), at) for s in sizes * inside])
         scaled = np.concatenate([np.ones(count), inside])
         held = normal.matrix + np.diag(np.r_[np.zeros(count), 1e-9 * np.diag(normal.matrix)[count:] + 1e-300])
-        step = np.linalg.solve(held, normal.gradient)
+        ends = [
+            np.concatenate([sign * LIMIT - at.doubts, np.sort((np.stack(bounds) - values) / inside, axis=0)[k]])
+            for k, sign in enumerate((-1.0, 1.0))
+        ]
+        step = _bounded(held, normal.gradient, ends[0], ends[1])
         for halving in range(8):
             part = step / 2**halving
             moved = np.clip(values + (part * scaled)[count:], *bounds)
@@ -163,6 +171,19 @@ def fit(
             break
     covariance = base.record.strictness * np.linalg.pinv(normal.matrix)[count:, count:] * np.outer(steps, steps)
     return Fit(values, covariance, at)
+
+
+def _bounded(
+    matrix: Float[np.ndarray, "n n"],
+    gradient: Float[np.ndarray, " n"],
+    low: Float[np.ndarray, " n"],
+    high: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, " n"]:
+    """The x within bounds at which x'Mx/2 - g'x is least."""
+    factor = np.linalg.cholesky(matrix)
+    wanted = solve_triangular(factor, gradient, lower=True)
+    low = np.minimum(low, 0.0) - ROUNDING
+    return np.asarray(lsq_linear(factor.T, wanted, (low, np.maximum(high, 0.0) + ROUNDING), "bvls").x)
 
 
 def _state(start: Residual) -> tuple[Float[np.ndarray, " doubts"], tuple[Float[np.ndarray, " _"], ...]]:

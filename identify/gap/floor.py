@@ -4,7 +4,7 @@ Integration, chaos, sensors and a laboratory's tolerances are in it. Made once f
 """
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
@@ -22,11 +22,13 @@ from rig.description import Rig, to_json
 from rig.errors import RigError
 from rig.recording import Recording
 
-NULLS = 12
+NULLS = 5
+"""At each level."""
 BAND_HZ = 2.0
 SEGMENT_S = 1.0
-LEVELS = (1.0, 1.25, 1.5)
+LEVELS = (1.0, 1.5, 2.25)
 """Nulls are made with the force times these: large motion is less linear, and a validation record may be larger."""
+RISE_S = 0.1
 MARGIN = 3.0
 """A gain counts from this multiple of the largest that a null recording showed for that effect."""
 NOTHING = 1e-3
@@ -35,7 +37,7 @@ EXACT = 0.01
 """No law is believed to leave less than this of the mean square that its error is put at."""
 ORDINARY = 2.0
 """So many standard deviations of a tolerance are ordinary."""
-SPREAD = 1.5
+SPREAD = 2.0
 """A remainder is at the floor up to this multiple of the largest among the nulls."""
 
 Simulate = Callable[[Rig, Rig, Float[np.ndarray, " samples"], int], Recording]
@@ -46,17 +48,29 @@ simulator that the diagnosis is handed."""
 class Floor(msgspec.Struct, frozen=True):
     """Mean squares of null residuals by band (2 Hz) and sensor, and by contact; what their remainders and gains reach.
 
-    remainders are the largest of the nulls' own `Remainder`: overall, in the worst band, in the worst contact,
-    and the largest use of a tolerance.
+    It is that of motions up to motion_m (root mean square). remainders are the largest of the nulls' own `Remainder`:
+    overall, in the worst band, in the worst contact, and the largest use of a tolerance.
     """
 
-    rig_sha256: str
-    nulls: int
+    motion_m: float
     sensors: list[str]
     linear: list[list[float]]
     contacts: list[float]
     remainders: tuple[float, float, float, float]
     gains: dict[str, float]
+
+
+class Floors(msgspec.Struct, frozen=True):
+    """The floors of a rig, the smallest motion first: the larger it is, the less linear."""
+
+    rig_sha256: str
+    nulls: int
+    levels: list[Floor]
+
+    def of(self, record: Record) -> Floor:
+        """The first level that holds a motion as large as a record's, or the last one."""
+        large = [f for f in self.levels if f.motion_m >= record.motion_m]
+        return large[0] if large else self.levels[-1]
 
 
 class Remainder(msgspec.Struct, frozen=True):
@@ -129,7 +143,7 @@ def contact_levels(base: Base, at: Residual) -> list[float]:
     return found
 
 
-def floor_of(
+def floors_of(
     rig: Rig,
     force_n: Float[np.ndarray, " samples"],
     simulate: Simulate,
@@ -137,38 +151,69 @@ def floor_of(
     kept: Path | None = None,
     tolerances: Tolerances = LABORATORY,
     nulls: int = NULLS,
-) -> Floor:
-    """The floor of a rig by a simulator under such a force; read from the file `kept`, if one is given and is there.
+) -> Floors:
+    """The floors of a rig by a simulator under such a force; read from the file `kept`, if one is given and is there.
 
     Raises RigError if that file is of another rig.
     """
-    name = hashlib.sha256(to_json(rig)).hexdigest()
     if kept and kept.exists():
-        return _read(kept, name)
+        return read_floors(kept, rig)
     records = []
-    contacts = []
-    for i in range(nulls):
-        force = LEVELS[i % len(LEVELS)] * force_n
-        made = simulate(rig, jittered(rig, np.random.default_rng([i, 77])), force, i)
-        records.append(record_of(made, tolerances=tolerances))
-        contacts.append(contact_levels(*settled(records[-1], rig)))
-        progress(0.6 * (i + 1) / nulls)
-    mean_contact = np.maximum(np.mean(contacts, axis=0), EXACT).tolist()
-    bands, contacts, strains = [], [], []  # again, with the contacts weighed by what nulls leave there
+    for i, times in enumerate(LEVELS):
+        for k in range(nulls):
+            rng = np.random.default_rng([i, k, 77])
+            force = times * another(force_n, rig.sample_rate_hz, rng)
+            made = simulate(rig, jittered(rig, rng), force, i * nulls + k)
+            records.append(record_of(made, tolerances=tolerances))
+            progress(0.6 * len(records) / (nulls * len(LEVELS)))
+    records.sort(key=lambda r: r.motion_m)
+    levels = []
+    for first in range(0, len(records), nulls):
+        levels.append(_floor(rig, records[first : first + nulls]))
+        progress(0.6 + 0.4 * len(levels) / len(LEVELS))
+    floors = Floors(_mark(rig), nulls, levels)
+    if kept:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        part = kept.with_suffix(".part")
+        part.write_bytes(msgspec.json.encode(floors))
+        part.replace(kept)
+    return floors
+
+
+def another(
+    force_n: Float[np.ndarray, " samples"], sample_rate_hz: float, rng: np.random.Generator
+) -> Float[np.ndarray, " samples"]:
+    """A force of the same spectrum and strength with other phases, after the same silence.
+
+    How large the motion gets, and with it what is not linear, differs from one force to the next.
+    """
+    start = int(np.argmax(np.abs(force_n) > 0.0))
+    excited = force_n[start:]
+    spectrum = np.fft.rfft(excited)
+    turned = np.fft.irfft(spectrum * np.exp(2j * np.pi * rng.uniform(size=spectrum.size)), excited.size)
+    rise = min(round(RISE_S * sample_rate_hz), excited.size)
+    turned[:rise] *= np.sin(np.linspace(0, np.pi / 2, rise)) ** 2
+    return np.concatenate([force_n[:start], turned])
+
+
+def _floor(rig: Rig, records: Sequence[Record]) -> Floor:
+    """Of nulls of similar motion; the second time with the contacts weighed by what nulls leave there."""
+    first = [contact_levels(*settled(record, rig)) for record in records]
+    mean_contact = np.maximum(np.mean(first, axis=0), EXACT).tolist()
+    bands, contacts, strains = [], [], []
     gains: dict[str, float] = {}
-    for i, record in enumerate(records):
+    for record in records:
         base, at = settled(record, rig, levels=mean_contact)
         bands.append(band_levels(record, at))
         contacts.append(contact_levels(base, at))
         strains.append(strain(at))
         for kind, gain in null_gains(base, at).items():
             gains[kind] = max(gains.get(kind, 0.0), gain)
-        progress(0.6 + 0.4 * (i + 1) / nulls)
-    levels = np.array(bands)
-    relative = levels / levels.mean(axis=0)
-    floor = Floor(
-        rig_sha256=name,
-        nulls=nulls,
+    fewest = min(len(b) for b in bands)
+    levels = np.array([b[:fewest] for b in bands])
+    relative = levels / np.maximum(levels.mean(axis=0), 1e-300)
+    return Floor(
+        motion_m=max(r.motion_m for r in records),
         sensors=[s.name for s in records[0].sensors],
         linear=levels.mean(axis=0).tolist(),
         contacts=mean_contact,
@@ -180,22 +225,21 @@ def floor_of(
         ),
         gains=gains,
     )
-    if kept:
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        part = kept.with_suffix(".part")
-        part.write_bytes(msgspec.json.encode(floor))
-        part.replace(kept)
-    return floor
 
 
-def _read(path: Path, rig_sha256: str) -> Floor:
+def read_floors(path: Path, rig: Rig) -> Floors:
+    """The floors of a rig; raises RigError if the file is of another rig, or of none."""
     try:
-        floor = msgspec.json.decode(path.read_bytes(), type=Floor)
+        floors = msgspec.json.decode(path.read_bytes(), type=Floors)
     except (OSError, msgspec.DecodeError) as error:
         raise RigError(f"{path}: no floor can be read from it ({error}); remove it, and it is made anew") from error
-    if floor.rig_sha256 != rig_sha256:
+    if floors.rig_sha256 != _mark(rig):
         raise RigError(f"{path}: is the floor of another rig; name another file, or remove it")
-    return floor
+    return floors
+
+
+def _mark(rig: Rig) -> str:
+    return hashlib.sha256(to_json(rig)).hexdigest()
 
 
 def null_gains(base: Base, at: Residual) -> dict[str, float]:

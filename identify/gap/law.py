@@ -11,6 +11,7 @@ from scipy.sparse import csc_matrix, csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import SuperLU, splu
 
 from identify.drift import Spline, spline
+from identify.gap.doubts import LIMIT
 from identify.gap.linear import Linear
 from identify.gap.spectra import Record
 from identify.joint import Observed, regressed
@@ -22,6 +23,8 @@ TRUSTED = 0.01
 """Clearance and stiffness of a contact are believed within this share (one standard deviation) ..."""
 DAMPING_S = 1e-5
 """... and its damping within this multiple of its stiffness."""
+WALL = 100.0
+"""Beyond `LIMIT` standard deviations these weigh so many times more: something else is wrong."""
 LAW_ERROR = 2e-3
 """Share of a contact force that no law of this kind explains."""
 CLOSED = 5.0
@@ -167,12 +170,15 @@ def contact_residual(
     by_knots = diags(seen.weights * by_eta) @ curve.value
     rows = hstack([by_knots, csr_matrix(seen.weights[:, None] * by_law)])
     prior = hstack([curve.curvature, csr_matrix((curve.target.size, 3))])
-    own = hstack([csr_matrix((3, curve.knots)), diags(np.full(3, seen.strictness**0.5))])
+    tolerances = unknowns[curve.knots :]
+    beyond = tolerances - np.clip(tolerances, -LIMIT, LIMIT)
+    firm = seen.strictness**0.5
+    own = hstack([csr_matrix((3, curve.knots)), diags(firm * (1 + WALL * (beyond != 0)))])
     return Contact(
         law=law,
         unknowns=unknowns,
         residual=np.concatenate(
-            [seen.weights * residual, curve.target - curve.curvature @ knots, -(seen.strictness**0.5) * unknowns[-3:]]
+            [seen.weights * residual, curve.target - curve.curvature @ knots, -firm * (tolerances + WALL * beyond)]
         ),
         columns=vstack([rows, prior, own]).tocsr(),
         by_eta=by_eta,

@@ -182,7 +182,7 @@ def _surface(figure: Any, surface: Surface, contact: str) -> None:
         1e3 * np.array(surface.eta_m), surface.rate_m_per_s, np.where(share > 0, share, np.nan).T, cmap="viridis_r"
     )
     figure.colorbar(cells, label="share of the gap, %")
-    axes.set(xlabel="relative displacement, mm", ylabel="relative velocity, m/s", title=f"At {_short(contact)}")
+    axes.set(xlabel="displacement, mm", ylabel="velocity, m/s", title=f"At {_short(contact)}")
 
 
 def _probability(figure: Any, gap: Gap) -> None:

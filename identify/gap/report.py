@@ -11,7 +11,9 @@ from rich.text import Text
 
 from identify.gap.results import Gap, Share
 from identify.gap.wording import VERDICTS, cause_name, closed, interval, none_of_these, number, percent
+from identify.results import write_json
 from rig.container import part_of
+from rig.description import Rig, to_json
 
 _COLOURS = {"no_gap": "green", "effect": "yellow", "none_of_these": "red"}
 _STYLE = """
@@ -47,6 +49,18 @@ _PAGE = """<!DOCTYPE html>
 </body></html>
 """
 Rows = Iterable[Sequence[str]]
+
+
+def write_all(gap: Gap, corrected: Rig, title: str, folder: Path) -> None:
+    """gap.html, the corrected rig's rig.json, and gap.json, each whole or not at all."""
+    from identify.gap.pictures import pictures
+
+    folder.mkdir(parents=True, exist_ok=True)
+    write_page(gap, pictures(gap), title, folder / "gap.html")
+    part = part_of(folder / "rig.json")
+    part.write_bytes(to_json(corrected))
+    part.replace(folder / "rig.json")
+    write_json(gap, folder / "gap.json")
 
 
 def write_page(gap: Gap, figures: Mapping[str, bytes], title: str, path: Path) -> None:

@@ -42,7 +42,8 @@ class Surface(msgspec.Struct, frozen=True):
 
 
 class Where(msgspec.Struct, frozen=True, kw_only=True):
-    """Each list sums to one. surface is the share by cells of (relative displacement, velocity) of each contact."""
+    """Each list sums to one. surface is the share by cells of (relative displacement, velocity) of each contact;
+    without contacts, of displacement and velocity of each single mass."""
 
     channels: dict[str, float]
     modal_equations: dict[str, float]

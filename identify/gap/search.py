@@ -1,12 +1,13 @@
 """Which effect, put into the rig, explains the residual best: a linear look at all of them, then fits of the best."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from identify.gap.candidates import Candidate
+from identify.gap.doubts import LIMIT
 from identify.gap.fit import STEPS, Fit, derivative, fit, reduced
 from identify.gap.law import Seen
 from identify.gap.residual import Base, Residual, base_of, residual_of, same_but_laws
@@ -18,7 +19,9 @@ from rig.oscillator import Oscillator
 DEEP = 4
 """So many of the effects that look best are fitted."""
 FINAL = 3
-"""So many of those are fitted to the end."""
+"""So many of those are kept, ..."""
+RIVAL = 0.5
+"""... and fitted to the end, if they gained this share of what the best one did."""
 AGAIN = 2
 """So many times the doubts about a single mass are linearised anew."""
 WORTH = 0.02
@@ -73,6 +76,7 @@ def looks(base: Base, at: Residual, candidates: Sequence[Candidate]) -> list[Loo
     """The best linear look at every candidate, best first."""
     equations = reduced(base, at)
     count = len(equations.gradient)
+    free = np.flatnonzero(np.abs(at.doubts) < LIMIT - 1e-6)
     found = []
     for candidate in candidates:
         best = Look(candidate, 0.0, candidate.default)
@@ -82,9 +86,9 @@ def looks(base: Base, at: Residual, candidates: Sequence[Candidate]) -> list[Loo
             moved = start.copy()
             moved[0] = candidate.neutral + step
             normal = equations.joined([derivative(base, candidate.applied(base.rig, moved), at)])
-            inner = np.linalg.solve(normal.matrix[:count, :count], normal.matrix[:count, count])
-            curvature = normal.matrix[count, count] - normal.matrix[count, :count] @ inner
-            slope = normal.gradient[count] - normal.gradient[:count] @ inner
+            inner = np.linalg.solve(normal.matrix[np.ix_(free, free)], normal.matrix[free, count])
+            curvature = normal.matrix[count, count] - normal.matrix[count, free] @ inner
+            slope = normal.gradient[count] - normal.gradient[free] @ inner
             if curvature <= 1e-9 * normal.matrix[count, count]:
                 continue
             size = (np.clip(candidate.neutral + slope / curvature * step, low[0], high[0]) - candidate.neutral) / step
@@ -97,27 +101,43 @@ def looks(base: Base, at: Residual, candidates: Sequence[Candidate]) -> list[Loo
     return sorted(found, key=lambda look: -look.gain)
 
 
-def search(base: Base, at: Residual, candidates: Sequence[Candidate]) -> list[Found]:
+def search(base: Base, at: Residual, candidates: Sequence[Candidate], least: Mapping[str, float]) -> list[Found]:
     """The candidates that explain most of the residual `at` of the base's rig, best first.
 
     They are looked at linearly from where the rig alone fits best, and from where no drift has yet been bent to it;
     and the linear residual is scanned for large ones. Those that promise most are fitted for a few steps each, the
-    best of them to the end.
+    best of them to the end. `least` is what each effect must promise, by its name.
     """
     fresh = residual_of(base, base.rig)
     begun: dict[str, list[tuple[Fit, Candidate]]] = {}
+    bent = without_doubts(at)
     for source, start in (
-        (looks(base, at, candidates), at),
+        (looks(base, at, candidates), bent),
         (looks(base, fresh, [c for c in candidates if quiet(base, c)]), None),
         (linear_starts(base, candidates), None),
     ):
-        for look in [s for s in source[:DEEP] if s.gain > WORTH * source[0].gain]:
+        for look in source[:DEEP]:
+            if look.gain <= max(WORTH * source[0].gain, least.get(look.candidate.kind.name, 0.0)):
+                continue
+            about = None if start else base_of(base.record, look.candidate.applied(base.rig, look.values), base.seen)
             begun.setdefault(look.candidate.name, []).append(
-                (_fit(base, look.candidate, look.values, start, 3), look.candidate)
+                (_fit(base, look.candidate, look.values, start, 3, about), look.candidate)
             )
     best = sorted((min(tries, key=lambda t: t[0].cost) for tries in begun.values()), key=lambda t: t[0].cost)
-    found = [polished(base, candidate, fitted, at.cost) for fitted, candidate in best[:FINAL]]
+    if not best:
+        return []
+    close = [at.cost - f.cost > RIVAL * (at.cost - best[0][0].cost) for f, _ in best]
+    found = [
+        polished(base, candidate, fitted, at.cost) if rival else Found(candidate, fitted, at.cost - fitted.cost)
+        for (fitted, candidate), rival in zip(best[:FINAL], close, strict=False)
+    ]
     return sorted(found, key=lambda one: -one.gain)
+
+
+def without_doubts(at: Residual) -> Residual:
+    """Where to start with an effect: doubts and tolerances that were bent to do without it are straight again."""
+    straight = tuple(replace(c, unknowns=np.append(c.unknowns[:-3], np.zeros(3))) for c in at.contacts)
+    return replace(at, doubts=np.zeros_like(at.doubts), contacts=straight)
 
 
 def polished(base: Base, candidate: Candidate, fitted: Fit, before: float) -> Found:

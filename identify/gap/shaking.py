@@ -46,6 +46,7 @@ def shaken(base: Base, at: Residual, candidate: Candidate) -> Found | None:
     seen = np.abs(np.sum(pattern.conj() * y, axis=1)) ** 2 / np.maximum(size, 1e-300)
     others = (np.sum(np.abs(y) ** 2, axis=1) - seen) / max(1, y.shape[1] - contacts - 1)
     level = uniform_filter1d(others, max(1, round(SMOOTHED_HZ * record.length / record.sample_rate_hz)))
+    level = np.maximum(level, 1e-300)
     seen, size = seen / level, size / level
     bounds = candidate.parameters
     inside = (hz >= bounds["low_hz"].low) & (hz <= bounds["high_hz"].high)
@@ -57,7 +58,7 @@ def shaken(base: Base, at: Residual, candidate: Candidate) -> Found | None:
             best, band = total, found
     if not best > 0:
         return None
-    power = np.cumsum(np.maximum(seen[band] - 1, 0.0) / size[band])
+    power = np.cumsum(np.maximum(seen[band] - 1, 0.0) / np.maximum(size[band], 1e-300))
     band = slice(*(band.start + np.searchsorted(power, np.array([SKIRT, 1 - SKIRT]) * power[-1])))
     edges = hz[band.start], hz[band.stop]
     rms = float(np.sqrt(power[-1] * (hz[2] - hz[1])))

@@ -9,7 +9,6 @@ from scipy.ndimage import uniform_filter1d
 
 from identify.answers import drift_of
 from identify.drift import Drift
-from identify.joint import FINE_HZ
 from identify.kinematics import CORNER_HZ, Kinematics, acceleration_noise, integrated, kinematics, taper
 from identify.spectra import force_band
 from identify.tolerances import LABORATORY, Tolerances
@@ -28,6 +27,8 @@ REACH = 2.5
 """The diagnosis looks up to this multiple of the force's highest frequency."""
 SHORTEST_S = 10.0
 SMOOTHED_HZ = 1.0
+FINE_HZ = 8000.0
+"""Contact laws are evaluated at no less; at twice that nothing changes."""
 COUNTED_HZ = 20.0
 """So many samples a second count as independent, of all channels together."""
 ORDER: dict[Quantity, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
@@ -76,13 +77,18 @@ class Record:
     def finely(
         self, eta: Complex[np.ndarray, "contacts lines"], derivative: int = 0
     ) -> Float[np.ndarray, "contacts fine"]:
-        """Relative displacements, or velocities, at 16 kHz or more, from the first to the last sample that counts."""
+        """Relative displacements, or velocities, at `FINE_HZ` or more, within the samples that count."""
         fine = self.factor * self.finer
         whole = np.concatenate([eta[:, :-1], self.eta_beyond], axis=1)
         if derivative:
             whole = whole * (2j * np.pi * self.sample_rate_hz / self.length * np.arange(whole.shape[1]))
         moved = self.finer * np.fft.irfft(whole, self.length * self.finer)
         return np.asarray(moved[:, self.taken.start * fine : (self.taken.stop - 1) * fine + 1])
+
+    @property
+    def motion_m(self) -> float:
+        """Root mean square displacement of all sensors."""
+        return float(np.sqrt(np.mean(self.in_time(self.displaced) ** 2)))
 
     @property
     def strictness(self) -> float:

@@ -11,6 +11,7 @@ from identify.gap.residual import Base, Residual
 from identify.gap.results import Share, Surface, Where
 from identify.gap.spectra import Record
 from rig.beam import Beam
+from rig.oscillator import Oscillator
 
 BANDS_HZ = (0.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 100.0, 150.0, 200.0, 400.0, 1000.0, 4000.0)
 PARTS = 10
@@ -49,10 +50,27 @@ def where(base: Base, at: Residual, floor: Floor) -> Where:
             for t, part in zip(np.array_split(record.time_s, PARTS), np.array_split(total, PARTS), strict=True)
         ),
         surface={
-            c.name: _surface(at.laid[j].eta_m, at.laid[j].rate_m_per_s, contacts[j], at.laid[j].finer)
-            for j, c in enumerate(base.rig.contacts)
-        },
+            c.name: _surface(
+                at.laid[j].eta_m[:: at.laid[j].finer], at.laid[j].rate_m_per_s[:: at.laid[j].finer], squares
+            )
+            for j, (c, squares) in enumerate(zip(base.rig.contacts, contacts, strict=True))
+        }
+        or _of_masses(record, at),
     )
+
+
+def _of_masses(record: Record, at: Residual) -> dict[str, Surface]:
+    """The force that the linear model lacks, over the displacement and velocity of each single mass."""
+    found = {}
+    for response in at.model.responses:
+        for i, sensor in enumerate(record.sensors):
+            if isinstance(response.body, Oscillator) and sensor.station.body == response.body.name:
+                lacking = at.model.residual[i] * at.model.spread[i] / response.accelerance[0]
+                eta, rate, force = record.in_time(
+                    np.stack([record.displaced[i], 1j * record.omega * record.displaced[i], lacking])
+                )
+                found[response.body.name] = _surface(eta, rate, force**2)
+    return found
 
 
 def _shared(sizes: dict[str, float]) -> dict[str, float]:
@@ -108,12 +126,10 @@ def _states(base: Base, total: Float[np.ndarray, " times"]) -> dict[str, float]:
 
 
 def _surface(
-    eta_m: Float[np.ndarray, " fine"],
-    rate_m_per_s: Float[np.ndarray, " fine"],
+    eta_m: Float[np.ndarray, " times"],
+    rate_m_per_s: Float[np.ndarray, " times"],
     squares: Float[np.ndarray, " times"],
-    finer: int,
 ) -> Surface:
-    eta, rate = eta_m[::finer], rate_m_per_s[::finer]
-    table, rows, columns = np.histogram2d(eta, rate, bins=CELLS, weights=squares)
+    table, rows, columns = np.histogram2d(eta_m, rate_m_per_s, bins=CELLS, weights=squares)
     share = table / max(float(table.sum()), 1e-300)
     return Surface(tuple(rows.tolist()), tuple(columns.tolist()), tuple(tuple(row) for row in share.tolist()))

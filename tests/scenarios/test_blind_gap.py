@@ -33,7 +33,7 @@ def copied(made, tmp_path):
 
 def diagnosed(cases, monkeypatch):
     monkeypatch.setattr(blind_gap, "diagnosis_of", lambda *_: Diagnosis("no_gap"))
-    monkeypatch.setattr(blind_gap, "floor_of", lambda *_: None)
+    monkeypatch.setattr(blind_gap, "floors_of", lambda *_: None)
     ran("diagnose", "--cases", cases, "--out", cases.parent / "found")
     return cases.parent / "found"
 

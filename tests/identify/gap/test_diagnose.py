@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from identify.gap import candidates
 from identify.gap.answer import diagnose
 from identify.gap.faults import fault_of
-from identify.gap.floor import floor_of
+from identify.gap.floor import floors_of
 from rig.description import Rig
 from rig.effect import Effect, Parameter
 from rig.effects import effect_named, effects
@@ -33,7 +33,7 @@ def force(seed: int, rms_n: float) -> np.ndarray:
 @pytest.fixture(scope="session")
 def floor_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("floor") / "floor.json"
-    floor_of(RIG, force(5, 0.5), modal, lambda _: None, nulls=3, kept=path)
+    floors_of(RIG, force(5, 0.5), modal, lambda _: None, nulls=3, kept=path)
     return path
 
 
@@ -101,7 +101,7 @@ def test_another_rigs_validation_is_refused(floor_file):
         diagnose(fit, other, modal, floor_file)
 
 
-def test_a_floor_of_another_rig_is_refused(floor_file):
+def test_a_floors_of_another_rig_is_refused(floor_file):
     fit, validation = records(RIG, RIG)
     others = [with_fields(one, rig=replace(RIG, name="other")) for one in (fit, validation)]
     with pytest.raises(RigError, match="is the floor of another rig"):
