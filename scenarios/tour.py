@@ -15,7 +15,7 @@ from identify.gap.answer import diagnose
 from rig.command_line import progress_bar, run
 from rig.contact import DeadZone
 from rig.description import Contact, Rig, Sensor, Station, to_json
-from rig.effects.contact_clearance import ContactClearance
+from rig.effects.added_mass import AddedMass
 from rig.excitation import BandLimitedGaussian
 from rig.oscillator import Oscillator
 from rig.plants import modal
@@ -29,7 +29,7 @@ app = typer.Typer(pretty_exceptions_enable=False)
 @app.command()
 def tour(
     out: Annotated[Path, typer.Option(help="Folder for the recordings and the corrected rig.json.")] = Path("out/tour"),
-    duration: Annotated[float, typer.Option(help="Length of each recording, s.")] = 120.0,
+    duration: Annotated[float, typer.Option(help="Length of each recording, s.")] = 60.0,
 ) -> None:
     """From the description of a rig to the correction of that description, in seven steps."""
     out.mkdir(parents=True, exist_ok=True)
@@ -76,12 +76,12 @@ def tour(
     print(f"4. clearance {1e3 * gap.value:.4f} ± {1e3 * gap.standard_error:.1g} mm, true is 1 mm")
     print(f"   stiffness {stiffness.value:.0f} ± {stiffness.standard_error:.1g} N/m, true is 10000 N/m")
 
-    # 5. Let it differ. An effect is a function from rig to rig: here the real gap is a fifth wider than everybody
-    #    believes. The recordings still carry the rig that is believed.
-    real = ContactClearance(factor=1.2).applied_to(rig)
+    # 5. Let it differ. An effect is a function from rig to rig: here 50 g of cable and bracket hang on the mass that
+    #    nobody counted. The recordings still carry the rig that is believed.
+    real = AddedMass(mass_kg=0.05).applied_to(rig)
     monday = recorded(rig, real, out / "monday.mcap", duration, rms_n=0.5, seed=2)
     tuesday = recorded(rig, real, out / "tuesday.mcap", duration, rms_n=0.7, seed=3)
-    print(f"5. the real clearance is {1e3 * real.contacts[0].law.clearance_m:g} mm; two recordings of that were made")
+    print(f"5. {1e3 * real.masses[0].mass_kg:g} g more than believed; two recordings of that were made")
 
     # 6. Diagnose. What in Monday's recording does the believed rig not explain, and which effect of the library would?
     #    Tuesday's, at another level of force, decides between the explanations. What is normal is simulated first,
@@ -92,7 +92,8 @@ def tour(
 
     # 7. Correct. The diagnosis gives the rig with the effect in it, ready to be believed from now on.
     (out / "rig.json").write_bytes(to_json(corrected))
-    print(f"7. corrected clearance: {1e3 * corrected.contacts[0].law.clearance_m:.4f} mm, in {out / 'rig.json'}")
+    added_kg = sum(m.mass_kg for m in corrected.masses)
+    print(f"7. corrected by {1e3 * added_kg:.1f} g, in {out / 'rig.json'}")
 
 
 def recorded(believed: Rig, actual: Rig, path: Path, duration_s: float, rms_n: float, seed: int) -> Recording:

@@ -13,6 +13,7 @@ import struct
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -24,8 +25,8 @@ from rig.messages import decode_block
 from rig.recording import Recording, read
 from rig.reference import Sdof
 
-DURATION_S = 600.0
-ENOUGH_S = 200.0
+DURATION_S = 300.0
+ENOUGH_S = 150.0
 """From this on a recording of the one-mass rig is long enough for an answer."""
 CLEARANCE_M = Sdof().clearance_m
 
@@ -40,22 +41,21 @@ def main() -> None:
         folder = Path(name)
         path = folder / "whole.mcap"
         process = _record(path)
-        writing_s = _until_it_ends(process, path)
-        assert process.returncode == 0
+        _, said = process.communicate()
+        assert process.returncode == 0, said
         whole, size = read(path), path.stat().st_size
-        print(f"whole: {whole.samples} samples, {size} bytes, written in {writing_s:.2g} s", flush=True)
+        print(f"whole: {whole.samples} samples, {size} bytes", flush=True)
         for number in range(asked.kills):
             place = folder / f"{number}"
             place.mkdir()
-            print(f"kill {number + 1}: {_killed(place / 'r.mcap', rng.uniform(0, writing_s), whole)}", flush=True)
+            print(f"kill {number + 1}: {_killed(place / 'r.mcap', int(rng.uniform(0, size)), whole)}", flush=True)
         print(f"full disk: {_out_of_disk(folder / 'full.mcap', size // 2, whole)}", flush=True)
-        print(f"Ctrl-C: {_interrupted(folder / 'stopped.mcap', writing_s / 2, whole)}", flush=True)
+        print(f"Ctrl-C: {_interrupted(folder / 'stopped.mcap', size // 2, whole)}", flush=True)
 
 
-def _killed(path: Path, after_s: float, whole: Recording) -> str:
+def _killed(path: Path, after_bytes: int, whole: Recording) -> str:
     process = _record(path)
-    _wait_for(_part_of(path), process)
-    time.sleep(after_s)
+    _wait_for(path, after_bytes, process)
     process.kill()
     process.communicate()
     assert process.returncode in (0, -signal.SIGKILL)
@@ -63,8 +63,8 @@ def _killed(path: Path, after_s: float, whole: Recording) -> str:
         back = read(path)
         _check_same(back, whole)
         assert back.samples == whole.samples
-        return f"after {after_s:.2f} s it was complete already"
-    return f"after {after_s:.2f} s: {_saved(_part_of(path), whole)}"
+        return f"after {after_bytes} bytes: it was complete already"
+    return f"after {after_bytes} bytes: {_saved(_part_of(path), whole)}"
 
 
 def _out_of_disk(path: Path, most_bytes: int, whole: Recording) -> str:
@@ -77,10 +77,9 @@ def _out_of_disk(path: Path, most_bytes: int, whole: Recording) -> str:
     return _saved(_part_of(path), whole)
 
 
-def _interrupted(path: Path, after_s: float, whole: Recording) -> str:
+def _interrupted(path: Path, after_bytes: int, whole: Recording) -> str:
     process = _record(path)
-    _wait_for(_part_of(path), process)
-    time.sleep(after_s)
+    _wait_for(path, after_bytes, process)
     process.send_signal(signal.SIGINT)
     _, said = process.communicate()
     assert (process.returncode, said) == (130, f"rig: interrupted; {path} holds what was recorded until then\n"), said
@@ -158,18 +157,14 @@ def _run(module: str, *words: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(program, capture_output=True, text=True, check=False)
 
 
-def _wait_for(place: Path, process: subprocess.Popen[str]) -> None:
-    while not place.exists():
-        assert process.poll() is None, process.stderr.read() if process.stderr else ""
-        time.sleep(0.001)
-
-
-def _until_it_ends(process: subprocess.Popen[str], path: Path) -> float:
-    """How long the file is being written, s."""
-    _wait_for(_part_of(path), process)
-    begin = time.monotonic()
-    process.communicate()
-    return time.monotonic() - begin
+def _wait_for(path: Path, size: int, process: subprocess.Popen[str]) -> None:
+    """Until so many bytes are written, or all."""
+    part = _part_of(path)
+    while process.poll() is None:
+        with suppress(FileNotFoundError):
+            if part.stat().st_size > size:
+                return
+        time.sleep(0.0005)
 
 
 if __name__ == "__main__":
