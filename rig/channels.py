@@ -1,6 +1,7 @@
 """The channels of a group, and how an MCAP file tells what they are: as the metadata of its MCAP channel."""
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -37,8 +38,8 @@ def understood(topic: str, metadata: Mapping[str, str]) -> Channels:
         places = json.loads(metadata["stations"])
         stations = tuple(None if p is None else Station(str(p["body"]), float(p["position_m"])) for p in places)
         rate = float(json.loads(metadata["sample_rate_hz"]))
-        if len(names) != len(stations) or not rate > 0:
+        if len(names) != len(stations) or len(set(names)) < len(names) or not 0 < rate < math.inf:
             raise ValueError(f"{len(names)} names, {len(stations)} stations, {rate} Hz")
         return Channels(metadata["quantity"], metadata["unit"], names, stations, rate)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise RigError(f"the metadata of channel {topic} cannot be read ({error!r}); see the README") from error

@@ -3,11 +3,12 @@
 mcap's own readers allocate what a record declares, decompress whatever comes, and skip the checksum of attachments.
 """
 
+import os
 import struct
 from collections.abc import Callable, Container, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
-from io import BytesIO
-from mmap import ACCESS_READ, mmap
+from io import BufferedReader, BytesIO
 from pathlib import Path, PurePosixPath
 
 import lz4.frame
@@ -23,6 +24,7 @@ from rig.errors import RigError
 
 MAX_BYTES = 64 * 1024 * 1024
 """The largest record, and the largest content of a chunk, that is read."""
+_PIECE_BYTES = 16 * 1024 * 1024  # a file is read in pieces of this size, each of which holds many records
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
@@ -50,13 +52,18 @@ def part_of(path: Path) -> Path:
     return part
 
 
-def opened(path: Path) -> memoryview:
-    """The file, mapped, behind its first eight bytes; raises RigError with a sentence if it is no MCAP file."""
+def opened(path: Path) -> BufferedReader:
+    """The file, open behind its first eight bytes; raises RigError with a sentence if it is no MCAP file.
+
+    It is read record by record and not mapped: a mapped file that is cut while it is read would end the process.
+    """
     try:
-        with path.open("rb") as file:
+        with ExitStack() as closing:
+            file = closing.enter_context(path.open("rb"))
             start = file.read(len(_MAGIC))
             if start == _MAGIC:
-                return memoryview(mmap(file.fileno(), 0, access=ACCESS_READ))[len(_MAGIC) :]
+                closing.pop_all()
+                return file
     except OSError as error:
         raise RigError(f"{path}: cannot be opened ({error.strerror}); check the name") from error
     if not start:
@@ -64,15 +71,15 @@ def opened(path: Path) -> memoryview:
     raise RigError(f"{path}: is no MCAP file; give a recording made by `rig record` or `rig import`")
 
 
-def whole(content: memoryview, wanted: Callable[[Channel], bool] = lambda _: True) -> Iterator[McapRecord]:
+def whole(file: BufferedReader, wanted: Callable[[Channel], bool] = lambda _: True) -> Iterator[McapRecord]:
     """Every record of a complete file that `opened` gave; raises one of DAMAGE where it is cut or damaged.
 
     The messages of channels that are not wanted are counted, no more. A record that is refused for its size or name
     raises RigError, without the name of the file.
     """
     crc, messages, unwanted = crc32(_MAGIC), 0, set[int]()
-    for opcode, begin, end in _split(content):
-        for record in records(opcode, content[begin:end], unwanted):
+    for opcode, content in _split(file):
+        for record in records(opcode, content[_HEAD.size :], unwanted):
             if isinstance(record, DataEnd) and record.data_section_crc not in (0, crc):
                 raise ValueError("the checksum of its data is wrong")
             if isinstance(record, Statistics) and record.message_count != messages:
@@ -81,25 +88,18 @@ def whole(content: memoryview, wanted: Callable[[Channel], bool] = lambda _: Tru
                 unwanted.add(record.id)
             messages += record.messages if isinstance(record, Unread) else isinstance(record, Message)
             yield record
-        crc = crc32(content[begin - _HEAD.size : end], crc)
-        if opcode == Opcode.FOOTER:
-            if content[end:] != _MAGIC:
-                break
-            return
-    raise EOFError("its end is missing")
+        crc = crc32(content, crc)
 
 
-def complete(content: memoryview) -> Iterator[McapRecord]:
+def complete(file: BufferedReader) -> Iterator[McapRecord]:
     """Every sound record of a file that `opened` gave, cut off or damaged as it may be."""
     try:
-        for opcode, begin, end in _split(content):
+        for opcode, content in _split(file):
             try:
-                found = list(records(opcode, content[begin:end]))
+                found = list(records(opcode, content[_HEAD.size :]))
             except DAMAGE:
                 continue
             yield from found
-            if opcode == Opcode.FOOTER:
-                return
     except DAMAGE:
         return
 
@@ -152,24 +152,51 @@ def _message(body: memoryview) -> Message:
     return Message(channel, log_time, body[_MESSAGE.size :], publish_time, sequence)
 
 
-def _split(content: memoryview) -> Iterator[tuple[int, int, int]]:
-    """Every record's opcode, and where its body begins and ends."""
-    end = 0
-    while end < len(content):
-        opcode, begin, end = _next(content, end)
-        yield opcode, begin, end
+def _split(file: BufferedReader) -> Iterator[tuple[int, memoryview]]:
+    """Every record's opcode and its bytes, head and body, up to the footer and the magic behind it."""
+    content, at, opcode = memoryview(b""), 0, 0
+    while opcode != Opcode.FOOTER:
+        content, at = _at_least(_HEAD.size, file, content, at)
+        opcode, length = _head(content, at)
+        content, at = _at_least(_HEAD.size + length, file, content, at)
+        yield opcode, content[at : at + _HEAD.size + length]
+        at += _HEAD.size + length
+    content, at = _at_least(len(_MAGIC), file, content, at)
+    if content[at:] != _MAGIC or file.read(1):
+        raise EOFError("its end is missing")
+
+
+def _at_least(count: int, file: BufferedReader, content: memoryview, at: int) -> tuple[memoryview, int]:
+    """Content with so many bytes from a place on: what is given or, if that is too short, its rest and a new piece."""
+    if len(content) - at >= count:
+        return content, at
+    rest = content[at:]
+    left = max(0, os.fstat(file.fileno()).st_size - file.tell())
+    piece = np.empty(min(max(_PIECE_BYTES, count), len(rest) + left), "u1").data
+    piece[: len(rest)] = rest
+    end = len(rest) + file.readinto(piece[len(rest) :])
+    if end < count:
+        raise EOFError(f"a record of {count} bytes ends after {end}" if end else "its end is missing")
+    return piece[:end], 0
 
 
 def _next(content: memoryview, at: int) -> tuple[int, int, int]:
-    opcode, length = _HEAD.unpack_from(content, at)
+    """The opcode of the record there, and where its body begins and ends."""
+    opcode, length = _head(content, at)
     begin = at + _HEAD.size
+    if begin + length > len(content):
+        raise EOFError(f"a record of {length} bytes ends after {len(content) - begin}")
+    return opcode, begin, begin + length
+
+
+def _head(content: memoryview, at: int) -> tuple[int, int]:
+    """The opcode of the record there and the length of its body, which is no more than MAX_BYTES."""
+    opcode, length = _HEAD.unpack_from(content, at)
     if opcode == 0:
         raise ValueError("a record without a kind")
     if length > MAX_BYTES:
         raise RigError(f"a record declares {length} bytes; write records of at most {MAX_BYTES} bytes")
-    if begin + length > len(content):
-        raise EOFError(f"a record of {length} bytes ends after {len(content) - begin}")
-    return opcode, begin, begin + length
+    return opcode, length
 
 
 def _decompressed(body: memoryview) -> memoryview:

@@ -98,6 +98,14 @@ class ContainerWriter:
         for record in self._repeated:
             self._write(_encoded(record))
 
+    def first_chunk(self) -> Gathered:
+        """A chunk that begins with the schemas and channels once more: in front of the chunks no checksum guards them.
+
+        What is saved of a file without its end depends on them.
+        """
+        piece = b"".join(map(_encoded, self._repeated))
+        return Gathered([piece], len(piece))
+
     def write_chunk(self, messages: Gathered) -> None:
         """Writes the messages as a chunk with its index."""
         times = {channel: np.concatenate(found) for channel, found in messages.times_ns.items()}

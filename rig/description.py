@@ -14,6 +14,12 @@ from rig.oscillator import Oscillator
 Quantity = Literal["displacement", "velocity", "acceleration"]
 Body = Beam | Oscillator
 UNITS: dict[str, str] = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N"}
+LONGEST_DELAY_S = 1.0
+
+
+def _is_gain(value: float) -> bool:
+    """Finite and other than zero, and so that no number within reason becomes infinite or zero by it."""
+    return 1e-12 <= abs(value) <= 1e12
 
 
 class Station(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -49,10 +55,10 @@ class Sensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     bits: int | None = None
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.gain) and self.gain != 0):
+        if not _is_gain(self.gain):
             raise RigError(f"sensor {self.name!r}: gain is {self.gain}; give a finite value other than zero")
-        if not np.isfinite(self.delay_s):
-            raise RigError(f"sensor {self.name!r}: delay_s is {self.delay_s}; give a finite value")
+        if not abs(self.delay_s) <= LONGEST_DELAY_S:
+            raise RigError(f"sensor {self.name!r}: delay_s is {self.delay_s}; give a finite value, -1 to 1 s")
         if not (np.isfinite(self.noise_density) and self.noise_density >= 0):
             raise RigError(f"sensor {self.name!r}: noise_density is {self.noise_density}; give zero or above")
         if self.measuring_range is not None and not 0 < self.measuring_range < np.inf:
@@ -130,10 +136,10 @@ class ForceSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     lag_s: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.gain) and self.gain != 0):
+        if not _is_gain(self.gain):
             raise RigError(f"force sensor: gain is {self.gain}; give a finite value other than zero")
-        if not (np.isfinite(self.lag_s) and self.lag_s >= 0):
-            raise RigError(f"force sensor: lag_s is {self.lag_s}; give a finite value, zero or above")
+        if not 0 <= self.lag_s <= LONGEST_DELAY_S:
+            raise RigError(f"force sensor: lag_s is {self.lag_s}; give a finite value, zero to 1 s")
 
 
 class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -156,8 +162,10 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     force_sensor: ForceSensor = ForceSensor()
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.sample_rate_hz) and self.sample_rate_hz > 0):
-            raise RigError(f"rig {self.name!r}: sample_rate_hz is {self.sample_rate_hz}; give a value above zero")
+        if not 1e-6 <= self.sample_rate_hz <= 1e9:
+            raise RigError(
+                f"rig {self.name!r}: sample_rate_hz is {self.sample_rate_hz}; give a value above zero, 1e-6 to 1e9"
+            )
         for kind, names in (
             ("body", [b.name for b in self.bodies]),
             ("contact", [c.name for c in self.contacts]),
@@ -224,5 +232,5 @@ def from_json(text: bytes, source: str) -> Rig:
     """
     try:
         return msgspec.json.decode(text, type=Rig)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise RigError(f"{source}: not a rig description: {error}; see the README on rig.json") from error

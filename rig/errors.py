@@ -1,8 +1,16 @@
 """The one error that a user sees: a sentence saying what is wrong, with which value, and what to do."""
 
+LONGEST = 1500
+
 
 class RigError(ValueError):
-    """Input that cannot be used. Its text is one sentence for the user; the commands print it and exit with 1."""
+    """Input that cannot be used. Its text is one sentence for the user; the commands print it and exit with 1.
+
+    What it quotes of a file may be anything: it is made one printable line of at most some 1500 characters.
+    """
+
+    def __init__(self, sentence: str) -> None:
+        super().__init__(_one_line(sentence))
 
 
 class CutOffError(RigError):
@@ -11,3 +19,10 @@ class CutOffError(RigError):
     def __init__(self, sentence: str, strerror: str) -> None:
         super().__init__(sentence)
         self.strerror = strerror
+
+
+def _one_line(text: str) -> str:
+    """The text with line ends and the like as escapes, and without its middle if it is too long."""
+    if len(text) > LONGEST:
+        text = f"{text[: LONGEST // 2]} [...] {text[-LONGEST // 2 :]}"
+    return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

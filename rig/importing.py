@@ -68,7 +68,7 @@ def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
         raise RigError(f"{map_path}: {error}") from error
     try:
         time_s = _time(told, columns, list(taken.values()))
-        rows = np.stack([factors[name] * column.values for name, column in taken.items()])
+        rows = np.stack([_in_si(factors[name], column) for name, column in taken.items()])
         values, resampled = even(rows, time_s, rig.sample_rate_hz, told.resample)
     except RigError as error:
         raise RigError(f"{source}: {error}") from error
@@ -103,7 +103,7 @@ def _read_map(path: Path) -> tuple[Map, Rig]:
         text = place.read_bytes()
     except OSError as error:
         raise RigError(f"{error.filename}: cannot be opened ({error.strerror}); check the name") from error
-    except (msgspec.DecodeError, ValueError) as error:
+    except (msgspec.DecodeError, ValueError, RecursionError) as error:
         raise RigError(f"{path}: is no map ({error}); see the README on importing") from error
     return told, from_json(text, str(place))
 
@@ -155,6 +155,14 @@ def _factor(quantity: str, entry: Source, column: Column) -> float:
         if said != factor:
             raise RigError(f"column {column.name!r} is in {column.unit!r} by the file, {entry.unit!r} by the map")
     return factor * entry.scale
+
+
+def _in_si(factor: float, column: Column) -> Float[np.ndarray, " samples"]:
+    with np.errstate(over="ignore"):
+        values = factor * column.values
+    if not np.isfinite(values).all():
+        raise RigError(f"column {column.name!r} times {factor:g} is too large for a number; correct its scale")
+    return values
 
 
 def _time(told: Map, columns: Sequence[Column], taken: Sequence[Column]) -> Float[np.ndarray, " samples"]:

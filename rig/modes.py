@@ -69,6 +69,10 @@ def modes_of(rig: Rig, body: Body) -> Modes:
     held = held_coordinates(rig, body)
     squares, free = eigh(stiffness[held:, held:], mass[held:, held:], subset_by_index=[0, MAX_MODES - 1])
     squares[: _floating(body, nodes_m, stiffness)] = 0.0
+    if not (squares >= 0).all():
+        raise RigError(
+            f"the modes of {body.name!r} are lost in rounding; check the masses, springs and clamps that it carries"
+        )
     vectors = np.concatenate([np.zeros((held, free.shape[1])), free])
     return FiniteElementModes(body, nodes_m, np.sqrt(squares) / (2 * np.pi), vectors)
 

@@ -14,7 +14,7 @@ from rig.errors import RigError
 from rig.excitation import QUIET_S, Excitation, force_history
 from rig.motion import Plant, Progress
 from rig.recording import channel_groups, truth_groups, truth_path, writing
-from rig.sensors import digitised, needed_duration_s
+from rig.sensors import Samples, digitised, needed_duration_s
 
 MAX_DURATION_S = 1e6
 
@@ -60,12 +60,14 @@ def record(
     rng = np.random.default_rng([excitation.seed, 1])
     written = 0
     with (
+        np.errstate(over="ignore", divide="ignore", invalid="ignore"),  # what becomes of it is refused below
         _interrupted_between_blocks() as check_interrupt,
         writing(path, rig, channel_groups(rig), provenance) as recording,
         writing(truth_path(path), actual, truth_groups(actual), provenance) as truth,
     ):
         for block in digitised(actual, plant(actual, force, step_s, progress), rng):
             keep = slice(0, samples - written)
+            _check_finite(block)
             for file in (recording, truth):
                 file.append("force", block.force_n[None, keep])
             for quantity, values in block.sensed.items():
@@ -74,6 +76,12 @@ def record(
                 truth.append(group, values[:, keep])
             written += block.force_n[keep].size
             check_interrupt()
+
+
+def _check_finite(block: Samples) -> None:
+    for name, values in (("force", block.force_n), *block.sensed.items(), *block.truth.items()):
+        if not np.isfinite(values).all():
+            raise RigError(f"the simulated {name} is no finite number; check the rig for values without reason")
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
 
 from rig import container, messages
+from rig.agreement import check_channels
 from rig.channels import Channels, described, understood
 from rig.container_writer import ContainerWriter, Gathered
 from rig.description import UNITS, Rig, from_json, stations_of, to_json
@@ -89,7 +90,7 @@ class RecordingWriter:
             ],
         )
         stream.flush()
-        self._chunk = Gathered()
+        self._chunk = self._writer.first_chunk()
         self._pending = {name: np.zeros((len(group.names), 0)) for name, group in groups.items()}
         self._written = dict.fromkeys(groups, 0)
 
@@ -107,7 +108,7 @@ class RecordingWriter:
         for group, rest in self._pending.items():
             if rest.shape[1]:
                 self._write(group, rest, rest.shape[1])
-        if self._chunk.size:
+        if self._chunk.times_ns:
             self._writer.write_chunk(self._chunk)
         self._writer.finish()
 
@@ -200,7 +201,9 @@ def read(path: Path) -> Recording:
     channel, has a gap in its samples, or holds values that are not finite.
     """
     recording = _loaded(path)
-    _check_against(path, recording)
+    check_channels(
+        path, recording.rig, {n: s.channels for n, s in recording.signals.items()}, channel_groups(recording.rig)
+    )
     return recording
 
 
@@ -238,7 +241,10 @@ def gathered(records: Iterable[McapRecord]) -> Contents:
     """Sorts the records of a file; raises ValueError or RigError, without the name of the file, if one is wrong."""
     found = Contents({}, {}, {}, {})
     numbers: dict[int, str] = {}
+    channels: dict[int, Channel] = {}
     for record in records:
+        if isinstance(record, Channel) and (before := channels.setdefault(record.id, record)) != record:
+            raise ValueError(f"channel {record.id} is described in two ways: {before.topic} and {record.topic}")
         if isinstance(record, Attachment):
             found.attachments[record.name] = record.data
         elif isinstance(record, Metadata) and record.name == "provenance":
@@ -260,15 +266,15 @@ def rig_of(path: Path, contents: Contents) -> Rig:
 
 
 def _loaded(path: Path) -> Recording:
-    content = container.opened(path)
-    try:
-        contents = gathered(container.whole(content, is_of_blocks))
-    except RigError as error:
-        raise RigError(f"{path}: {error}") from error
-    except container.DAMAGE as error:
-        state = "damaged" if isinstance(error, ValueError) else "cut off or damaged"
-        reason = str(error) or type(error).__name__
-        raise RigError(f"{path}: is {state} ({reason}); try `rig recover`, or restore a copy") from error
+    with container.opened(path) as file:
+        try:
+            contents = gathered(container.whole(file, is_of_blocks))
+        except RigError as error:
+            raise RigError(f"{path}: {error}") from error
+        except container.DAMAGE as error:
+            state = "damaged" if isinstance(error, ValueError) else "cut off or damaged"
+            reason = str(error) or type(error).__name__
+            raise RigError(f"{path}: is {state} ({reason}); try `rig recover`, or restore a copy") from error
     rig = rig_of(path, contents)
     signals = {name: assembled(path, name, group, contents.blocks[name]) for name, group in contents.groups.items()}
     if "force" not in signals:
@@ -297,7 +303,9 @@ def assembled(path: Path, name: str, channels: Channels, blocks: list[messages.B
     values = np.empty((len(channels.names), expected))
     for block in blocks:
         values[:, block.first_sample : block.first_sample + block.values.shape[1]] = block.values
-        if not np.isfinite(block.values.sum()):  # or only too large together
+        with np.errstate(over="ignore", invalid="ignore"):
+            suspect = not np.isfinite(block.values.sum())  # or only too large together
+        if suspect:
             _check_finite(path, channels, block)
     return Signals(channels, blocks[0].time_ns * 1e-9, values)
 
@@ -310,25 +318,3 @@ def _check_finite(path: Path, channels: Channels, block: messages.Block) -> None
             f"{path}: channel {channels.names[row]!r} is not a finite number at sample {sample} "
             f"({sample / channels.sample_rate_hz:.4f} s); repair or leave out that channel"
         )
-
-
-def _check_against(path: Path, recording: Recording) -> None:
-    rig, signals = recording.rig, recording.signals
-    believed = {s.name: s for s in rig.sensors}
-    for name, signal in signals.items():
-        if signal.channels.sample_rate_hz != rig.sample_rate_hz:
-            raise RigError(
-                f"{path}: group {name} is sampled at {signal.channels.sample_rate_hz} Hz, "
-                f"{RIG_NAME} says {rig.sample_rate_hz} Hz; make them agree"
-            )
-        if name not in quantities_of(rig):
-            continue
-        for channel, station in zip(signal.channels.names, signal.channels.stations, strict=True):
-            if channel not in believed or believed[channel].station != station:
-                raise RigError(
-                    f"{path}: channel {channel!r} of group {name} is no sensor of {RIG_NAME}, or stands elsewhere "
-                    "there; make them agree"
-                )
-    for sensor in rig.sensors:
-        if sensor.quantity not in signals or sensor.name not in signals[sensor.quantity].channels.names:
-            raise RigError(f"{path}: sensor {sensor.name!r} of {RIG_NAME} has no channel; record it or take it out")

@@ -4,11 +4,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from rig import container
+from rig.agreement import check_channels
 from rig.channels import Channels
 from rig.errors import RigError
 from rig.messages import Block
-from rig.recording import BLOCK, assembled, gathered, rig_of, with_history, writing
+from rig.recording import (
+    BLOCK,
+    assembled,
+    channel_groups,
+    gathered,
+    rig_of,
+    truth_groups,
+    with_history,
+    writing,
+)
 
 
 @dataclass(frozen=True)
@@ -37,12 +49,13 @@ def recover(bad: Path, good: Path) -> tuple[Loss, ...]:
     """
     if container.part_of(good) == bad:
         raise RigError(f"{good}: would be written over {bad}; give another name")
-    try:
-        contents = gathered(container.complete(container.opened(bad)))
-    except ValueError as error:
-        raise RigError(f"{bad}: cannot be recovered ({error}); restore it from a copy") from error
+    with container.opened(bad) as file:
+        try:
+            contents = gathered(container.complete(file))
+        except container.DAMAGE as error:
+            raise RigError(f"{bad}: cannot be recovered ({error}); restore it from a copy") from error
     rig = rig_of(bad, contents)
-    blocks = {name: {b.first_sample: b for b in found} for name, found in contents.blocks.items()}
+    blocks = {name: _placed(found) for name, found in contents.blocks.items()}
     kept = min((_unbroken(found) for found in blocks.values()), default=0)
     if not kept:
         raise RigError(f"{bad}: holds no complete chunk of every group; there is nothing to recover")
@@ -52,12 +65,25 @@ def recover(bad: Path, good: Path) -> tuple[Loss, ...]:
         name: assembled(bad, name, channels, [b for first, b in blocks[name].items() if first < kept])
         for name, channels in contents.groups.items()
     }
+    if set(signals) != set(truth_groups(rig)):
+        check_channels(bad, rig, contents.groups, channel_groups(rig))
     history = with_history(contents.provenance, f"recovered from {bad.name}; " + "; ".join(map(str, losses)))
     with writing(good, rig, contents.groups, history) as recording:
         for first in range(0, kept, BLOCK):
             for name, signal in signals.items():
                 recording.append(name, signal.values[:, first : min(first + BLOCK, kept)])
     return losses
+
+
+def _placed(blocks: list[Block]) -> dict[int, Block]:
+    """The blocks by their first samples, without those that claim the same place with other values."""
+    placed: dict[int, Block] = {}
+    doubtful = set()
+    for block in blocks:
+        before = placed.setdefault(block.first_sample, block)
+        if not np.array_equal(before.values, block.values):
+            doubtful.add(block.first_sample)
+    return {first: block for first, block in placed.items() if first not in doubtful}
 
 
 def _unbroken(blocks: dict[int, Block]) -> int:

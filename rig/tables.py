@@ -1,16 +1,22 @@
 """Measured data as columns, from the files in which laboratories keep them: CSV, UFF, MATLAB and TDMS."""
 
 import csv
+import logging
+import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
 from jaxtyping import Float
 
 from rig.errors import RigError
+from rig.matlab import arrays_of
+
+_SEGMENT_HEAD_BYTES = 28  # of TDMS
+_BIG_ENDIAN = 1 << 6
 
 
 @dataclass(frozen=True)
@@ -54,8 +60,10 @@ def columns_of(path: Path, text: TextForm) -> tuple[Column, ...]:
         columns = tuple(READERS[suffix](path, text))
     except OSError as error:
         raise RigError(f"{path}: cannot be opened ({error.strerror or error}); check the name") from error
-    except (RigError, MemoryError):
+    except RigError:
         raise
+    except MemoryError as error:
+        raise RigError(f"{path}: needs more memory than there is; export it again, or a shorter record") from error
     except Exception as error:  # what the formats' libraries raise on a bad file is not to be listed
         reason = (str(error) or type(error).__name__).splitlines()[0]
         raise RigError(f"{path}: cannot be read as {suffix} ({reason}); export it again") from error
@@ -128,15 +136,7 @@ def _uff(path: Path, _: TextForm) -> Iterable[Column]:
 
 
 def _mat(path: Path, _: TextForm) -> Iterable[Column]:
-    from scipy.io import loadmat
-
-    try:
-        variables: dict[str, Any] = loadmat(path, appendmat=False)
-    except NotImplementedError as error:
-        raise RigError(f"{path}: is a MATLAB file of version 7.3; store it by save(..., '-v7')") from error
-    for name, array in variables.items():
-        if name.startswith("__") or not isinstance(array, np.ndarray) or array.dtype.kind not in "iuf":
-            continue
+    for name, array in arrays_of(path):
         if array.ndim != 2 or array.size < 2:
             continue
         rows = array if array.shape[0] < array.shape[1] else array.T  # a record is longer than it has channels
@@ -146,14 +146,36 @@ def _mat(path: Path, _: TextForm) -> Iterable[Column]:
 
 def _tdms(path: Path, _: TextForm) -> Iterable[Column]:
     from nptdms import TdmsFile
+    from nptdms.log import log_manager
 
-    for group in TdmsFile.read(path).groups():
+    log_manager.set_level(logging.CRITICAL)  # what it finds is said by an error, or is no fault
+    content = BytesIO(path.read_bytes())  # a read from it takes no more memory than there is to read
+    _check_segments(path, content.getbuffer())
+    declared = sum(len(c) for group in TdmsFile.read_metadata(content).groups() for c in group.channels())
+    if declared > len(content.getbuffer()):
+        raise RigError(f"{path}: declares {declared} values, more than it has bytes; export it again")
+    content.seek(0)
+    for group in TdmsFile.read(content).groups():
         for channel in group.channels():
             values = channel[:]
             if values.dtype.kind in "iuf":
                 unit = channel.properties.get("unit_string")
                 rate = _rate(float(channel.properties.get("wf_increment", 0.0)))
                 yield Column(f"{group.name}/{channel.name}", values.astype(float), str(unit) if unit else None, rate)
+
+
+def _check_segments(path: Path, content: memoryview) -> None:
+    """Raises RigError unless a TDMS file ends where its last segment does."""
+    at = 0
+    while at < len(content):
+        head = content[at : at + _SEGMENT_HEAD_BYTES]
+        if len(head) < _SEGMENT_HEAD_BYTES or bytes(head[:4]) != b"TDSm":
+            raise RigError(f"{path}: has no whole segment at byte {at}; export it again")
+        (kind,) = struct.unpack_from("<I", head, 4)
+        (length,) = struct.unpack_from(">Q" if kind & _BIG_ENDIAN else "<Q", head, 12)
+        at += _SEGMENT_HEAD_BYTES + length
+    if at != len(content):
+        raise RigError(f"{path}: is cut off; export it again")
 
 
 def _rate(interval_s: float) -> float | None:

@@ -1,6 +1,7 @@
 """Files that were made to do harm: refused by one sentence, before anything large is read."""
 
 import json
+import os
 import struct
 import tracemalloc
 import zlib
@@ -14,6 +15,7 @@ from mcap.opcode import Opcode
 from mcap.records import Chunk
 from mcap.writer import CompressionType, Writer
 
+from rig import container
 from rig.command_line import refuse_existing
 from rig.container import MAX_BYTES
 from rig.description import to_json
@@ -147,3 +149,18 @@ def test_what_a_kill_left_is_not_overwritten_unasked(tmp_path):
     with pytest.raises(RigError, match=r"r\.mcap\.part: is being written or was cut off"):
         refuse_existing(tmp_path / "r.mcap", False)
     refuse_existing(tmp_path / "r.mcap", True)
+
+
+def test_a_file_that_is_cut_while_it_is_read_is_refused(tmp_path, monkeypatch):
+    """A mapped file would end the process by a bus error."""
+    path = tmp_path / "r.mcap"
+    write(path)
+
+    def cut(_):
+        os.truncate(path, 1000)
+        return True
+
+    monkeypatch.setattr(container, "_PIECE_BYTES", 1000)
+    monkeypatch.setattr("rig.recording.is_of_blocks", cut)
+    with pytest.raises(RigError, match="is cut off"):
+        read(path)

@@ -74,6 +74,7 @@ def test_a_rig_survives_json(**changes):
     [
         ({"sample_rate_hz": 0.0}, "sample_rate_hz is 0.0; give a value above zero"),
         ({"sample_rate_hz": float("nan")}, "sample_rate_hz is nan; give"),
+        ({"sample_rate_hz": 1e-300}, "sample_rate_hz is 1e-300; give"),
         ({"bodies": (small_rig().bodies[1],) * 2}, "more than one body is named 'mass'; names must differ"),
         ({"contacts": small_rig().contacts * 2}, "more than one contact is named 'stop'"),
         ({"sensors": small_rig().sensors * 2}, "more than one sensor is named 'tip'"),
@@ -98,6 +99,8 @@ def test_a_rig_that_cannot_be_is_refused(changes, sentence):
     [
         ({"gain": 0.0}, "gain is 0.0; give a finite value other than zero"),
         ({"gain": float("nan")}, "gain is nan"),
+        ({"gain": 1e-320}, "gain is 1e-320"),
+        ({"delay_s": 1000.0}, "delay_s is 1000.0; give a finite value, -1 to 1 s"),
         ({"delay_s": float("inf")}, "delay_s is inf; give a finite value"),
         ({"noise_density": -1.0}, "noise_density is -1.0; give zero or above"),
         ({"measuring_range": 0.0}, "measuring_range is 0.0; give a finite value above zero"),

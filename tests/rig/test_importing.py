@@ -1,6 +1,7 @@
 """Measured data in, recordings out, and back: the same numbers, or one sentence that says why not."""
 
 import json
+import struct
 import sys
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from rig.description import to_json
 from rig.errors import RigError
 from rig.exporting import WRITERS, export
 from rig.importing import import_file
+from rig.matlab import arrays_of
 from rig.recording import channel_groups, read, writing
 from rig.reference import BarrelCradle, Sdof
 from rig.tables import TextForm, columns_of
@@ -168,6 +170,45 @@ def test_matlab_7_3_is_named(folder):
         imported(folder, mapped(), "lab.mat")
 
 
+@pytest.mark.parametrize("compressed", [False, True])
+def test_matlab_arrays_of_every_kind(tmp_path, compressed):
+    kinds = ("i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8")
+    arrays = {f"as_{kind}": np.arange(12.0).reshape(3, 4).astype(kind) for kind in kinds}
+    others = {"z": np.ones((2, 2)) * 1j, "text": "by hand", "cell": np.array([1, "a"], dtype=object)}
+    savemat(tmp_path / "lab.mat", others | arrays, do_compression=compressed)
+    found = dict(arrays_of(tmp_path / "lab.mat"))
+    assert set(found) == set(arrays)
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(found[name], array)
+
+
+def test_matlab_4_is_read_too(folder):
+    savemat(folder / "lab.mat", {"F": VALUES["force"], "x": VALUES[X], "a": VALUES[A], "t": TIME_S}, format="4")
+    check(imported(folder, mapped(), "lab.mat"))
+
+
+def test_a_matlab_file_that_swells_is_refused(folder, monkeypatch):
+    monkeypatch.setattr("rig.matlab.SMALL_BYTES", 10_000)
+    savemat(folder / "lab.mat", {"F": np.zeros(100_000)}, do_compression=True)
+    with pytest.raises(RigError, match=r"lab\.mat: its compressed data swells beyond measure"):
+        imported(folder, mapped(), "lab.mat")
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_a_matlab_file_that_is_cut_or_of_an_unknown_type_is_refused(folder, compressed):
+    """A damaged type makes scipy's reader end the process."""
+    path = folder / "lab.mat"
+    savemat(path, {"F": VALUES["force"]}, do_compression=compressed)
+    content = path.read_bytes()
+    for size in (len(content) - 1, len(content) // 2, 130):
+        with pytest.raises(RigError, match=r"lab\.mat: "):
+            imported(folder, mapped(), "lab.mat", content[:size])
+    if not compressed:
+        at = content.rindex(struct.pack("<II", 9, 8 * SAMPLES))
+        with pytest.raises(RigError, match="is of the unknown type 8"):
+            imported(folder, mapped(), "lab.mat", content[:at] + b"\x08" + content[at + 1 :])
+
+
 def write_tdms(path, rates=(RATE_HZ,) * 3):
     with TdmsWriter(str(path)) as writer:
         writer.write_segment(
@@ -189,6 +230,17 @@ def test_tdms(folder):
     told["sensors"][X]["unit"] = "m"
     with pytest.raises(RigError, match=f"column 'run/{X}' is in 'mm' by the file, 'm' by the map"):
         imported(folder, told, "lab.tdms")
+
+
+def test_a_tdms_file_that_is_cut_is_refused(folder, capfd):
+    write_tdms(folder / "lab.tdms")
+    content = (folder / "lab.tdms").read_bytes()
+    told = mapped(time=None, force={"column": "run/force"}, sensors={n: {"column": f"run/{n}"} for n in (X, A)})
+    check(imported(folder, told, "lab.tdms", content))
+    for text in (content[:-8], content[: len(content) // 2], content + content[:40], content[:20]):
+        with pytest.raises(RigError, match=r"is cut off|has no whole segment"):
+            imported(folder, told, "lab.tdms", text)
+    assert capfd.readouterr() == ("", "")  # its library warns by itself
 
 
 @pytest.mark.parametrize("form", WRITERS)
@@ -230,6 +282,7 @@ def stamps(**changes):
         (mapped(force={"column": 9, "unit": "N"}), csv_text(), "there is no column 9; the file has 1 to 4"),
         (mapped(force={"column": "x", "unit": "N"}), csv_text(), "column 'x' is given to both 'force' and"),
         (mapped(force={"column": "F", "unit": "N", "scale": 0.0}), csv_text(), "scale is 0.0"),
+        (mapped(force={"column": "F", "unit": "kN", "scale": 1e308}), csv_text(), "'F' times inf is too large"),
         (mapped(), csv_text(names="t,F,x,F"), "2 columns are named 'F'; give the number"),
         (mapped(sensors={X: {"column": "x", "unit": "mm"}}), csv_text(), f"sensor {A!r} is missing"),
         (mapped(sensors={"y": {"column": "x"}}), csv_text(), "sensor 'y' is no sensor of the rig"),

@@ -2,11 +2,13 @@
 
 import json
 import os
+import re
 import signal
 import struct
 import subprocess
 import sys
 import time
+import zlib
 
 import numpy as np
 import pytest
@@ -202,6 +204,37 @@ def test_a_flipped_chunk_ends_what_is_recovered_and_what_lies_behind_is_counted_
     losses = recover(tmp_path / "bad.mcap", tmp_path / "saved.mcap")
     check_prefix(read(tmp_path / "saved.mcap"), whole)
     assert all(0 < loss.kept < loss.found < whole.samples for loss in losses)
+
+
+def test_blocks_that_claim_the_same_place_with_other_values_end_what_is_recovered(small, tmp_path):
+    path, whole = small
+    content = path.read_bytes()
+    (begin, end), *_ = chunk_places(content)
+    chunk = bytearray(content[begin + 9 : end])
+    third = chunk.index(bytes(message_head(2048)))  # its number becomes 0, which is the first block's
+    chunk[third + 1 : third + 3] = b"\x80\x00"
+    chunk[24:28] = struct.pack("<I", zlib.crc32(chunk[40:]))
+    (tmp_path / "bad.mcap").write_bytes(content[: begin + 9] + chunk + content[end : len(content) // 2])
+    with pytest.raises(RigError, match="there is nothing to recover"):
+        recover(tmp_path / "bad.mcap", tmp_path / "saved.mcap")
+    assert whole.samples == 12_000
+
+
+def message_head(first_sample):
+    """Field 2 of a block, as protobuf writes it."""
+    return bytes([2 << 3, first_sample & 0x7F | 0x80, first_sample >> 7])
+
+
+def test_a_channel_that_a_flip_gave_another_number_is_not_believed(small, tmp_path):
+    """In front of the chunks nothing guards the channels; within the first they are said again."""
+    path, _ = small
+    content = bytearray(path.read_bytes())
+    for record in range(2, 6, 2):  # the displacement's channel and the acceleration's get the force's number
+        at = [m.start() for m in re.finditer(rb"/rig/\w+/block", content)][record // 2] - 8
+        content[at : at + 2] = struct.pack("<H", 1)
+    (tmp_path / "bad.mcap").write_bytes(content[: len(content) // 2])
+    with pytest.raises(RigError, match="channel 1 is described in two ways"):
+        recover(tmp_path / "bad.mcap", tmp_path / "saved.mcap")
 
 
 def test_what_cannot_be_recovered_is_refused(small, tmp_path):

@@ -1,0 +1,117 @@
+"""A tour, to be read from top to bottom: describe a rig, record it, identify it, let it differ from its description,
+find out how, and correct the description.
+
+python -m scenarios.tour --out out/tour
+"""
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from identify.contact import identify_contact
+from identify.gap.answer import diagnose
+from rig.command_line import progress_bar, run
+from rig.contact import DeadZone
+from rig.description import Contact, Rig, Sensor, Station, to_json
+from rig.effects.added_mass import AddedMass
+from rig.excitation import BandLimitedGaussian
+from rig.oscillator import Oscillator
+from rig.plants import modal
+from rig.record import record
+from rig.recording import Recording, read
+from rig.replay import modal as simulate
+
+app = typer.Typer(pretty_exceptions_enable=False)
+
+
+@app.command()
+def tour(
+    out: Annotated[Path, typer.Option(help="Folder for the recordings and the corrected rig.json.")] = Path("out/tour"),
+    duration: Annotated[float, typer.Option(help="Length of each recording, s.")] = 60.0,
+) -> None:
+    """From the description of a rig to the correction of that description, in seven steps."""
+    out.mkdir(parents=True, exist_ok=True)
+
+    # 1. Describe. A rig is a value: bodies, contacts, where the force acts, and the sensors. This one is a mass of 1 kg
+    #    on a spring that would swing at 5 Hz, between two stops, each 1 mm away and as stiff as 10 N/mm. One
+    #    accelerometer sits on the mass, with the noise of a good one.
+    mass = Station("mass")
+    rig = Rig(
+        name="tour",
+        bodies=(Oscillator(name="mass", mass_kg=1.0, frequency_hz=5.0, damping_ratio=0.01),),
+        contacts=(
+            Contact(
+                name="stop",
+                at=mass,
+                against=None,  # the ground
+                law=DeadZone(lower_clearance_m=1e-3, upper_clearance_m=1e-3, stiffness_n_per_m=1e4),
+            ),
+        ),
+        force_at=mass,
+        sensors=(Sensor(name="accelerometer", station=mass, quantity="acceleration", noise_density=1e-3),),
+        sample_rate_hz=512.0,
+    )
+    print(f"1. rig {rig.name!r}: {len(rig.bodies)} body, {len(rig.contacts)} contact, {len(rig.sensors)} sensor")
+
+    # 2. Record. A shaker pushes the mass with a random force of 0 to 15 Hz; the file is what a laboratory would have,
+    #    with rig.json inside.
+    first = recorded(rig, rig, out / "first.mcap", duration, rms_n=0.5, seed=1)
+    print(f"2. {out / 'first.mcap'}: {first.duration_s:g} s at {first.rig.sample_rate_hz:g} Hz")
+
+    # 3. Look at a channel. A group holds all channels of one quantity, in SI, one row a channel.
+    acceleration = first.signals["acceleration"]
+    row = acceleration.values[0]
+    largest = int(np.argmax(np.abs(row)))
+    print(
+        f"3. {acceleration.channels.names[0]}: {np.sqrt(np.mean(row**2)):.3g} {acceleration.channels.unit} rms, "
+        f"largest {row[largest]:.3g} at {acceleration.time_s[largest]:.3f} s, where the mass hits a stop"
+    )
+
+    # 4. Identify. From the force and the acceleration alone: how wide is the gap, how stiff are the stops?
+    with progress_bar("identifying") as progress:
+        (stop,) = identify_contact(first, progress=progress).report.contacts
+    gap, stiffness = stop.clearance_m, stop.stiffness_n_per_m
+    print(f"4. clearance {1e3 * gap.value:.4f} ± {1e3 * gap.standard_error:.1g} mm, true is 1 mm")
+    print(f"   stiffness {stiffness.value:.0f} ± {stiffness.standard_error:.1g} N/m, true is 10000 N/m")
+
+    # 5. Let it differ. An effect is a function from rig to rig: here 50 g of cable and bracket hang on the mass that
+    #    nobody counted. The recordings still carry the rig that is believed.
+    real = AddedMass(mass_kg=0.05).applied_to(rig)
+    monday = recorded(rig, real, out / "monday.mcap", duration, rms_n=0.5, seed=2)
+    tuesday = recorded(rig, real, out / "tuesday.mcap", duration, rms_n=0.7, seed=3)
+    print(f"5. {1e3 * real.masses[0].mass_kg:g} g more than believed; two recordings of that were made")
+
+    # 6. Diagnose. What in Monday's recording does the believed rig not explain, and which effect of the library would?
+    #    Tuesday's, at another level of force, decides between the explanations. What is normal is simulated first,
+    #    and kept in a file.
+    with progress_bar("diagnosing") as progress:
+        found, corrected = diagnose(monday, tuesday, simulate, out / "floor.json", lambda _, done: progress(done))
+    print(f"6. {found.sentence}")
+
+    # 7. Correct. The diagnosis gives the rig with the effect in it, ready to be believed from now on.
+    (out / "rig.json").write_bytes(to_json(corrected))
+    added_kg = sum(m.mass_kg for m in corrected.masses)
+    print(f"7. corrected by {1e3 * added_kg:.1f} g, in {out / 'rig.json'}")
+
+
+def recorded(believed: Rig, actual: Rig, path: Path, duration_s: float, rms_n: float, seed: int) -> Recording:
+    """What the laboratory has: the actual rig is simulated, and the file says that it was the believed one."""
+    force = BandLimitedGaussian(rms_n=rms_n, low_hz=0.0, high_hz=15.0, seed=seed)
+    with progress_bar(f"recording {path.name}") as progress:
+        record(
+            believed,
+            force,
+            plant=modal.simulate,
+            duration_s=duration_s,
+            step_s=2.0**-13,
+            path=path,
+            progress=progress,
+            actual=actual,
+        )
+    return read(path)
+
+
+if __name__ == "__main__":
+    run(app, "scenarios.tour")

@@ -1,0 +1,183 @@
+"""Mutated tables and import maps: CSV against a plain reading of the same bytes, binary formats where they are cut."""
+
+import csv
+import tomllib
+from collections.abc import Callable
+from functools import cache
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pyuff
+from nptdms import ChannelObject, TdmsWriter
+from scipy.io import savemat
+
+from rig.description import to_json
+from rig.importing import import_file
+from rig.recording import Recording, read
+from rig.reference import Sdof
+from rig.units import si_factor
+from tests.fuzz.judging import refused_or_right
+from tests.fuzz.mutate import bytes_changed, cut, text_changed
+
+SDOF = Sdof().rig()
+FEW = 200
+RATE_HZ = SDOF.sample_rate_hz
+X, A = (s.name for s in SDOF.sensors)
+MAP = f"""rig = "rig.json"
+time = {{ column = "t", unit = "s" }}
+force = {{ column = "F", unit = "kN", scale = -2.5 }}
+csv = {{ encoding = "utf-8", delimiter = ",", decimal = ".", lines_before_names = 1, lines_after_names = 1 }}
+resample = false
+
+[sensors]
+{X} = {{ column = 3, unit = "mm" }}
+{A} = {{ column = "a", unit = "g" }}
+"""
+
+
+@cache
+def table() -> tuple[bytes, dict[str, np.ndarray]]:
+    rows = {name: np.random.default_rng(k).standard_normal(FEW) for k, name in enumerate(("force", X, A))}
+    time_s = np.arange(FEW) / RATE_HZ
+    lines = [",".join(map(repr, row)) for row in np.stack([time_s, *rows.values()], axis=1).tolist()]
+    return "\n".join(["run 7", "t,F,x,a", "s,kN,mm,g", *lines, ""]).encode(), rows
+
+
+def import_map(rng: np.random.Generator, folder: Path) -> str:
+    return _judged_csv(folder, table()[0], text_changed(rng, MAP.encode()))
+
+
+def csv_table(rng: np.random.Generator, folder: Path) -> str:
+    change = text_changed if rng.random() < 0.5 else bytes_changed
+    return _judged_csv(folder, change(rng, table()[0]), MAP.encode())
+
+
+def _judged_csv(folder: Path, content: bytes, told: bytes) -> str:
+    """Every number is what a plain reading of the table and of the map gives."""
+
+    def check(back: Recording) -> None:
+        said = tomllib.loads(told.decode("utf-8"))
+        columns = _plainly(content, **said.get("csv", {}))
+        entries = {"force": ("force", said["force"])}
+        entries |= {s.name: (s.quantity, said["sensors"][s.name]) for s in SDOF.sensors}
+        if "history 3" in back.provenance:
+            return  # resampled, as asked for
+        for name, (quantity, entry) in entries.items():
+            column = entry["column"]
+            number = column - 1 if isinstance(column, int) else list(columns).index(column)
+            values = list(columns.values())[number] * entry.get("scale", 1.0) * si_factor(quantity, entry["unit"])
+            (row,) = (
+                r for s in back.signals.values() for n, r in zip(s.channels.names, s.values, strict=True) if n == name
+            )
+            np.testing.assert_allclose(row, values, rtol=1e-14, atol=1e-300)
+
+    return _judged_import(folder, "lab.csv", content, told, check)
+
+
+def _plainly(
+    content: bytes,
+    encoding: str = "utf-8-sig",
+    delimiter: str = ",",
+    decimal: str = ".",
+    lines_before_names: int = 0,
+    lines_after_names: int = 0,
+) -> dict[str, np.ndarray]:
+    """A table of numbers below a line of names or above none, cell by cell."""
+    lines = content.decode(encoding).splitlines()[lines_before_names:]
+    rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter)]
+    try:
+        [float(cell.replace(decimal, ".")) for cell in rows[0]]
+        names = [f"column {k + 1}" for k in range(len(rows[0]))]
+    except ValueError:
+        names, rows = rows[0], rows[1:]
+    numbers = [[float(c.replace(decimal, ".")) for c in row] for row in rows[lines_after_names:] if any(row)]
+    return dict(zip(names, np.array(numbers).T, strict=True))
+
+
+def _judged_import(folder: Path, name: str, content: bytes, told: bytes, check: Callable[[Recording], None]) -> str:
+    (folder / "rig.json").write_bytes(to_json(SDOF))
+    (folder / name).write_bytes(content)
+    (folder / "map.toml").write_bytes(told)
+
+    def work() -> None:
+        import_file(folder / name, folder / "map.toml", folder / "r.mcap")
+        check(read(folder / "r.mcap"))
+
+    return refused_or_right(folder, work)
+
+
+@cache
+def uff(binary: int) -> bytes:
+    datasets = [
+        {
+            "type": 58,
+            "binary": binary,
+            "id1": name,
+            "func_type": 1,
+            "rsp_node": 1,
+            "rsp_dir": 3,
+            "ref_node": 0,
+            "ref_dir": 0,
+            "abscissa_spacing": 1,
+            "ordinate_axis_units_lab": "NONE",
+            "orddenom_spec_data_type": 0,
+            "x": np.arange(FEW) / RATE_HZ,
+            "data": rows,
+        }
+        for name, rows in table()[1].items()
+    ]
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "lab.uff"
+        pyuff.UFF(str(path)).write_sets(datasets, "add")
+        return path.read_bytes()
+
+
+@cache
+def mat(compressed: int) -> bytes:
+    stream = BytesIO()
+    savemat(stream, table()[1] | {"note": "by hand"}, do_compression=bool(compressed))
+    return stream.getvalue()
+
+
+@cache
+def tdms(_: int) -> bytes:
+    stream = BytesIO()
+    with TdmsWriter(stream) as writer:
+        for half in (slice(None, FEW // 2), slice(FEW // 2, None)):
+            writer.write_segment(
+                [ChannelObject("run", n, r[half], {"wf_increment": 1 / RATE_HZ}) for n, r in table()[1].items()]
+            )
+    return stream.getvalue()
+
+
+def uff_table(rng: np.random.Generator, folder: Path) -> str:
+    return _judged_binary(rng, folder, "lab.uff", uff(int(rng.integers(2))), "{}", 1e-11)
+
+
+def mat_table(rng: np.random.Generator, folder: Path) -> str:
+    return _judged_binary(rng, folder, "lab.mat", mat(int(rng.integers(2))), "{}", 0.0)
+
+
+def tdms_table(rng: np.random.Generator, folder: Path) -> str:
+    return _judged_binary(rng, folder, "lab.tdms", tdms(0), "run/{}", 0.0)
+
+
+def _judged_binary(
+    rng: np.random.Generator, folder: Path, name: str, content: bytes, column: str, precision: float
+) -> str:
+    """A table that is cut must be seen to be; other changes may hit a value, which has no checksum in these formats."""
+    only_cut = rng.random() < 0.3
+    content = cut(rng, content) if only_cut else bytes_changed(rng, content)
+    lines = [f"sample_rate_hz = {RATE_HZ}", f'force = {{ column = "{column.format("force")}", unit = "N" }}']
+    units = ((X, "m"), (A, "m/s^2"))
+    sensors = [f'{n} = {{ column = "{column.format(n)}", unit = "{unit}" }}' for n, unit in units]
+
+    def check(back: Recording) -> None:
+        for group, sensor in (("force", "force"), ("displacement", X), ("acceleration", A)):
+            rows = back.signals[group].values[0]
+            if only_cut:
+                np.testing.assert_allclose(rows, table()[1][sensor], rtol=precision, atol=precision)
+
+    return _judged_import(folder, name, content, "\n".join([*lines, "[sensors]", *sensors]).encode(), check)
