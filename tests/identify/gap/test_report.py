@@ -16,7 +16,8 @@ from rich.console import Console
 from identify.gap.pictures import pictures
 from identify.gap.report import shown, write_page
 from identify.gap.results import Closure, Value
-from identify.gap.wording import COVERED, closed, interval, number, percent
+from identify.gap.wording import closed, interval
+from identify.wording import COVERED, number, percent
 from rig.errors import RigError
 
 VOID = {"meta", "img", "br", "link", "hr"}
