@@ -80,12 +80,14 @@ def _said(estimate: Estimate, unit: str, scale: float = 1.0) -> str:
 
 
 def _values(found: Identification, laws: Laws, laws_name: str) -> str:
-    rows = [row for c in found.report.contacts for row in _rows(c, laws[c.name])]
-    if not rows:
+    tables = [
+        f"<h3>{escape(c.name)}</h3>" + page.table(("", "identified", laws_name, "differs by"), _rows(c, laws[c.name]))
+        for c in found.report.contacts
+    ]
+    if not tables:
         return "<p>Nothing.</p>"
-    return "<p>Value ± 1.96 standard errors: 95 % interval. The clearance is half the total play.</p>" + page.table(
-        ("contact", "quantity", "identified", laws_name, "differs by"), rows
-    )
+    note = "<p>Value ± 1.96 standard errors: 95 % interval. The clearance is half the total play.</p>"
+    return note + "".join(tables)
 
 
 def _rows(found: ContactEstimate, law: DeadZone) -> Iterator[tuple[str, ...]]:
@@ -99,7 +101,7 @@ def _rows(found: ContactEstimate, law: DeadZone) -> Iterator[tuple[str, ...]]:
     ):
         if estimate is not None:
             off = f"{100 * (estimate.value / beside - 1):+.3f} %" if beside else ""
-            yield found.name, name, _said(estimate, unit, scale), f"{number(scale * beside)} {unit}", off
+            yield name, _said(estimate, unit, scale), f"{number(scale * beside)} {unit}", off
 
 
 def _refused(found: Identification) -> str:
