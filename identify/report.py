@@ -101,7 +101,7 @@ def _rows(found: ContactEstimate, law: DeadZone) -> Iterator[tuple[str, ...]]:
     ):
         if estimate is not None:
             off = f"{100 * (estimate.value / beside - 1):+.3f} %" if beside else ""
-            yield name, _said(estimate, unit, scale), f"{number(scale * beside)} {unit}", off
+            yield f"{name}, {unit}", _said(estimate, "1", scale), number(scale * beside), off
 
 
 def _refused(found: Identification) -> str:

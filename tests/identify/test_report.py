@@ -47,11 +47,12 @@ def page(tmp_path):
 def test_the_values_stand_with_their_intervals_beside_the_true_ones(found, page):
     text, law = unescape(page(found)), found.rig.contacts[0].law
     (contact,) = found.report.contacts
-    for estimate, true, scale, unit in (
-        (contact.clearance_m, law.clearance_m, 1e3, "mm"),
-        (contact.stiffness_n_per_m, law.stiffness_n_per_m, 1.0, "N/m"),
+    for estimate, true, scale, name in (
+        (contact.clearance_m, law.clearance_m, 1e3, "clearance, mm"),
+        (contact.stiffness_n_per_m, law.stiffness_n_per_m, 1.0, "stiffness, N/m"),
     ):
-        assert interval(scale * estimate.value, scale * estimate.standard_error, unit) in text
+        value = interval(scale * estimate.value, scale * estimate.standard_error, "1")
+        assert f'<td>{name}</td><td class="number">{value}</td>' in text
         assert f"{100 * (estimate.value / true - 1):+.3f} %" in text
     assert "<th>true</th>" in text
     assert "<b>identified</b>" in text
