@@ -34,7 +34,7 @@ img{width:100%;max-width:34rem;height:auto;background:#fff;border:1px solid var(
 figure{margin:1rem 0}figure div{overflow-x:auto}figure img{max-width:46rem;min-width:30rem;display:block}
 figcaption{color:var(--dim);font-size:.9rem;margin-top:.2rem}
 summary{cursor:pointer;color:var(--dim)}
-@media(max-width:40rem){table{font-size:.85rem}th,td{padding-right:.5rem}td{overflow-wrap:anywhere;min-width:4.8rem}}
+@media(max-width:40rem){table{font-size:.85rem}th,td{padding-right:.5rem}td{overflow-wrap:anywhere;min-width:5.5rem}}
 """
 _PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">
