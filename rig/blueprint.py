@@ -52,7 +52,7 @@ def blueprint(look: Look) -> rrb.Blueprint:
         rrb.Horizontal(left, rrb.Vertical(*_plots(look)), column_shares=[1, 1]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="expanded", timeline=TIMELINE, play_state="paused", playback_speed=speed),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused", playback_speed=speed),
         auto_layout=False,
         auto_views=False,
     )

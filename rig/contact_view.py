@@ -172,18 +172,21 @@ def send_phase(stream: rr.RecordingStream, play: Play) -> None:
         largest_n = float(np.abs(play.force_n).max()) or 1.0
         scale = 0.8 * reach / largest_n
         eta = np.linspace(play.relative_m.min(), play.relative_m.max(), 401)
-        for label, law, colour in (
-            ("law", play.contact.law, STEEL),
-            *((n, w, OTHERS[n]) for n, w in play.others.items()),
-        ):
+        laws = {"law": play.contact.law, **play.others}
+        for depth, (label, law) in enumerate(laws.items()):
             line = np.stack([1e3 * eta, -scale * law.force_n(eta, np.zeros(eta.size))], axis=1)
-            style(stream, f"{path}/{label}", rr.LineStrips2D([line], colors=[colour], radii=pixels(2.0)))
+            drawn = {"colors": [OTHERS.get(label, STEEL)], "radii": pixels(1.0), "draw_order": 10.0 + depth}
+            style(stream, f"{path}/{label}", rr.LineStrips2D([line], **drawn))
         labels = [f"{largest_n:.3g} N", f"{-largest_n:.3g} N", f"{reach:.3g} mm"]
         places = [[0, -0.8 * reach], [0, 0.8 * reach], [1.05 * reach, 0]]
         style(stream, f"{path}/scale", rr.Points2D(places, colors=[FAINT], radii=pixels(2.0), labels=labels))
         axes = [[[-1.1 * reach, 0], [1.1 * reach, 0]], [[0, -0.95 * reach], [0, 0.95 * reach]]]
         style(stream, f"{path}/axes", rr.LineStrips2D(axes, colors=[FAINT], radii=pixels(0.5)))
-        style(stream, f"{path}/seen", rr.LineStrips2D.from_fields(colors=[LINES[0]], radii=[pixels(0.75)]))
+        style(
+            stream,
+            f"{path}/seen",
+            rr.LineStrips2D.from_fields(colors=[LINES[1]], radii=[pixels(1.25)], draw_order=50.0),
+        )
         points = np.stack([1e3 * play.relative_m, -scale * play.force_n], axis=1)[play.kept]
         at = np.searchsorted(play.kept, play.frames)
         strips = [points[a : b + 1] for a, b in pairwise(at)]

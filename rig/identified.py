@@ -43,7 +43,10 @@ def identified_laws(path: Path, rig: Rig) -> dict[str, DeadZone]:
     for found in report.contacts:
         if found.name not in names:
             raise RigError(f"{path}: has a contact {found.name!r}, the rig has {', '.join(names)}; take another file")
-    return {c.name: _law(c) for c in report.contacts}
+    try:
+        return {c.name: _law(c) for c in report.contacts}
+    except RigError as error:
+        raise RigError(f"{path}: {error}") from error
 
 
 def _law(found: _Contact) -> DeadZone:

@@ -44,7 +44,10 @@ def views(rrd: Path) -> list[str]:
 
 @contextmanager
 def _opened(rrd: Path) -> Iterator[ViewerClient]:
-    with ViewerClient.spawn(headless=True, port=_free_port(), hide_welcome_screen=True) as viewer:
+    program = str(Path(sys.executable).with_name("rerun"))  # beside Python, should no environment be active
+    with ViewerClient.spawn(
+        headless=True, port=_free_port(), hide_welcome_screen=True, executable_path=program
+    ) as viewer:
         viewer.open(str(rrd.resolve()))
         until = time.monotonic() + PATIENCE_S
         while time.monotonic() < until and not viewer.get_state().views:
