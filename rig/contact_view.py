@@ -89,7 +89,7 @@ def send_close_up(stream: rr.RecordingStream, play: Play) -> None:
     style(stream, f"{path}/point", rr.Points2D.from_fields(radii=[pixels(7.0)]))
     send(stream, f"{path}/point", time_s, rr.Points2D, positions=trail[:, -1], colors=play.colours)
     style(
-        stream, f"{path}/reading", rr.Points2D.from_fields(positions=[[0.6 * across, -0.1 * play.reach_mm]], radii=[0])
+        stream, f"{path}/reading", rr.Points2D.from_fields(positions=[[0.6 * across, -0.3 * play.reach_mm]], radii=[0])
     )
     send(stream, f"{path}/reading", time_s, rr.Points2D, labels=_readings(play), colors=play.colours)
 
