@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from identify.contact import Identification, identify_contact
+from identify.contact import identify_contact
 from identify.gap.command import gap
 from identify.kinematics import Use
 from identify.results import ContactReport, Estimate, LawReport, write_json
@@ -18,6 +18,9 @@ from identify.spectra import POWERS, Averaging
 from identify.tolerances import NAMED
 from rig.command_line import Force, Json, progress_bar, refuse_existing, run
 from rig.recording import read
+
+DRAWN_FROM = 0.8
+"""The share of the time after which results are drawn."""
 
 app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False)
 
@@ -33,7 +36,10 @@ def _group() -> None:
 @app.command()
 def contact(
     file: Annotated[Path, typer.Argument(help="The recording, an .mcap file.")],
-    out: Annotated[Path | None, typer.Option(help="Folder for contact.json and the figures.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for contact.json, the figures and contact.html, a page that stands alone."),
+    ] = None,
     use: Annotated[str, typer.Option(help=f"Which sensors: {', '.join(get_args(Use))}.")] = "auto",
     equation: Annotated[str | None, typer.Option(help='Main modal equation, e.g. "barrel 3".')] = None,
     averages: Annotated[int, typer.Option(help="How many blocks to average over.")] = 40,
@@ -68,10 +74,13 @@ def contact(
             averaging=averaging,
             equation=equation,
             tolerances=NAMED[tolerances],
-            progress=progress,
+            progress=lambda share: progress(share if out is None else DRAWN_FROM * share),
         )
-    if out is not None:
-        write_results(found, out)
+        if out is not None:
+            from identify.report import write_results
+
+            laws = {c.name: c.law for c in found.rig.contacts}
+            write_results(found, out, f"{found.rig.name}: {file.name}", laws, "rig.json")
     if as_json:
         sys.stdout.buffer.write(msgspec.json.encode(found.report) + b"\n")
     else:
@@ -140,16 +149,6 @@ def print_laws(report: LawReport, console: Console) -> None:
         console.print(
             f"{escape(silent.name)}: not told by this record: {escape(silent.reason)}", highlight=False, soft_wrap=True
         )
-
-
-def write_results(found: Identification, out: Path) -> None:
-    """contact.json and the figures; the figures show the contact laws of rig.json for comparison."""
-    from identify.plots import write_figures
-
-    out.mkdir(parents=True, exist_ok=True)
-    marks = {c.name: (c.law.clearance_m, c.law.stiffness_n_per_m) for c in found.rig.contacts}
-    write_figures(found, out, marks, "rig.json")
-    write_json(found.report, out / "contact.json")
 
 
 def print_report(report: ContactReport, console: Console) -> None:

@@ -44,6 +44,7 @@ class Identification:
     surface: Surface
     weak: Nifo
     paper: Nifo
+    tolerances: Tolerances
 
     @property
     def stops(self) -> tuple[Stops | None, ...]:
@@ -116,6 +117,7 @@ def identify_contact(
         surface=next(s for s in surfaces if s.equation.name == weak.equation.name),
         weak=weak,
         paper=nifo(weak.equation, cleaned.force_n, depth, cut, "paper"),
+        tolerances=tolerances,
     )
 
 

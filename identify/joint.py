@@ -64,12 +64,16 @@ class Observed:
 class Joint:
     """The estimate: parameters are lower and upper clearance (m), stiffness (N/m), damping (N s/m), with covariance.
 
-    sides_known says whether lower and upper are told apart; drift_m and drift_m_per_s are what was added to the
-    relative displacement and velocity; fitted_n is the low-passed force of the law found.
+    of_tolerances and of_drift are the parts of the covariance that come from what rig.json may have wrong and from the
+    slow motion that accelerometers miss; the rest is the record's own scatter. sides_known says whether lower and upper
+    are told apart; drift_m and drift_m_per_s are what was added to the relative displacement and velocity; fitted_n is
+    the low-passed force of the law found.
     """
 
     parameters: Float[np.ndarray, "4"]
     covariance: Float[np.ndarray, "4 4"]
+    of_tolerances: Float[np.ndarray, "4 4"]
+    of_drift: Float[np.ndarray, "4 4"]
     sides_known: bool
     drift_m: Float[np.ndarray, " samples"]
     drift_m_per_s: Float[np.ndarray, " samples"]
@@ -134,15 +138,17 @@ def fit_joint(seen: Observed, doubts: Sequence[Doubt] = ()) -> Joint:
     parts = zip(np.array_split(influence, PARTS), np.array_split(state.residual, PARTS), strict=True)
     left = PARTS - len(free)  # parts are few: Student's t, so that 1.96 standard errors cover 95 %
     few = np.sqrt(PARTS / left) * t.ppf(0.975, left) / norm.ppf(0.975)
-    scores = few * np.array([i.T @ r for i, r in parts])
-    for force, eta in doubts:
-        moved = force - state.by_eta * eta[:: seen.factor][: force.size]
-        scores = np.concatenate([scores, (influence.T @ moved)[None, :]])
-    from_drift = curve.curvature @ inverse[: curve.knots]  # each row of the prior is uncertain by one
+    scatter = few * np.array([i.T @ r for i, r in parts])
+    moved = [force - state.by_eta * eta[:: seen.factor][: force.size] for force, eta in doubts]
+    doubted = np.array([influence.T @ m for m in moved]).reshape(-1, len(free))
+    drifted = curve.curvature @ inverse[: curve.knots]  # each row of the prior is uncertain by one
     spread = tie * scale
+    of_scatter, of_tolerances, of_drift = (spread @ (x.T @ x) @ spread.T for x in (scatter, doubted, drifted))
     return Joint(
         parameters=state.law,
-        covariance=spread @ (scores.T @ scores + from_drift.T @ from_drift) @ spread.T,
+        covariance=of_scatter + of_tolerances + of_drift,
+        of_tolerances=of_tolerances,
+        of_drift=of_drift,
         sides_known=seen.sides_known,
         drift_m=curve.value @ state.knots,
         drift_m_per_s=curve.rate @ state.knots,

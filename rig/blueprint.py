@@ -44,7 +44,9 @@ def entity(*parts: str) -> str:
 def blueprint(look: Look) -> rrb.Blueprint:
     """Paused and slowed down so that every frame is seen; the plots show a window around the moment."""
     close_ups = [_close_up(contact, look.reach_mm(contact), _caveat(look)) for contact in look.rig.contacts]
-    left = rrb.Vertical(_model(look), rrb.Horizontal(*close_ups), row_shares=[3, 2]) if close_ups else _model(look)
+    phases = [_phase(look, contact) for contact in look.rig.contacts]
+    rows = [rrb.Horizontal(*close_ups), rrb.Horizontal(*phases)]
+    left = rrb.Vertical(_model(look), *rows, row_shares=[3, 2, 2]) if close_ups else _model(look)
     speed = float(f"{60 / look.frame_rate_hz:.1g}")
     return rrb.Blueprint(
         rrb.Horizontal(left, rrb.Vertical(*_plots(look)), column_shares=[1, 1]),
@@ -76,6 +78,26 @@ def _close_up(contact: Contact, reach_mm: float, caveat: str) -> rrb.Spatial2DVi
     )
 
 
+def _phase(look: Look, contact: Contact) -> rrb.View | rrb.Container:
+    """Force over relative displacement, all of it until the moment; behind it how often each displacement occurs."""
+    reach_mm = look.reach_mm(contact)
+    occurrence = rrb.BarChartView(
+        origin=entity("occurrence", contact.name), name=f"{contact.name}: occurrence, % of the time over mm"
+    )
+    if not look.contact_force:
+        return occurrence
+    until_now = rr.VisibleTimeRange(
+        TIMELINE, start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.cursor_relative()
+    )
+    force = rrb.Spatial2DView(
+        origin=entity("phase", contact.name),
+        name=f"{contact.name}: force over relative displacement",
+        visual_bounds=rrb.VisualBounds2D(x_range=[-1.2 * reach_mm, 1.2 * reach_mm], y_range=[-reach_mm, reach_mm]),
+        time_ranges=[until_now],
+    )
+    return rrb.Tabs(force, occurrence, active_tab=0)
+
+
 def _plots(look: Look) -> list[rrb.View | rrb.Container]:
     accelerations = [
         _plot(look, entity("acceleration", body.name), f"{body.name}: acceleration, m/s²")
@@ -93,12 +115,20 @@ def _plots(look: Look) -> list[rrb.View | rrb.Container]:
             for c in look.rig.contacts
         ),
         *([_plot(look, "contact_force", "Contact force, N")] if look.contact_force else []),
-        rrb.Tabs(_plot(look, "exciting_force", "Exciting force, N"), *accelerations, active_tab=0),
+        rrb.Tabs(
+            *([rrb.TextLogView(origin="/events", name="Contacts that close and open")] if look.rig.contacts else []),
+            _plot(look, "exciting_force", "Exciting force, N"),
+            *accelerations,
+            active_tab=0,
+        ),
     ]
 
 
 def _plot(look: Look, origin: str, name: str, reach: float | None = None) -> rrb.TimeSeriesView:
-    thinned = f" (every {look.stride}th sample)" if look.stride > 1 else ""
+    thinned = ""
+    if look.stride > 1:
+        near = ", all near contacts" if origin.startswith(("/relative", "/contact", "relative", "contact")) else ""
+        thinned = f" (every {look.stride}th sample{near})"
     return rrb.TimeSeriesView(
         origin=origin,
         name=name + thinned,

@@ -157,13 +157,18 @@ def check(file: File, as_json: Json = False) -> None:
 def view(
     file: File,
     out: Annotated[Path | None, typer.Option(help="The .rrd to write; otherwise beside the recording.")] = None,
+    truth: Annotated[Path | None, typer.Option(help="The truth file; otherwise the one beside the recording.")] = None,
+    contact: Annotated[
+        Path | None, typer.Option(help="A contact.json of `identify contact`, whose walls are drawn over the others.")
+    ] = None,
     magnification: Annotated[float | None, typer.Option(help="Of the beams' deflection; otherwise chosen.")] = None,
     force: Force = False,
 ) -> None:
     """Write a recording for the rerun viewer, and open it where there is a display.
 
-    Example: rig view barrel_cradle.mcap --out barrel_cradle.rrd
+    Example: rig view barrel_cradle.mcap --contact results/contact.json --out barrel_cradle.rrd
     """
+    from rig.identified import identified_laws
     from rig.viewing import open_viewer, write_rrd
 
     target = out or file.with_suffix(".rrd")
@@ -173,8 +178,11 @@ def view(
         raise typer.BadParameter(f"{target} is the recording itself", param_hint="--out")
     refuse_existing(target, force)
     recording = read(file)
-    truth = read_truth(truth_path(file)) if truth_path(file).exists() else None
-    write_rrd(recording, truth, target, magnification)
+    beside = truth or truth_path(file)
+    known = read_truth(beside) if truth or beside.exists() else None
+    laws = {} if contact is None else identified_laws(contact, recording.rig)
+    with progress_bar(f"writing {target.name}") as progress:
+        write_rrd(recording, known, target, magnification, identified=laws, progress=progress)
     print(f"{target}: written")
     if out is None and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         open_viewer(target)

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from rig.command_line import run
+from rig.identified import identified_laws
 from rig.recording import read, read_truth, truth_path
 from rig.reference import BarrelCradle
 from rig.viewing import write_rrd
@@ -39,7 +40,10 @@ def barrel_cradle(
     shown("Accelerometers alone, with noise", alone)
     equation_by_equation(alone, "Accelerometers alone: surface and NIFO in every equation of the barrel")
 
-    write_rrd(read(recording), read_truth(truth_path(recording)), out / "barrel_cradle.rrd")
+    # for the viewer: the walls found over the true ones
+    rig = read(recording)
+    laws = identified_laws(out / "accelerometers" / "contact.json", rig.rig)
+    write_rrd(rig, read_truth(truth_path(recording)), out / "barrel_cradle.rrd", identified=laws)
 
 
 if __name__ == "__main__":

@@ -9,8 +9,7 @@ from rich.table import Table
 
 from identify.contact import Identification, identify_contact
 from identify.kinematics import Use
-from identify.plots import write_figures
-from identify.results import write_json
+from identify.report import write_results
 from rig.command_line import progress_bar
 from rig.contact import DeadZone
 from rig.plants import plant_named
@@ -52,12 +51,11 @@ def recorded(settings: Sdof | BarrelCradle, plant: str, path: Path) -> Path:
 
 
 def identified_against_true(path: Path, *, use: Use, out: Path, equation: str | None = None) -> Comparison:
-    """Identifies a recording, writes contact.json and the figures, and takes the true laws from its truth file."""
+    """Identifies a recording, takes the true laws from its truth file, and writes contact.json, page and figures."""
     with progress_bar(f"identifying {path.name} ({use})") as progress:
         found = identify_contact(read(path), use=use, equation=equation, progress=progress)
-    true = {c.name: c.law for c in read_truth(truth_path(path)).rig.contacts}
-    write_figures(found, out, {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in true.items()}, "true")
-    write_json(found.report, out / "contact.json")
+        true = {c.name: c.law for c in read_truth(truth_path(path)).rig.contacts}
+        write_results(found, out, f"{found.rig.name}: {path.name}, {use}", true, "true")
     return Comparison(found, true)
 
 

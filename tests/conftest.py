@@ -1,7 +1,17 @@
-"""Settings of the whole suite: one BLAS thread a worker; hypothesis without a clock, as a first call may compile."""
+"""Settings of the whole suite: one BLAS thread a worker; hypothesis without a clock, as a first call may compile.
 
+And a browser without a screen, where one is installed.
+"""
+
+import html
+import json
 import os
+import re
+import shutil
+import subprocess
+from dataclasses import dataclass
 
+import pytest
 from hypothesis import settings
 
 for library in ("OPENBLAS", "OMP", "MKL"):
@@ -9,3 +19,38 @@ for library in ("OPENBLAS", "OMP", "MKL"):
 
 settings.register_profile("physics", deadline=None, max_examples=60)
 settings.load_profile("physics")
+
+_MEASURE = """
+const page = this.contentDocument;
+this.title = JSON.stringify([page.scrollingElement.scrollWidth, [...page.images].map(image => image.naturalWidth)]);
+"""
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A page as a browser has it: how wide it scrolls, each picture's width (0: not shown), what the console said."""
+
+    scroll_px: int
+    pictures_px: tuple[int, ...]
+    console: tuple[str, ...]
+
+
+@pytest.fixture(scope="session")
+def opened(tmp_path_factory):
+    """Opens an HTML file in a window of so many pixels; skips the test where there is no Chromium."""
+    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if browser is None:
+        pytest.skip("no Chromium")
+
+    def open_page(path, width_px):
+        folder = tmp_path_factory.mktemp("browser")
+        frame = f'<iframe style="border:0;width:{width_px}px;height:800px" onload="{html.escape(_MEASURE)}"'
+        outer = folder / "outer.html"
+        outer.write_text(f'{frame} srcdoc="{html.escape(path.read_text(encoding="utf-8"))}"></iframe>')
+        words = ("--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--user-data-dir={folder}")
+        told = ("--enable-logging=stderr", "--dump-dom", outer.as_uri())
+        done = subprocess.run([browser, *words, *told], capture_output=True, text=True, check=True, timeout=180)
+        width, pictures = json.loads(html.unescape(re.search(r'title="(\[.*?\])"', done.stdout)[1]))
+        return Opened(width, tuple(pictures), tuple(line for line in done.stderr.splitlines() if "CONSOLE" in line))
+
+    return open_page

@@ -27,7 +27,10 @@ def test_the_contracts_on_imports_hold():
 
 @pytest.mark.parametrize(
     ("package", "spared"),
-    [("rig", ("rig.blueprint", "rig.viewing")), ("identify", ("identify.plots", "identify.gap.pictures"))],
+    [
+        ("rig", ("rig.blueprint", "rig.contact_view", "rig.drawing", "rig.viewing")),
+        ("identify", ("identify.plots", "identify.gap.pictures")),
+    ],
 )
 def test_importing_a_package_pulls_in_nothing_heavy(package, spared):
     program = IMPORT_ALL.format(package=package, spared=spared)

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from identify.gap.results import Curve, Gap, Share, Surface
-from identify.gap.wording import cause_name, closed, none_of_these, number, percent
+from identify.gap.wording import cause_name, closed, none_of_these
+from identify.wording import number, percent
 
 Draw = Callable[[Any], None]
 

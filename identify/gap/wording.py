@@ -1,47 +1,14 @@
 """How the numbers of a diagnosis are written, on the page, in the pictures and on the screen."""
 
-import math
-
+from identify import wording
 from identify.gap.results import Cause, Closure, Gap, Value
 
-COVERED = 1.96
-"""Standard errors on either side of a value that hold 95 % of a normal distribution."""
 VERDICTS = {"no_gap": "no gap", "effect": "effect found", "none_of_these": "gap, but none of the known effects"}
-
-
-def number(value: float, digits: int = 4) -> str:
-    """The value to so many significant digits; with a power of ten where it is very large or very small."""
-    if value == 0 or not math.isfinite(value):
-        return f"{value:g}"
-    rounded = float(f"{value:.{digits - 1}e}")
-    power = _power(rounded)
-    if not -4 <= power < 7:
-        return f"{rounded:.{digits - 1}e}"
-    return f"{round(rounded):d}" if power >= digits else f"{rounded:.{digits - 1 - power}f}"
-
-
-def percent(share: float) -> str:
-    """A share of one in percent, without claiming that anything is certain."""
-    if 0 < share < 0.001:
-        return "< 0.1 %"
-    if 0.999 < share < 1:
-        return "> 99.9 %"
-    return f"{100 * share:.1f} %"
 
 
 def interval(found: Value) -> str:
     """value ± 1.96 standard errors, to two digits of the latter."""
-    value, half = found.value, COVERED * found.standard_error
-    unit = "" if found.unit == "1" else f" {found.unit}"
-    if not math.isfinite(half) or half <= 0:
-        return f"{number(value)}{unit} (no interval)"
-    half = float(f"{half:.1e}")
-    last, first = _power(half) - 1, _power(max(abs(value), half))
-    if not -4 < first < 7:
-        digits, scale = first - last, 10.0**first
-        return f"({value / scale:.{digits}f} ± {half / scale:.{digits}f})e{first}{unit}"
-    digits = max(0, -last)
-    return f"{round(value, -last):.{digits}f} ± {half:.{digits}f}{unit}"
+    return wording.interval(found.value, found.standard_error, found.unit)
 
 
 def cause_name(cause: Cause) -> str:
@@ -68,7 +35,3 @@ def closed(found: Closure) -> str:
         return whole
     low, high = found.interval_95
     return f"{whole} (95 % interval {100 * low:.1f} % to {100 * high:.1f} %)"
-
-
-def _power(value: float) -> int:
-    return math.floor(math.log10(abs(value)))

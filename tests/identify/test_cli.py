@@ -43,6 +43,7 @@ def test_json_on_standard_output_is_the_report_and_the_file(identify, recording,
     assert nifo.band_hz[0] >= 1
     assert nifo.band_hz[1] <= 14
     assert len(list(tmp_path.glob("*.png"))) >= 6
+    assert (tmp_path / "contact.html").read_text(encoding="utf-8").endswith("</html>\n")
     assert not list(tmp_path.glob("*.part*"))
 
 

@@ -289,6 +289,16 @@ def test_an_interrupted_recording_is_kept(tmp_path, plant):
     assert read_truth(truth_path(path)).samples == read(path).samples
 
 
+@pytest.mark.parametrize("option", ["--truth", "--contact"])
+def test_what_is_shown_beside_must_be_there(rig, tmp_path, option):
+    sound(tmp_path / "r.mcap")
+    status, out, err = rig("view", tmp_path / "r.mcap", option, tmp_path / "none")
+    assert (status, out) == (1, "")
+    assert err.startswith(f"rig: {tmp_path / 'none'}: cannot be opened")
+    assert err.count("\n") == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["r.mcap"]
+
+
 @pytest.mark.parametrize(("display", "words", "opened"), [("", (), 0), (":0", (), 1), (":0", ("--out", "o.rrd"), 0)])
 def test_the_viewer_opens_where_there_is_a_display(rig, tmp_path, monkeypatch, display, words, opened):
     monkeypatch.chdir(tmp_path)

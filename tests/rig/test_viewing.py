@@ -1,17 +1,22 @@
 """The file for the viewer, read back: it holds the recording's values, moves as the stations do and is never half."""
 
+import json
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from msgspec.structs import replace as replace_struct
 from rerun.chunk import RrdReader
 
+import rig.stage
 import rig.viewing
 from rig.blueprint import entity
 from rig.contact import dead_zone
 from rig.deflection import deflection
 from rig.errors import RigError
 from rig.excitation import BandLimitedGaussian
+from rig.identified import identified_laws
 from rig.plants import modal
 from rig.record import record
 from rig.recording import read, read_truth, truth_path
@@ -71,8 +76,8 @@ def test_the_series_are_those_of_the_recording_and_its_truth(which, request, tmp
         _, walls = series(tmp_path / "r.rrd", entity("relative_displacement", contact.name, "walls"))
         assert walls[0] == pytest.approx(1e3 * contact.law.upper_clearance_m)
         assert walls[1] == pytest.approx(-1e3 * contact.law.lower_clearance_m)
-    _, force = series(tmp_path / "r.rrd", "contact_force")
-    np.testing.assert_array_equal(force, truth.signals["contact_force"].values)
+        _, force = series(tmp_path / "r.rrd", entity("contact_force", contact.name))
+        np.testing.assert_array_equal(force[0], truth.signals["contact_force"].values[row])
     _, exciting = series(tmp_path / "r.rrd", "exciting_force")
     np.testing.assert_array_equal(exciting[0], recording.force_n)
     assert [p.name for p in tmp_path.iterdir()] == ["r.rrd"]
@@ -100,7 +105,7 @@ def test_without_truth_the_displacement_sensors_are_shown(beams, tmp_path):
     for contact in recording.rig.contacts:
         _, values = series(tmp_path / "r.rrd", entity("relative_displacement", contact.name, "value"))
         np.testing.assert_allclose(values[0], 1e3 * (rows[contact.at] - rows[contact.against]), atol=1e-12)
-    assert series(tmp_path / "r.rrd", "contact_force")[0].size == 0
+        assert series(tmp_path / "r.rrd", entity("contact_force", contact.name))[0].size == 0
 
 
 def only_accelerometers(recording):
@@ -168,12 +173,107 @@ def test_the_chosen_magnification_is_round_and_keeps_the_largest_deflection_in_t
     assert scene.extent_m / 3 / 2.5 < scene.magnification * largest <= scene.extent_m / 3
 
 
-def test_a_long_recording_is_thinned_out(mass, tmp_path, monkeypatch):
+def test_a_long_recording_is_thinned_out_but_not_near_contacts(mass, tmp_path, monkeypatch):
     recording, truth = mass
-    monkeypatch.setattr(rig.viewing, "SCALARS", 4 * recording.samples // 3)  # force, acceleration, two of the contact
+    monkeypatch.setattr(rig.viewing, "SCALARS", 4 * recording.samples // 8)  # force, acceleration, two of the contact
+    monkeypatch.setattr(rig.stage, "FRAME_RATES_HZ", (32.0, 32.0))
     write_rrd(recording, truth, tmp_path / "r.rrd")
-    _, values = series(tmp_path / "r.rrd", "contact_force")
-    np.testing.assert_array_equal(values, truth.signals["contact_force"].values[:, ::4])
+    rate = recording.rig.sample_rate_hz
+    times, force = series(tmp_path / "r.rrd", "exciting_force")
+    np.testing.assert_array_equal(force[0], recording.force_n[::8])
+    times, values = series(tmp_path / "r.rrd", entity("contact_force", "stop"))
+    kept, known = np.round(times * rate).astype(int), truth.signals["contact_force"].values[0]
+    np.testing.assert_array_equal(values[0], known[kept])
+    closed = np.flatnonzero(recording.rig.contacts[0].law.penetration_m(relative(truth)))
+    assert closed.size
+    assert set(closed) <= set(kept)
+    assert set(range(0, recording.samples, 8)) <= set(kept)
+    assert kept.size < recording.samples
+
+
+def relative(truth):
+    return truth.signals["relative_displacement"].values[0]
+
+
+def test_every_closing_and_opening_is_an_event(mass, tmp_path):
+    recording, truth = mass
+    write_rrd(recording, truth, tmp_path / "r.rrd")
+    times, words = column(tmp_path / "r.rrd", entity("events", "stop"), "TextLog:text")
+    depth = recording.rig.contacts[0].law.penetration_m(relative(truth))
+    changes = np.flatnonzero(np.diff((depth != 0).astype(int))) + 1
+    assert changes.size
+    np.testing.assert_array_equal(np.round(times * recording.rig.sample_rate_hz).astype(int), changes)
+    for sample, (word,) in zip(changes, words, strict=True):
+        if depth[sample] > 0:
+            assert word == "stop closes at its upper stop"
+        elif depth[sample] < 0:
+            assert word == "stop closes at its lower stop"
+        else:
+            assert word.startswith("stop opens after ")
+
+
+def test_the_phase_plot_grows_over_the_truth(mass, tmp_path):
+    """Frame by frame, each line begins where the last one ended; together they hold every closed sample."""
+    recording, truth = mass
+    write_rrd(recording, truth, tmp_path / "r.rrd")
+    times, strips = column(tmp_path / "r.rrd", entity("phase", "stop", "seen"), "LineStrips2D:strips")
+    lines = [np.array(row[0]) for row in strips]
+    for before, after in pairwise(lines):
+        np.testing.assert_array_equal(before[-1], after[0])
+    eta_mm = np.concatenate([line[:-1, 0] for line in lines])
+    depth = recording.rig.contacts[0].law.penetration_m(relative(truth))
+    last = round(times[-1] * recording.rig.sample_rate_hz)
+    shown = np.isin(np.float32(1e3 * relative(truth)[:last][depth[:last] != 0]), np.float32(eta_mm))
+    assert shown.all()
+
+
+def test_identified_walls_stand_where_contact_json_says(mass, tmp_path):
+    recording, truth = mass
+    file = tmp_path / "contact.json"
+    value = {"value": 1.2e-3, "standard_error": 1e-6}
+    found = {"name": "stop", "clearance_m": value, "stiffness_n_per_m": value, "damping_n_s_per_m": {"value": -1.0}}
+    file.write_text(json.dumps({"rig": "sdof", "contacts": [found]}))
+    write_rrd(recording, truth, tmp_path / "r.rrd", identified=identified_laws(file, recording.rig))
+    _, walls = series(tmp_path / "r.rrd", entity("relative_displacement", "stop", "identified"))
+    np.testing.assert_allclose(walls[:, 0], [1.2, -1.2])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (None, "cannot be opened"),
+        ("{", "is no contact.json"),
+        ('{"contacts": [{"name": "stop"}]}', "is no contact.json"),
+        ("\xff", "is no contact.json"),
+        (
+            '{"contacts": [{"name": "other", "clearance_m": {"value": 1}, "stiffness_n_per_m": {"value": 1}, '
+            '"damping_n_s_per_m": {"value": 1}}]}',
+            "has a contact 'other', the rig has stop",
+        ),
+        (
+            '{"contacts": [{"name": "stop", "clearance_m": {"value": -1}, "stiffness_n_per_m": {"value": 1}, '
+            '"damping_n_s_per_m": {"value": 1}}]}',
+            "lower_clearance_m is -1",
+        ),
+    ],
+)
+def test_a_file_that_is_no_contact_json_is_named(mass, tmp_path, text, said):
+    path = tmp_path / "contact.json"
+    if text is not None:
+        path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(RigError, match=f"contact.json: .*{said}"):
+        identified_laws(path, mass[0].rig)
+
+
+def test_walls_are_the_true_ones_and_what_was_believed_is_drawn_too(mass, tmp_path):
+    recording, truth = mass
+    (contact,) = recording.rig.contacts
+    law = replace_struct(contact.law, upper_clearance_m=2 * contact.law.upper_clearance_m)
+    other = replace_struct(recording.rig, contacts=(replace_struct(contact, law=law),))
+    write_rrd(replace(recording, rig=other), truth, tmp_path / "r.rrd")
+    for name, wanted in (("walls", contact.law), ("believed", law)):
+        _, walls = series(tmp_path / "r.rrd", entity("relative_displacement", "stop", name))
+        np.testing.assert_allclose(walls[:, 0], [1e3 * wanted.upper_clearance_m, -1e3 * wanted.lower_clearance_m])
 
 
 def test_what_cannot_be_shown_is_said_in_one_sentence_and_leaves_nothing(beams, mass, tmp_path):
