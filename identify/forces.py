@@ -11,7 +11,6 @@ from identify.kinematics import CORNER_HZ, TAPER_S, Kinematics, integrated, tape
 from identify.modal import contact_shapes, receptance, shape_at, transformation
 from identify.spectra import decimated
 from identify.tolerances import Tolerances
-from rig.beam import MAX_MODES, Beam
 from rig.description import Body, Rig
 from rig.errors import RigError
 from rig.oscillator import Oscillator
@@ -41,10 +40,10 @@ class ContactForces:
 def separated_forces(
     rig: Rig, motion: Kinematics, factor: int, noise: Float[np.ndarray, " stations"], tolerances: Tolerances
 ) -> ContactForces:
-    """The contact forces of two beams from all their stations, or of one mass from its equation of motion."""
+    """The contact forces of beams or structures from all their stations, or of one mass from its equation of motion."""
     if isinstance(rig.bodies[0], Oscillator):
         return _on_oscillator(rig.bodies[0], motion, factor, tolerances)
-    return _between_beams(rig, motion, factor, noise, tolerances)
+    return _between_bodies(rig, motion, factor, noise, tolerances)
 
 
 def _on_oscillator(mass: Oscillator, motion: Kinematics, factor: int, tolerances: Tolerances) -> ContactForces:
@@ -66,7 +65,7 @@ def _on_oscillator(mass: Oscillator, motion: Kinematics, factor: int, tolerances
     )
 
 
-def _between_beams(
+def _between_bodies(
     rig: Rig, motion: Kinematics, factor: int, noise: Float[np.ndarray, " stations"], tolerances: Tolerances
 ) -> ContactForces:
     """Generalised least squares, frequency by frequency, of all stations' accelerations A on the contact forces f:
@@ -152,7 +151,7 @@ def _accelerances(
     found = np.zeros((omega.size, len(motion.stations), inputs), dtype=complex)
     for body in rig.bodies:
         rows = _rows(body, motion)
-        modes = MAX_MODES if isinstance(body, Beam) else 1
+        modes = body.most_modes
         shapes = body.shapes(np.array([motion.stations[i].position_m for i in rows]), modes)
         drive = np.stack(
             [
@@ -193,7 +192,7 @@ def _modal_response(
     transform = transformation(rig, body, motion)
     rows = np.array(transform.rows)
     places = np.array([motion.stations[i].position_m for i in rows])
-    modes = len(rows)
+    modes = len(transform.inverse)
     step = 1e-4 * body.length_m
     right, left = np.minimum(places + step, body.length_m), np.maximum(places - step, 0.0)
     slopes = (body.shapes(right, modes) - body.shapes(left, modes)) / (right - left)[:, None]
