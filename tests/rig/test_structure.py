@@ -17,9 +17,11 @@ from rig.description import (
 )
 from rig.effects import effect_named
 from rig.errors import RigError
+from rig.importing import import_file
 from rig.modes import CoupledModes, modes_of, participation
 from rig.motion import joined
 from rig.plants import ancf, modal
+from rig.recording import channel_groups, read, writing
 from rig.reference import BarrelCradle
 from rig.structure import ShapeRow, Structure, structure_of
 
@@ -213,3 +215,16 @@ def test_the_plant_takes_no_more_modes_than_there_are():
 def test_finite_elements_cannot_mesh_a_basis():
     with pytest.raises(RigError, match="the ancf plant meshes beams, and 'cradle' is a modal basis"):
         next(ancf.simulate(as_data(MACHINE), np.zeros(4), 2.0**-12, lambda _: None))
+
+
+def test_a_recording_and_an_import_are_refused_where_a_row_is_missing(tmp_path):
+    machine = as_data(MACHINE, modes=4, positions_m=np.linspace(0, 1, 5))  # none at the contact at 0.45 m
+    path = tmp_path / "r.mcap"
+    with writing(path, machine, channel_groups(machine), {}) as file:
+        for group, channels in channel_groups(machine).items():
+            file.append(group, np.zeros((len(channels.names), 2048)))
+    (tmp_path / "rig.json").write_bytes(to_json(machine))
+    (tmp_path / "map.toml").write_text('force = { column = 1, unit = "N" }\nsensors = {}\n')
+    for use in (lambda: read(path), lambda: import_file(tmp_path / "run.csv", tmp_path / "map.toml", tmp_path / "o")):
+        with pytest.raises(RigError, match=r"rig.json: sensor 'cradle_0450mm_\w+' stands at 0.45 m of 'cradle', where"):
+            use()
