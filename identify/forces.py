@@ -77,7 +77,7 @@ def _between_bodies(
 
     noise is the standard deviation per sample of each station's acceleration (m/s^2).
 
-    Raises RigError if the stations cannot tell the contacts apart.
+    Raises RigError if the stations cannot tell the contacts apart, or the contacts hold more than can float.
     """
     samples, rate = motion.force_n.size, motion.sample_rate_hz
     length = factor * next_fast_len(-(-(samples + round(RING_S * rate)) // factor), real=True)
@@ -87,6 +87,12 @@ def _between_bodies(
     force, measured = (_spectrum(x, rate, length)[..., :lines] for x in (motion.force_n, motion.acceleration_m_per_s2))
     drives = _accelerances(rig, motion, omega)
     to_contacts = -drives[:, :, 1:]
+    told = int(np.linalg.matrix_rank(to_contacts[0]))
+    if told < len(rig.contacts):
+        raise RigError(
+            f"accelerations tell the constant forces of {told} of the {len(rig.contacts)} contacts, as constant forces "
+            "only move bodies that float; describe fewer contacts, and a body that floats by its modes at 0 Hz"
+        )
     covariance = np.zeros((lines, *[len(motion.stations)] * 2), dtype=complex)
     index = np.arange(len(motion.stations))
     covariance[:, index, index] = (samples * noise**2)[None, :] + tolerances.gain**2 * _smoothed(
