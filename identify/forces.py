@@ -199,9 +199,11 @@ def _modal_response(
     rows = np.array(transform.rows)
     places = np.array([motion.stations[i].position_m for i in rows])
     modes = len(transform.inverse)
-    step = 1e-4 * body.length_m
-    right, left = np.minimum(places + step, body.length_m), np.maximum(places - step, 0.0)
-    slopes = (body.shapes(right, modes) - body.shapes(left, modes)) / (right - left)[:, None]
+    slopes = np.zeros((len(rows), modes))
+    if body.length_m:
+        step = 1e-4 * body.length_m
+        right, left = np.minimum(places + step, body.length_m), np.maximum(places - step, 0.0)
+        slopes = (body.shapes(right, modes) - body.shapes(left, modes)) / (right - left)[:, None]
     return rows, transform.inverse @ measured[rows], slopes, body.shapes(places, modes)
 
 

@@ -10,6 +10,8 @@ from scipy.interpolate import CubicSpline
 from rig.errors import RigError
 
 SAME_PLACE_M = 1e-9
+LARGEST = 1e9
+"""Of frequencies (Hz) and shapes (1/sqrt(kg)): what is larger is no machine's, and would overflow."""
 NO_TRANSLATION = 1e-2
 """Rigid modes that leave more than this share of a unit translation do not hold it."""
 
@@ -45,8 +47,8 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
                 f"there are {len(self.ratios)} damping_ratios for {len(self.natural_hz)} frequencies_hz; give one each"
             )
         for hz in self.natural_hz:
-            if not (np.isfinite(hz) and hz >= 0):
-                raise self._wrong(f"a frequency is {hz} Hz; give finite values, zero for a rigid-body mode or above")
+            if not 0 <= hz <= LARGEST:
+                raise self._wrong(f"a frequency is {hz} Hz; give 0 (a rigid-body mode) to {LARGEST:g} Hz")
         if any(np.diff(self.natural_hz) < 0):
             raise self._wrong("frequencies_hz do not ascend; sort the modes by frequency, rigid-body modes first")
         for ratio in self.ratios:
@@ -65,8 +67,12 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
                     f"there are {len(row.values)} shape values at {row.position_m} m for {len(self.natural_hz)} modes; "
                     "give one each"
                 )
-            if not np.all(np.isfinite(row.values)):
-                raise self._wrong(f"a shape value at {row.position_m} m is not finite; give a number for every mode")
+            for value in row.values:
+                if not abs(value) <= LARGEST:
+                    raise self._wrong(
+                        f"a shape value at {row.position_m} m is {value}; give finite values in 1/sqrt(kg), "
+                        f"{LARGEST:g} at most"
+                    )
         if any(np.diff(self.positions_m) <= SAME_PLACE_M):
             raise self._wrong("the positions of shapes do not ascend; sort them, each place once")
 
