@@ -64,8 +64,8 @@ def _check_known(rig: Rig) -> None:
     for what in ("masses", "springs", "clamps", "loads", "base_motion", "force_sensor"):
         if getattr(rig, what) not in ((), None, ForceSensor()):
             raise RigError(
-                f"rig.json of {rig.name!r} has {what}, which the identification does not know; it takes uniform beams "
-                "or one mass on a spring, without attachments"
+                f"rig.json of {rig.name!r} has {what}, which the identification does not know; it takes beams, "
+                "structures or one mass on a spring, without attachments"
             )
 
 

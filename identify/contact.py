@@ -162,7 +162,7 @@ def _decimation(rig: Rig, motion: Kinematics) -> int:
     limits = [motion.trusted_hz[1]]
     for body in rig.bodies:
         stations = sum(s.body == body.name for s in motion.stations)
-        if body.length_m > 0 and stations < 40:
+        if body.length_m > 0 and stations < body.most_modes:
             limits.append(0.8 * float(body.frequencies_hz(stations + 1)[-1]))
     return max(1, int(motion.sample_rate_hz / 2 / min(limits)))
 

@@ -11,7 +11,6 @@ from identify.kinematics import CORNER_HZ, TAPER_S, Kinematics, integrated, tape
 from identify.modal import contact_shapes, receptance, shape_at, transformation
 from identify.spectra import decimated
 from identify.tolerances import Tolerances
-from rig.beam import MAX_MODES, Beam
 from rig.description import Body, Rig
 from rig.errors import RigError
 from rig.oscillator import Oscillator
@@ -41,10 +40,10 @@ class ContactForces:
 def separated_forces(
     rig: Rig, motion: Kinematics, factor: int, noise: Float[np.ndarray, " stations"], tolerances: Tolerances
 ) -> ContactForces:
-    """The contact forces of two beams from all their stations, or of one mass from its equation of motion."""
+    """The contact forces of beams or structures from all their stations, or of one mass from its equation of motion."""
     if isinstance(rig.bodies[0], Oscillator):
         return _on_oscillator(rig.bodies[0], motion, factor, tolerances)
-    return _between_beams(rig, motion, factor, noise, tolerances)
+    return _between_bodies(rig, motion, factor, noise, tolerances)
 
 
 def _on_oscillator(mass: Oscillator, motion: Kinematics, factor: int, tolerances: Tolerances) -> ContactForces:
@@ -66,7 +65,7 @@ def _on_oscillator(mass: Oscillator, motion: Kinematics, factor: int, tolerances
     )
 
 
-def _between_beams(
+def _between_bodies(
     rig: Rig, motion: Kinematics, factor: int, noise: Float[np.ndarray, " stations"], tolerances: Tolerances
 ) -> ContactForces:
     """Generalised least squares, frequency by frequency, of all stations' accelerations A on the contact forces f:
@@ -78,7 +77,7 @@ def _between_beams(
 
     noise is the standard deviation per sample of each station's acceleration (m/s^2).
 
-    Raises RigError if the stations cannot tell the contacts apart.
+    Raises RigError if the stations cannot tell the contacts apart, or the contacts hold more than can float.
     """
     samples, rate = motion.force_n.size, motion.sample_rate_hz
     length = factor * next_fast_len(-(-(samples + round(RING_S * rate)) // factor), real=True)
@@ -88,6 +87,12 @@ def _between_beams(
     force, measured = (_spectrum(x, rate, length)[..., :lines] for x in (motion.force_n, motion.acceleration_m_per_s2))
     drives = _accelerances(rig, motion, omega)
     to_contacts = -drives[:, :, 1:]
+    told = int(np.linalg.matrix_rank(to_contacts[0]))
+    if told < len(rig.contacts):
+        raise RigError(
+            f"accelerations tell the constant forces of {told} of the {len(rig.contacts)} contacts, as constant forces "
+            "only move bodies that float; describe fewer contacts, and a body that floats by its modes at 0 Hz"
+        )
     covariance = np.zeros((lines, *[len(motion.stations)] * 2), dtype=complex)
     index = np.arange(len(motion.stations))
     covariance[:, index, index] = (samples * noise**2)[None, :] + tolerances.gain**2 * _smoothed(
@@ -152,7 +157,7 @@ def _accelerances(
     found = np.zeros((omega.size, len(motion.stations), inputs), dtype=complex)
     for body in rig.bodies:
         rows = _rows(body, motion)
-        modes = MAX_MODES if isinstance(body, Beam) else 1
+        modes = body.most_modes
         shapes = body.shapes(np.array([motion.stations[i].position_m for i in rows]), modes)
         drive = np.stack(
             [
@@ -193,10 +198,12 @@ def _modal_response(
     transform = transformation(rig, body, motion)
     rows = np.array(transform.rows)
     places = np.array([motion.stations[i].position_m for i in rows])
-    modes = len(rows)
-    step = 1e-4 * body.length_m
-    right, left = np.minimum(places + step, body.length_m), np.maximum(places - step, 0.0)
-    slopes = (body.shapes(right, modes) - body.shapes(left, modes)) / (right - left)[:, None]
+    modes = len(transform.inverse)
+    slopes = np.zeros((len(rows), modes))
+    if body.length_m:
+        step = 1e-4 * body.length_m
+        right, left = np.minimum(places + step, body.length_m), np.maximum(places - step, 0.0)
+        slopes = (body.shapes(right, modes) - body.shapes(left, modes)) / (right - left)[:, None]
     return rows, transform.inverse @ measured[rows], slopes, body.shapes(places, modes)
 
 

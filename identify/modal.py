@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from identify.kinematics import Kinematics
-from rig.beam import MAX_MODES, Beam
 from rig.description import Body, Rig, Station, contact_stations
 from rig.errors import RigError
 
@@ -62,14 +61,14 @@ class ModalEquation:
 def transformation(rig: Rig, body: Body, motion: Kinematics) -> Transformation:
     """The least-squares inverse of the shapes at the stations, with as many modes as there are stations.
 
-    Raises RigError if a beam has fewer than four stations or they cannot tell the modes apart.
+    Raises RigError if a body with four modes or more has fewer than four stations or they cannot tell the modes apart.
     """
     rows = tuple(i for i, s in enumerate(motion.stations) if s.body == body.name)
-    needed = MIN_STATIONS if isinstance(body, Beam) else 1
+    needed = min(MIN_STATIONS, body.most_modes)
     if len(rows) < needed:
         raise RigError(f"body {body.name!r} has {len(rows)} measured stations; the modal transformation needs {needed}")
     places = np.array([motion.stations[i].position_m for i in rows])
-    modes = min(len(rows), MAX_MODES) if isinstance(body, Beam) else 1
+    modes = min(len(rows), body.most_modes)
     shapes = body.shapes(places, modes)
     condition = float(np.linalg.cond(shapes))
     if condition > 1e3:
@@ -127,17 +126,18 @@ def without_higher_modes(
     ]
     for body in rig.bodies:
         stations = [i for i, s in enumerate(motion.stations) if s.body == body.name]
-        if not isinstance(body, Beam) or len(stations) >= MAX_MODES:
+        all_modes = body.most_modes
+        if len(stations) >= all_modes:
             continue
-        beyond = slice(len(stations), MAX_MODES)
+        beyond = slice(len(stations), all_modes)
         places = np.array([motion.stations[i].position_m for i in stations])
-        shapes = body.shapes(places, MAX_MODES)[:, beyond]
-        drive = [shape_at(body, rig.force_at, MAX_MODES)] + [
-            -contact_shapes(rig, body, j, MAX_MODES) for j in range(len(rig.contacts))
+        shapes = body.shapes(places, all_modes)[:, beyond]
+        drive = [shape_at(body, rig.force_at, all_modes)] + [
+            -contact_shapes(rig, body, j, all_modes) for j in range(len(rig.contacts))
         ]
         modal_force = np.array(drive)[:, beyond].T @ np.concatenate([force[None, :], contact])
         response = modal_force * receptance(
-            body.frequencies_hz(MAX_MODES)[beyond], body.damping_ratios(MAX_MODES)[beyond], at_hz
+            body.frequencies_hz(all_modes)[beyond], body.damping_ratios(all_modes)[beyond], at_hz
         )
         for order, row in enumerate(rows):
             row[stations] -= np.fft.irfft(shapes @ response * (2j * np.pi * at_hz) ** order, motion.force_n.size)[
@@ -204,16 +204,16 @@ def shape_at(body: Body, station: Station, modes: int) -> Float[np.ndarray, " mo
 def _lost(
     rig: Rig, body: Body, places: Float[np.ndarray, " stations"], inverse: Float[np.ndarray, "modes stations"]
 ) -> Float[np.ndarray, " modes"]:
-    fitted = inverse.shape[0]
-    if not isinstance(body, Beam) or fitted >= MAX_MODES:
+    fitted, all_modes = inverse.shape[0], body.most_modes
+    if fitted >= all_modes:
         return np.zeros(fitted)
-    natural_hz = body.frequencies_hz(MAX_MODES)
+    natural_hz = body.frequencies_hz(all_modes)
     response = receptance(
-        natural_hz, body.damping_ratios(MAX_MODES), np.linspace(0.01, 1, 500) * natural_hz[fitted - 1]
+        natural_hz, body.damping_ratios(all_modes), np.linspace(0.01, 1, 500) * natural_hz[fitted - 1]
     )
     pushed = [s for c in rig.contacts for s in contact_stations(c) if s.body == body.name]
     pushed += [rig.force_at] if rig.force_at.body == body.name else []
-    drive = body.shapes(np.array([s.position_m for s in pushed]), MAX_MODES)
+    drive = body.shapes(np.array([s.position_m for s in pushed]), all_modes)
     covariance = (response @ response.conj().T).real * (drive.T @ drive)
-    error = inverse @ body.shapes(places, MAX_MODES) - np.eye(fitted, MAX_MODES)
+    error = inverse @ body.shapes(places, all_modes) - np.eye(fitted, all_modes)
     return np.asarray(np.sqrt(np.diag(error @ covariance @ error.T) / np.diag(covariance)[:fitted]))

@@ -3,8 +3,8 @@
 import msgspec
 import numpy as np
 
-from rig.beam import Beam
 from rig.description import Body, Rig, Station
+from rig.oscillator import Oscillator
 
 
 class Tolerances(msgspec.Struct, frozen=True, kw_only=True):
@@ -43,12 +43,11 @@ def jittered(rig: Rig, rng: np.random.Generator) -> Rig:
 
 
 def _body(body: Body, rng: np.random.Generator) -> Body:
-    damping = body.damping_ratio * (1 + rng.uniform(-0.2, 0.2))
-    if not isinstance(body, Beam):
-        frequency = body.frequency_hz * (1 + rng.uniform(-1.5e-3, 1.5e-3))
-        return msgspec.structs.replace(body, damping_ratio=damping, frequency_hz=frequency)
-    modulus = body.youngs_modulus_pa * (1 + rng.uniform(-3e-3, 3e-3))
-    return msgspec.structs.replace(body, damping_ratio=damping, youngs_modulus_pa=modulus)
+    """All frequencies of a beam or a structure go with the root of E."""
+    damped = body.damped(1 + rng.uniform(-0.2, 0.2))
+    if isinstance(body, Oscillator):
+        return damped.tuned(1 + rng.uniform(-1.5e-3, 1.5e-3))
+    return damped.tuned(float(np.sqrt(1 + rng.uniform(-3e-3, 3e-3))))
 
 
 def _length(rig: Rig, station: Station) -> float:

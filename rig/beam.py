@@ -51,6 +51,10 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         return self.youngs_modulus_pa * self.width_m * self.thickness_m**3 / 12
 
     @property
+    def most_modes(self) -> int:
+        return MAX_MODES
+
+    @property
     def rigid_modes(self) -> int:
         return 2 if self.ends == "free-free" else 0
 
@@ -62,6 +66,14 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     def damping_ratios(self, modes: int) -> Float[np.ndarray, " modes"]:
         """The same modal damping ratio for every elastic mode, none for rigid ones."""
         return np.where(np.arange(modes) < self.rigid_modes, 0.0, self.damping_ratio)
+
+    def damped(self, factor: float) -> "Beam":
+        """With the damping ratio times a factor."""
+        return msgspec.structs.replace(self, damping_ratio=self.damping_ratio * factor)
+
+    def tuned(self, factor: float) -> "Beam":
+        """With all frequencies times a factor, by Young's modulus."""
+        return msgspec.structs.replace(self, youngs_modulus_pa=self.youngs_modulus_pa * factor**2)
 
     def shapes(self, positions_m: Float[np.ndarray, " stations"], modes: int) -> Float[np.ndarray, "stations modes"]:
         """Mass-normalised mode shapes phi_i(x), in 1/sqrt(kg), for positions 0 <= x <= length.

@@ -17,9 +17,10 @@ from rich.table import Table
 from rig.beam import Beam
 from rig.cli_files import export_, import_, recover
 from rig.command_line import Force, Json, StoppedError, progress_bar, refuse_existing, run
-from rig.description import Station
+from rig.description import Body, Station
 from rig.effects import effect_named, effects
 from rig.errors import RigError
+from rig.oscillator import Oscillator
 from rig.plants import PLANTS, plant_named
 from rig.record import record as record_rig
 from rig.recording import Recording, Signals, read, read_truth, truth_path
@@ -125,8 +126,10 @@ def info(file: File, as_json: Json = False) -> None:
     print(f"{file}: rig {rig.name}, {recording.duration_s:g} s at {rig.sample_rate_hz:g} Hz")
     bodies = _table("Bodies", "body", "kind", "first frequencies, Hz")
     for body in rig.bodies:
-        kind, modes = (body.ends, 4 + body.rigid_modes) if isinstance(body, Beam) else ("mass on a spring", 1)
-        bodies.add_row(body.name, kind, ", ".join(f"{f:.2f}" for f in body.frequencies_hz(modes)[body.rigid_modes :]))
+        modes = min(4 + body.rigid_modes, body.most_modes)
+        bodies.add_row(
+            body.name, _kind(body), ", ".join(f"{f:.2f}" for f in body.frequencies_hz(modes)[body.rigid_modes :])
+        )
     contacts = _table("Contacts, as rig.json believes", "contact", "at", "against", "clearance, mm", "stiffness, N/m")
     for contact in rig.contacts:
         law, against = contact.law, "ground" if contact.against is None else _place(contact.against)
@@ -229,6 +232,18 @@ def _table(title: str, *headings: str) -> Table:
     for heading in headings:
         table.add_column(heading, justify="right" if "," in heading else "left")
     return table
+
+
+def _kind(body: Body) -> str:
+    if isinstance(body, Beam):
+        return body.ends
+    if isinstance(body, Oscillator):
+        return "mass on a spring"
+    try:
+        mass_kg = np.sum(body.translation() ** 2)
+    except RigError:
+        return f"modal basis, {body.most_modes} modes"
+    return f"modal basis, {body.most_modes} modes, {mass_kg:.4g} kg"
 
 
 def _place(station: Station) -> str:

@@ -10,9 +10,10 @@ from rig.beam import Beam
 from rig.contact import DeadZone
 from rig.errors import RigError
 from rig.oscillator import Oscillator
+from rig.structure import Structure
 
 Quantity = Literal["displacement", "velocity", "acceleration"]
-Body = Beam | Oscillator
+Body = Beam | Oscillator | Structure
 UNITS: dict[str, str] = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N"}
 LONGEST_DELAY_S = 1.0
 
@@ -187,6 +188,8 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
                 raise RigError(f"a clamp holds {clamp.body!r}, which is no clamped beam; name one that is")
         if len({c.body for c in self.clamps}) < len(self.clamps):
             raise RigError(f"rig {self.name!r}: more than one clamp holds the same beam; give one")
+        for body in self.bodies if self.base_motion else ():
+            _check_carried(body)
 
     def body(self, name: str) -> Body:
         for body in self.bodies:
@@ -201,6 +204,12 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         body = self.body(station.body)
         if not 0 <= station.position_m <= body.length_m:
             raise RigError(f"{what} stands at {station.position_m} m, off {body.name!r}; give 0 to {body.length_m} m")
+
+
+def _check_carried(body: Body) -> None:
+    """Raises RigError if it is not known how a moving base carries the body."""
+    if isinstance(body, Structure):
+        body.translation()
 
 
 def _check_number(what: str, field: str, value: float) -> None:
@@ -219,6 +228,22 @@ def stations_of(rig: Rig) -> tuple[Station, ...]:
     }
     order = [b.name for b in rig.bodies]
     return tuple(sorted(wanted, key=lambda s: (order.index(s.body), s.position_m)))
+
+
+def check_given(rig: Rig, source: str) -> None:
+    """Raises RigError if a sensor, a contact or the force stands where the shapes of a structure are not given.
+
+    Only an effect may stand there, or a real rig that differs a little from what is believed: by interpolation.
+    """
+    places = [("the force", rig.force_at), *((f"sensor {s.name!r}", s.station) for s in rig.sensors)]
+    places += [(f"contact {c.name!r}", station) for c in rig.contacts for station in contact_stations(c)]
+    for what, station in places:
+        body = rig.body(station.body)
+        if isinstance(body, Structure) and not body.gives(station.position_m):
+            raise RigError(
+                f"{source}: {what} stands at {station.position_m} m of {body.name!r}, where its modal basis gives no "
+                "shapes; add a row for that place"
+            )
 
 
 def to_json(rig: Rig) -> bytes:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rig.clock import RATE_TOLERANCE, even
-from rig.description import Rig, from_json
+from rig.description import Rig, check_given, from_json
 from rig.errors import RigError
 from rig.recording import RIG_NAME, channel_groups, with_history, writing
 from rig.tables import Column, TextForm, columns_of
@@ -105,7 +105,9 @@ def _read_map(path: Path) -> tuple[Map, Rig]:
         raise RigError(f"{error.filename}: cannot be opened ({error.strerror}); check the name") from error
     except (msgspec.DecodeError, ValueError, RecursionError) as error:
         raise RigError(f"{path}: is no map ({error}); see the README on importing") from error
-    return told, from_json(text, str(place))
+    rig = from_json(text, str(place))
+    check_given(rig, str(place))
+    return told, rig
 
 
 def _found(columns: Sequence[Column], entry: Source) -> Column:

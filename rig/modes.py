@@ -13,6 +13,7 @@ from rig.beam import MAX_MODES, Beam
 from rig.description import Body, Rig
 from rig.errors import RigError
 from rig.oscillator import Oscillator
+from rig.structure import Structure
 
 ELEMENTS = 80
 """Of a beam with attachments: its sixteenth mode comes within 0.02 % of Bernoulli-Euler theory."""
@@ -20,7 +21,7 @@ ELEMENTS = 80
 
 @runtime_checkable
 class Modes(Protocol):
-    """What a plant needs of a body; `Beam` and `Oscillator` are such themselves."""
+    """What a plant needs of a body; every `Body` is such itself."""
 
     def frequencies_hz(self, modes: int) -> Float[np.ndarray, " modes"]: ...
     def damping_ratios(self, modes: int) -> Float[np.ndarray, " modes"]: ...
@@ -51,8 +52,41 @@ class FiniteElementModes:
         return np.array(rows).reshape(len(rows), -1) @ self.vectors[:, :modes]
 
 
+@dataclass(frozen=True)
+class CoupledModes:
+    """Modes of a structure with attachments, as combinations of its own; each keeps the damping ratio of its number."""
+
+    structure: Structure
+    natural_hz: Float[np.ndarray, " all"]
+    vectors: Float[np.ndarray, "all all"]
+
+    def frequencies_hz(self, modes: int) -> Float[np.ndarray, " modes"]:
+        if not 1 <= modes <= len(self.natural_hz):
+            raise RigError(
+                f"structure {self.structure.name!r}: {modes} modes asked for; it has 1 to {len(self.natural_hz)}"
+            )
+        return self.natural_hz[:modes]
+
+    def damping_ratios(self, modes: int) -> Float[np.ndarray, " modes"]:
+        return self.structure.damping_ratios(modes)
+
+    def shapes(self, positions_m: Float[np.ndarray, " stations"], modes: int) -> Float[np.ndarray, "stations modes"]:
+        return self.structure.shapes(positions_m, self.structure.most_modes) @ self.vectors[:, :modes]
+
+
+Meshed = Beam | Oscillator
+"""The bodies whose mass and stiffness are known, not their modes alone."""
+
+
+def modes_wanted(body: Body, modes: int) -> int:
+    """How many modes a body takes where `modes` are wanted: a beam all of them, others no more than they have."""
+    return modes if isinstance(body, Beam) else min(modes, body.most_modes)
+
+
 def modes_of(rig: Rig, body: Body) -> Modes:
-    """The body's modes in this rig: analytic if nothing is attached, else of 80 Hermite elements.
+    """The body's modes in this rig: its own if nothing is attached, else, of a beam, those of 80 Hermite elements.
+
+    Of a structure with attachments, its own modes coupled by them: exact but for what its basis leaves out.
 
     Cubic springs are no part of it. Each mode keeps the damping ratio of the bare body's mode of that number.
     """
@@ -64,6 +98,8 @@ def modes_of(rig: Rig, body: Body) -> Modes:
         return body
     if isinstance(body, Oscillator):
         return with_attachments(rig, body)
+    if isinstance(body, Structure):
+        return coupled(rig, body)
     nodes_m = np.linspace(0, body.length_m, ELEMENTS + 1)
     mass, stiffness = matrices(rig, body, nodes_m)
     held = held_coordinates(rig, body)
@@ -77,6 +113,31 @@ def modes_of(rig: Rig, body: Body) -> Modes:
     return FiniteElementModes(body, nodes_m, np.sqrt(squares) / (2 * np.pi), vectors)
 
 
+def coupled(rig: Rig, body: Structure) -> CoupledModes:
+    """Over the modes q of a basis, masses m and springs k, k_r at places with the shapes p and slopes s:
+
+    (1 + sum m p p') q'' + (omega^2 + sum k p p' + k_r s s') q = 0
+    """
+    count = body.most_modes
+    mass = np.eye(count)
+    attached = np.zeros((count, count))
+    for point in rig.masses:
+        if point.station.body == body.name:
+            row = body.shapes(np.array([point.station.position_m]), count)[0]
+            mass += point.mass_kg * np.outer(row, row)
+    for spring in rig.springs:
+        if spring.station.body == body.name:
+            place = np.array([spring.station.position_m])
+            row, slope = body.shapes(place, count)[0], body.slopes(place, count)[0]
+            attached += spring.stiffness_n_per_m * np.outer(row, row)
+            attached += spring.rotational_n_m_per_rad * np.outer(slope, slope)
+    squares, vectors = eigh(np.diag((2 * np.pi * body.frequencies_hz(count)) ** 2) + attached, mass)
+    rigid = body.rigid_modes
+    floating = rigid - int(np.linalg.matrix_rank(attached[:rigid, :rigid])) if rigid else 0
+    squares[:floating] = 0.0  # rounding would give them a frequency
+    return CoupledModes(body, np.sqrt(squares) / (2 * np.pi), vectors)
+
+
 def with_attachments(rig: Rig, body: Oscillator) -> Oscillator:
     """A single mass with its point masses and linear springs; it keeps its damping ratio."""
     mass_kg = body.mass_kg + sum(m.mass_kg for m in rig.masses if m.station.body == body.name)
@@ -87,10 +148,15 @@ def with_attachments(rig: Rig, body: Oscillator) -> Oscillator:
 
 def participation(rig: Rig, body: Body, modes: Modes, count: int) -> Float[np.ndarray, " modes"]:
     """Of each mode in a motion of the base: the integral of its shape over the mass, in sqrt(kg)."""
-    points, weights = leggauss(400)
     at_masses = [m for m in rig.masses if m.station.body == body.name]
     if isinstance(body, Oscillator):
         return with_attachments(rig, body).mass_kg * modes.shapes(np.zeros(1), count)[0]
+    if isinstance(body, Structure):
+        own = body.translation()
+        carried = modes.vectors.T @ own if isinstance(modes, CoupledModes) else own
+        places = np.array([m.station.position_m for m in at_masses])
+        return carried[:count] + np.array([m.mass_kg for m in at_masses]) @ modes.shapes(places, count)
+    points, weights = leggauss(400)
     positions_m = (points + 1) / 2 * body.length_m
     places = np.concatenate([positions_m, [m.station.position_m for m in at_masses]])
     masses_kg = np.concatenate([weights / 2 * body.mass_kg, [m.mass_kg for m in at_masses]])
@@ -98,7 +164,7 @@ def participation(rig: Rig, body: Body, modes: Modes, count: int) -> Float[np.nd
 
 
 def matrices(
-    rig: Rig, body: Body, nodes_m: Float[np.ndarray, " nodes"]
+    rig: Rig, body: Meshed, nodes_m: Float[np.ndarray, " nodes"]
 ) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n"]]:
     """Mass and stiffness, with attachments, over (displacement, slope) of every node, none of them held.
 
@@ -147,7 +213,7 @@ def hermite(nodes_m: Float[np.ndarray, " nodes"], position_m: float, order: int 
 
 
 def _bare(
-    body: Body, nodes_m: Float[np.ndarray, " nodes"]
+    body: Meshed, nodes_m: Float[np.ndarray, " nodes"]
 ) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n"]]:
     if isinstance(body, Oscillator):
         return np.full((1, 1), body.mass_kg), np.full((1, 1), body.stiffness_n_per_m)

@@ -30,6 +30,10 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         return 0.0
 
     @property
+    def most_modes(self) -> int:
+        return 1
+
+    @property
     def rigid_modes(self) -> int:
         return 0
 
@@ -46,6 +50,14 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     def damping_ratios(self, modes: int) -> Float[np.ndarray, " modes"]:
         return np.full(self._one(modes), self.damping_ratio)
+
+    def damped(self, factor: float) -> "Oscillator":
+        """With the damping ratio times a factor."""
+        return msgspec.structs.replace(self, damping_ratio=self.damping_ratio * factor)
+
+    def tuned(self, factor: float) -> "Oscillator":
+        """With the frequency times a factor, by the spring."""
+        return msgspec.structs.replace(self, frequency_hz=self.frequency_hz * factor)
 
     def shapes(self, positions_m: Float[np.ndarray, " stations"], modes: int) -> Float[np.ndarray, "stations modes"]:
         return np.full((len(positions_m), self._one(modes)), 1 / np.sqrt(self.mass_kg))

@@ -14,7 +14,7 @@ from rig import container, messages
 from rig.agreement import check_channels
 from rig.channels import Channels, described, understood
 from rig.container_writer import ContainerWriter, Gathered
-from rig.description import UNITS, Rig, from_json, stations_of, to_json
+from rig.description import UNITS, Rig, check_given, from_json, stations_of, to_json
 from rig.errors import CutOffError, RigError
 from rig.sensors import quantities_of, sensors_of
 
@@ -201,6 +201,7 @@ def read(path: Path) -> Recording:
     channel, has a gap in its samples, or holds values that are not finite.
     """
     recording = _loaded(path)
+    check_given(recording.rig, f"{path}: {RIG_NAME}")
     check_channels(
         path, recording.rig, {n: s.channels for n, s in recording.signals.items()}, channel_groups(recording.rig)
     )

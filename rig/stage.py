@@ -63,7 +63,7 @@ class Stage:
 
     def strips(self, body: Body) -> Float[np.ndarray, "frames nodes 3"]:
         """A beam as its neutral line, a mass as a square."""
-        if isinstance(body, Beam):
+        if body.length_m:
             x, z = np.linspace(0, body.length_m, NODES), np.zeros(NODES)
             moving = self.deflection.of_body(body, x, self.frames).T
         else:
@@ -74,7 +74,7 @@ class Stage:
     def label(self, body: Body) -> Float[np.ndarray, "frames 3"]:
         """Where the body's name stands: above a beam, at its left or, for every other one, right quarter; in a mass."""
         right = [b.name for b in self.rig.bodies].index(body.name) % 2
-        above = 0.07 if isinstance(body, Beam) else -0.04
+        above = 0.07 if body.length_m else -0.04
         place = Station(body.name, (0.75 if right else 0.25) * body.length_m)
         return self.point(place) + np.array([0, 0, above * self.extent_m])
 
@@ -101,7 +101,7 @@ class Stage:
         return jaws
 
     def _half(self, body: Body) -> float:
-        return 0.0 if isinstance(body, Beam) else 0.12 * self.extent_m
+        return 0.0 if body.length_m else 0.12 * self.extent_m
 
     def _placed(
         self, x_m: Float[np.ndarray, "frames nodes"], body: str, z_m: Float[np.ndarray, "frames nodes"]

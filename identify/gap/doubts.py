@@ -11,7 +11,6 @@ from identify.gap.spectra import Record
 from identify.kinematics import CORNER_HZ, integrated
 from identify.modal import receptance
 from identify.tolerances import Tolerances
-from rig.beam import Beam
 from rig.description import Body, Contact, Rig
 from rig.oscillator import Oscillator
 
@@ -51,7 +50,7 @@ def doubts_of(record: Record, model: Linear, tolerances: Tolerances) -> Doubts:
         body = response.body
         rows = [i for i, s in enumerate(record.sensors) if s.station.body == body.name]
         places = np.array([record.sensors[i].station.position_m for i in rows])
-        if isinstance(body, Beam) and rows:
+        if body.length_m and rows:
             step = 1e-4 * body.length_m
             right, left = np.minimum(places + step, body.length_m), np.maximum(places - step, 0.0)
             beside = [response.modes.shapes(at, response.count) for at in (right, left)]
@@ -73,7 +72,7 @@ def doubts_of(record: Record, model: Linear, tolerances: Tolerances) -> Doubts:
         for what, change in of_each.items():
             names.append(f"{what} of {body.name}")
             changes.append(shapes @ change)
-            for m in elastic if isinstance(body, Beam) else []:
+            for m in elastic if not isinstance(body, Oscillator) else []:
                 names.append(f"{what} of {body.name} {m + 1}")
                 changes.append(SINGLY * np.outer(shapes[:, m], change[m]))
         moved += [None] * (len(changes) - len(moved))
@@ -95,7 +94,7 @@ def moved(
     """The rig with the doubts about its single masses and their sensors put into it, and those doubts, the others zero.
 
     Those alone bend the residual: a single mass may have been believed from a record of another level, and a resonance
-    that lies off by a part of its width is no linear matter. A beam's modes cannot be moved one by one.
+    that lies off by a part of its width is no linear matter. The modes of other bodies are not moved one by one.
     """
     put = np.zeros(len(names))
 

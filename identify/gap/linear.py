@@ -18,9 +18,9 @@ from jaxtyping import Complex, Float
 from identify.gap.spectra import Record
 from identify.kinematics import CORNER_HZ, integrated
 from identify.modal import receptance
-from rig.beam import MAX_MODES, Beam
 from rig.description import Body, Rig, Station
 from rig.modes import Modes, modes_of, participation
+from rig.oscillator import Oscillator
 
 
 @dataclass(frozen=True)
@@ -120,9 +120,9 @@ def linear_model(record: Record, rig: Rig, model_error: float) -> Linear:
 
 def _response(record: Record, rig: Rig, body: Body) -> Response:
     """Of a mass with accelerometers alone, its spring acts on the high-passed displacement only."""
-    modes, count = modes_of(rig, body), MAX_MODES if isinstance(body, Beam) else 1
+    modes, count = modes_of(rig, body), body.most_modes
     natural_hz, zeta, omega = modes.frequencies_hz(count), modes.damping_ratios(count), record.omega
-    if isinstance(body, Beam) or record.zero_known:
+    if not isinstance(body, Oscillator) or record.zero_known:
         accelerance = -(omega**2) * receptance(natural_hz, zeta, omega / (2 * np.pi))
     else:
         natural = 2 * np.pi * natural_hz[:, None]
@@ -165,7 +165,7 @@ def _holding(
     held = np.zeros(len(rig.contacts))
     for response, contacts in zip(responses, across, strict=True):
         free = response.modes.frequencies_hz(response.count) == 0
-        if not isinstance(response.body, Beam):
+        if isinstance(response.body, Oscillator):
             free[:] = True
         push = np.sum([x.force_n * response.shapes([x.station])[0] for x in rig.loads] or [np.zeros(free.size)], axis=0)
         if np.any(push[free]):

@@ -10,7 +10,6 @@ from identify.gap.linear import Linear
 from identify.gap.residual import Base, Residual
 from identify.gap.results import Share, Surface, Where
 from identify.gap.spectra import Record
-from rig.beam import Beam
 from rig.oscillator import Oscillator
 
 BANDS_HZ = (0.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 100.0, 150.0, 200.0, 400.0, 1000.0, 4000.0)
@@ -92,7 +91,7 @@ def _modal(record: Record, model: Linear, at: Residual) -> dict[str, float]:
         size = np.mean((inverse @ (at.linear[rows] * spread[rows, None])) ** 2, axis=1)
         error = np.sum((inverse * spread[rows]) ** 2, axis=1)
         for m in range(modes):
-            name = f"{response.body.name} {m + 1}" if isinstance(response.body, Beam) else response.body.name
+            name = response.body.name if isinstance(response.body, Oscillator) else f"{response.body.name} {m + 1}"
             found[name] = float(size[m] / error[m])
     return _shared(found)
 

@@ -4,6 +4,7 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
+from rig.beam import Beam
 from rig.description import Contact, Rig, Station
 from rig.effect import Effect, Parameter
 
@@ -25,5 +26,12 @@ class ContactPosition(Effect, frozen=True):
             return contact
         at, against = contact.at, contact.against
         if against.position_m in (0.0, rig.body(against.body).length_m):
-            return replace(contact, at=Station(at.body, at.position_m - self.shift_m))
-        return replace(contact, against=Station(against.body, against.position_m + self.shift_m))
+            return replace(contact, at=self._along(rig, at, -self.shift_m))
+        return replace(contact, against=self._along(rig, against, self.shift_m))
+
+    def _along(self, rig: Rig, station: Station, shift_m: float) -> Station:
+        if not isinstance(rig.body(station.body), Beam):
+            raise self.nowhere(
+                rig, f"beam at {station.position_m} m of {station.body!r} that a contact could move along"
+            )
+        return Station(station.body, station.position_m + shift_m)

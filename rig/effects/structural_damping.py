@@ -18,5 +18,4 @@ class StructuralDamping(Effect, frozen=True):
 
     def applied_to(self, rig: Rig) -> Rig:
         chosen = rig.bodies if self.body is None else (self.body_of(rig, self.body),)
-        bodies = (replace(b, damping_ratio=b.damping_ratio * self.factor) if b in chosen else b for b in rig.bodies)
-        return replace(rig, bodies=tuple(bodies))
+        return replace(rig, bodies=tuple(b.damped(self.factor) if b in chosen else b for b in rig.bodies))

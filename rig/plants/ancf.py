@@ -1,11 +1,11 @@
-"""The reference plant: Exudyn, beams of ANCF cable elements. It and its connectors alone import exudyn."""
+"""The reference plant: Exudyn, beams of ANCF cable elements. It, `connectors` and `basis` alone import exudyn."""
 
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from msgspec.structs import replace
 from scipy.linalg import eigh
 
@@ -14,9 +14,18 @@ from rig.description import Body, PointSpring, Rig, Station, stations_of
 from rig.errors import RigError
 from rig.modes import held_coordinates, with_attachments
 from rig.motion import Motion, Progress
-from rig.plants.connectors import ChangingModulus, Extra, GroundedForce, add_contact, add_grounded, modulus_change
+from rig.plants.connectors import (
+    ChangingModulus,
+    Extra,
+    GroundedForce,
+    Section,
+    add_contact,
+    add_grounded,
+    modulus_change,
+)
 from rig.plants.loading import base_motion, connections, true_force
 from rig.plants.mesh import Mesh, by_node, coordinates_at_rest, inertia, mesh_positions, static_load, station_row
+from rig.structure import Structure
 
 ELEMENTS = 20
 BLOCK_STEPS = 4096
@@ -48,6 +57,8 @@ def simulate(
     exu.config.printToConsole = False
     exu.config.suppressWarnings = True
     base = base_motion(rig, len(force_n), step_s)
+    if (base or rig.loads) and any(isinstance(e, Section) for e in extra):
+        raise RigError("the ancf plant takes static loads and base motion on uniform beams only; leave them out")
     applied_n = true_force(rig, force_n, step_s)
     container = exu.SystemContainer()
     try:
@@ -118,11 +129,14 @@ def build(
     The connectors are those of the contacts, then those of the cubic springs and of the extra forces.
     """
     grounded = [e for e in extra if isinstance(e, GroundedForce)]
-    nodes = tuple(PointSpring(station=g.station) for g in grounded)  # no springs, but a node where each force acts
+    sections = [e for e in extra if isinstance(e, Section)]
+    needed = [g.station for g in grounded]
+    needed += [Station(s.beam, x) for s in sections for x in (s.start_m, s.end_m)]
+    nodes = tuple(PointSpring(station=station) for station in needed)  # no springs, but a node at each of these
     rig = replace(rig, springs=(*rig.springs, *nodes))
     ground_node = mbs.AddNode(_item("NodePointGround")())
     ground = int(mbs.AddMarker(_item("MarkerNodeCoordinate")(nodeNumber=ground_node, coordinate=0)))
-    meshes = [_add_body(mbs, rig, body, ground, elements) for body in rig.bodies]
+    meshes = [_add_body(mbs, rig, body, ground, elements, sections) for body in rig.bodies]
     _add_attachments(mbs, rig, meshes)
     _add_damping(mbs, rig, meshes)
 
@@ -144,12 +158,14 @@ def build(
     return meshes, connectors, int(load)
 
 
-def _add_body(mbs: Any, rig: Rig, body: Body, ground: int, elements: int) -> Mesh:
+def _add_body(mbs: Any, rig: Rig, body: Body, ground: int, elements: int, sections: list[Section]) -> Mesh:
     def fix(node: int, coordinates: tuple[int, ...]) -> None:
         for coordinate in coordinates:
             marker = mbs.AddMarker(_item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=coordinate))
             mbs.AddObject(_item("CoordinateConstraint")(markerNumbers=[ground, marker]))
 
+    if isinstance(body, Structure):
+        raise RigError(f"the ancf plant meshes beams, and {body.name!r} is a modal basis; simulate it with modal")
     if not isinstance(body, Beam):
         whole = with_attachments(rig, body)
         node = int(mbs.AddNode(_item("Node1D")(referenceCoordinates=[0.0])))
@@ -163,14 +179,19 @@ def _add_body(mbs: Any, rig: Rig, body: Body, ground: int, elements: int) -> Mes
         return Mesh(body, np.zeros(1), (node,))
     positions = mesh_positions(rig, body, elements)
     nodes = tuple(int(mbs.AddNode(_item("NodePoint2DSlope1")(referenceCoordinates=[x, 0, 1, 0]))) for x in positions)
-    for (left, right), length in zip(pairwise(nodes), np.diff(positions), strict=True):
+    for (left, right), length, middle in zip(
+        pairwise(nodes), np.diff(positions), (positions[1:] + positions[:-1]) / 2, strict=True
+    ):
+        here = [s for s in sections if s.beam == body.name and s.start_m < middle < s.end_m]
+        stiffer, heavier = (float(np.prod([getattr(s, f) for s in here])) for f in ("stiffness_factor", "mass_factor"))
+        axial = AXIAL_FACTOR * body.youngs_modulus_pa * body.width_m * body.thickness_m
         mbs.AddObject(
             _item("ObjectANCFCable2D")(
                 nodeNumbers=[left, right],
                 length=length,
-                massPerLength=body.mass_per_length_kg_per_m,
-                bendingStiffness=body.bending_stiffness_n_m2,
-                axialStiffness=AXIAL_FACTOR * body.youngs_modulus_pa * body.width_m * body.thickness_m,
+                massPerLength=heavier * body.mass_per_length_kg_per_m,
+                bendingStiffness=stiffer * body.bending_stiffness_n_m2,
+                axialStiffness=heavier * axial,
             )
         )
     if body.ends == "clamped-free":  # a free beam needs no hold lengthwise: no force acts there, its centre stays
@@ -220,8 +241,7 @@ def _add_damping(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
     for mesh in meshes:
         size = 4 * len(mesh.nodes) if isinstance(mesh.body, Beam) else 1
         if isinstance(mesh.body, Beam):
-            transverse = np.array([4 * i + c for i in range(len(mesh.nodes)) for c in mesh.transverse])
-            free = transverse[held_coordinates(rig, mesh.body) :]
+            free = free_coordinates(rig, mesh)
             inside = np.ix_(first + free, first + free)
             squares, shapes = eigh(stiffness[inside], mass[inside])
             rate = 2 * mesh.body.damping_ratio * np.sqrt(np.maximum(squares, 0))
@@ -231,6 +251,12 @@ def _add_damping(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
             damping[np.ix_(free, free)] = (momentum * rate) @ momentum.T
             mbs.AddObject(_item("ObjectGenericODE2")(nodeNumbers=list(mesh.nodes), dampingMatrix=damping))
         first += size
+
+
+def free_coordinates(rig: Rig, mesh: Mesh) -> Int[np.ndarray, " free"]:
+    """Among all coordinates of a beam's nodes, the transverse ones that no clamp holds."""
+    transverse = np.array([4 * i + c for i in range(len(mesh.nodes)) for c in mesh.transverse])
+    return transverse[held_coordinates(rig, mesh.body) :]
 
 
 def _read_nodes(exu: Any, mbs: Any, meshes: list[Mesh], kind: str) -> Callable[[], Float[np.ndarray, "rows samples"]]:

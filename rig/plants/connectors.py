@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, no_type_check
 
-from rig.beam import Beam
 from rig.contact import DAMPING_DEPTH_M, FRICTION_SPEED_M_PER_S, DeadZone
 from rig.description import Station
 from rig.plants.mesh import Mesh
@@ -32,7 +31,18 @@ class ChangingModulus:
     factor: Callable[[float], float]
 
 
-Extra = GroundedForce | ChangingModulus
+@dataclass(frozen=True)
+class Section:
+    """From `start_m` to `end_m` a beam is so many times as stiff in bending and as heavy (and as stiff lengthwise)."""
+
+    beam: str
+    start_m: float
+    end_m: float
+    stiffness_factor: float
+    mass_factor: float
+
+
+Extra = GroundedForce | ChangingModulus | Section
 """What only a simulated reality has, beyond its Rig."""
 
 
@@ -73,15 +83,14 @@ def add_grounded(exu: Any, mbs: Any, ground: int, at: int, extra: GroundedForce)
 def modulus_change(mbs: Any, meshes: list[Mesh], extra: ChangingModulus) -> Callable[[int, float], None]:
     """Called with a step's number and time, sets the bending stiffness of the beam's elements now and then."""
     mesh = next(m for m in meshes if m.body.name == extra.beam)
-    assert isinstance(mesh.body, Beam)
-    nominal = mesh.body.bending_stiffness_n_m2
     objects = [(number, mbs.GetObject(number)) for number in range(mbs.systemData.NumberOfObjects())]
     elements = [n for n, o in objects if o["objectType"] == "ANCFCable2D" and int(o["nodeNumbers"][0]) in mesh.nodes]
+    nominal = {number: mbs.GetObjectParameter(number, "bendingStiffness") for number in elements}
 
     def change(sample: int, time_s: float) -> None:
         if sample % MODULUS_EVERY_STEPS == 0:
             for number in elements:
-                mbs.SetObjectParameter(number, "bendingStiffness", nominal * extra.factor(time_s))
+                mbs.SetObjectParameter(number, "bendingStiffness", nominal[number] * extra.factor(time_s))
 
     return change
 

@@ -8,8 +8,8 @@ from jaxtyping import Float
 from scipy.linalg import block_diag, eigh
 
 from rig.beam import Beam
-from rig.description import Body, Rig, Station, contact_stations
-from rig.modes import held_coordinates, hermite, matrices
+from rig.description import Rig, Station, contact_stations
+from rig.modes import Meshed, held_coordinates, hermite, matrices
 from rig.plants.loading import connections, equilibrium
 
 
@@ -17,7 +17,7 @@ from rig.plants.loading import connections, equilibrium
 class Mesh:
     """A body in Exudyn: its nodes, where they stand, and which coordinates of a node are transverse (value, slope)."""
 
-    body: Body
+    body: Meshed
     positions_m: Float[np.ndarray, " nodes"]
     nodes: tuple[int, ...]
 

@@ -7,11 +7,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import expm
 
-from rig.beam import Beam
 from rig.contact import FRICTION_SPEED_M_PER_S
 from rig.description import Body, Rig, Station, contact_stations, stations_of
 from rig.errors import RigError
-from rig.modes import Modes, modes_of, participation
+from rig.modes import Modes, modes_of, modes_wanted, participation
 from rig.motion import Motion, Progress
 from rig.plants.loading import base_motion, connections, equilibrium, true_force
 
@@ -49,7 +48,7 @@ class _Model:
 def simulate(
     rig: Rig, force_n: Float[np.ndarray, " samples"], step_s: float, progress: Progress, modes: int = 16
 ) -> Iterator[Motion]:
-    """The motion from rest, with `modes` modes a beam (a mass has one).
+    """The motion from rest, with `modes` modes a beam (a mass has one, a structure no more than its basis).
 
     The modes are those of the bodies with what is attached to them, in a frame that moves with the base. Every mode
     obeys q'' + 2 zeta omega q' + omega^2 q = p with the modal force p = phi(x_F) F + p_static - g a_base -
@@ -157,7 +156,7 @@ def _model(
     rig: Rig, applied_n: Float[np.ndarray, " samples"], base: dict[str, Float[np.ndarray, " samples"]], modes: int
 ) -> _Model:
     """The rig under the true force and the motion of its base."""
-    bodies = [(b, modes_of(rig, b), modes if isinstance(b, Beam) else 1) for b in rig.bodies]
+    bodies = [(b, modes_of(rig, b), modes_wanted(b, modes)) for b in rig.bodies]
     omega = 2 * np.pi * np.concatenate([shapes.frequencies_hz(n) for _, shapes, n in bodies])
     zeta = np.concatenate([shapes.damping_ratios(n) for _, shapes, n in bodies])
     contacts, laws = connections(rig), tuple(c.law for c in connections(rig))

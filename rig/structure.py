@@ -1,0 +1,182 @@
+"""A body of any shape as its modal basis: modes from a finite-element model or an experimental modal analysis."""
+
+from functools import lru_cache
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+from scipy.interpolate import CubicSpline
+
+from rig.errors import RigError
+
+SAME_PLACE_M = 1e-9
+LARGEST = 1e9
+"""Of frequencies (Hz) and shapes (1/sqrt(kg)): what is larger is no machine's, and would overflow."""
+NO_TRANSLATION = 1e-2
+"""Rigid modes that leave more than this share of a unit translation do not hold it."""
+
+
+class ShapeRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The value of every mode shape at one place, in 1/sqrt(kg)."""
+
+    position_m: float
+    values: tuple[float, ...]
+
+
+class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="structure"):
+    """A body known by its modes alone: frequencies, damping ratios, and mass-normalised shapes at the given places.
+
+    A mode of frequency 0 is a rigid-body motion. Places are metres from the left end, of a body `length_m` long. Only
+    at the given places is a shape exact: a cubic spline (scipy.interpolate.CubicSpline) stands for it between them,
+    a straight line beyond the first and the last.
+    """
+
+    name: str
+    length_m: float
+    natural_hz: tuple[float, ...] = msgspec.field(name="frequencies_hz")
+    ratios: tuple[float, ...] = msgspec.field(name="damping_ratios")
+    rows: tuple[ShapeRow, ...] = msgspec.field(name="shapes")
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.length_m) and self.length_m > 0):
+            raise self._wrong(f"length_m is {self.length_m}; give a finite value above zero")
+        if not self.natural_hz:
+            raise self._wrong("frequencies_hz is empty; give at least one mode")
+        if len(self.ratios) != len(self.natural_hz):
+            raise self._wrong(
+                f"there are {len(self.ratios)} damping_ratios for {len(self.natural_hz)} frequencies_hz; give one each"
+            )
+        for hz in self.natural_hz:
+            if not 0 <= hz <= LARGEST:
+                raise self._wrong(f"a frequency is {hz} Hz; give 0 (a rigid-body mode) to {LARGEST:g} Hz")
+        if any(np.diff(self.natural_hz) < 0):
+            raise self._wrong("frequencies_hz do not ascend; sort the modes by frequency, rigid-body modes first")
+        for ratio in self.ratios:
+            if not 0 <= ratio < 1:
+                raise self._wrong(f"a damping ratio is {ratio}; give values from 0 to below 1")
+        self._check_rows()
+
+    def _check_rows(self) -> None:
+        if not self.rows:
+            raise self._wrong("shapes is empty; give the shapes at the contacts, the sensors and the force")
+        for row in self.rows:
+            if not 0 <= row.position_m <= self.length_m:
+                raise self._wrong(f"shapes are given at {row.position_m} m; give places from 0 to {self.length_m} m")
+            if len(row.values) != len(self.natural_hz):
+                raise self._wrong(
+                    f"there are {len(row.values)} shape values at {row.position_m} m for {len(self.natural_hz)} modes; "
+                    "give one each"
+                )
+            for value in row.values:
+                if not abs(value) <= LARGEST:
+                    raise self._wrong(
+                        f"a shape value at {row.position_m} m is {value}; give finite values in 1/sqrt(kg), "
+                        f"{LARGEST:g} at most"
+                    )
+        if any(np.diff(self.positions_m) <= SAME_PLACE_M):
+            raise self._wrong("the positions of shapes do not ascend; sort them, each place once")
+
+    @property
+    def positions_m(self) -> Float[np.ndarray, " places"]:
+        return np.array([row.position_m for row in self.rows])
+
+    @property
+    def most_modes(self) -> int:
+        return len(self.natural_hz)
+
+    @property
+    def rigid_modes(self) -> int:
+        return self.natural_hz.count(0.0)
+
+    def frequencies_hz(self, modes: int) -> Float[np.ndarray, " modes"]:
+        return np.array(self.natural_hz[: self._checked(modes)])
+
+    def damping_ratios(self, modes: int) -> Float[np.ndarray, " modes"]:
+        return np.array(self.ratios[: self._checked(modes)])
+
+    def damped(self, factor: float) -> "Structure":
+        """With all damping ratios times a factor."""
+        return msgspec.structs.replace(self, ratios=tuple(r * factor for r in self.ratios))
+
+    def tuned(self, factor: float) -> "Structure":
+        """With all frequencies times a factor."""
+        return msgspec.structs.replace(self, natural_hz=tuple(f * factor for f in self.natural_hz))
+
+    def shapes(self, positions_m: Float[np.ndarray, " stations"], modes: int) -> Float[np.ndarray, "stations modes"]:
+        """Shapes at places, in 1/sqrt(kg): as given where they are given, else by the spline."""
+        return self._interpolated(positions_m, 0)[:, : self._checked(modes)]
+
+    def slopes(self, positions_m: Float[np.ndarray, " stations"], modes: int) -> Float[np.ndarray, "stations modes"]:
+        """Slopes of the spline through the shapes, in 1/(m sqrt(kg)); zero if only one place is given."""
+        return self._interpolated(positions_m, 1)[:, : self._checked(modes)]
+
+    def gives(self, position_m: float) -> bool:
+        """Whether the shapes at this place are data."""
+        return bool(np.min(np.abs(self.positions_m - position_m)) <= SAME_PLACE_M)
+
+    def translation(self) -> Float[np.ndarray, " modes"]:
+        """Modal coordinates g of a unit translation, in sqrt(kg): sum_i phi_i(x) g_i = 1; g.g is the mass.
+
+        Only rigid-body modes can tell it. Raises RigError where there are none, or their shapes do not add up to it.
+        """
+        rigid = self.rigid_modes
+        found = np.zeros(self.most_modes)
+        shapes = np.array([row.values for row in self.rows])[:, :rigid]
+        one = np.ones(len(self.rows))
+        if 0 < rigid <= len(one):
+            found[:rigid] = np.linalg.lstsq(shapes, one, rcond=None)[0]
+        if np.max(np.abs(shapes @ found[:rigid] - one)) > NO_TRANSLATION:
+            raise self._wrong(
+                "its modal basis does not say how its mass follows a moving base; only that of a free body does, "
+                "whose rigid-body modes (0 Hz) are given"
+            )
+        return found
+
+    def _interpolated(
+        self, positions_m: Float[np.ndarray, " stations"], order: int
+    ) -> Float[np.ndarray, "stations all"]:
+        wanted, given = np.asarray(positions_m, dtype=float), self.positions_m
+        values = np.array([row.values for row in self.rows])
+        if len(given) == 1:
+            return np.repeat(values if order == 0 else np.zeros_like(values), len(wanted), axis=0)
+        spline = _spline(self.rows)
+        inside = np.clip(wanted, given[0], given[-1])
+        if order:
+            return np.asarray(spline(inside, 1))
+        found = np.asarray(spline(inside) + spline(inside, 1) * (wanted - inside)[:, None])
+        if wanted.size:
+            away = np.abs(wanted[:, None] - given[None, :])
+            exact = away.min(axis=1) <= SAME_PLACE_M
+            found[exact] = values[away.argmin(axis=1)[exact]]
+        return found
+
+    def _checked(self, modes: int) -> int:
+        if not 1 <= modes <= self.most_modes:
+            raise self._wrong(f"{modes} modes asked for; its modal basis has 1 to {self.most_modes}")
+        return modes
+
+    def _wrong(self, sentence: str) -> RigError:
+        return RigError(f"structure {self.name!r}: {sentence}")
+
+
+def structure_of(
+    name: str,
+    length_m: float,
+    frequencies_hz: Float[np.ndarray, " modes"],
+    damping_ratios: Float[np.ndarray, " modes"],
+    positions_m: Float[np.ndarray, " places"],
+    shapes: Float[np.ndarray, "places modes"],
+) -> Structure:
+    """A structure from arrays, as a finite-element model or a modal analysis has them."""
+    return Structure(
+        name=name,
+        length_m=float(length_m),
+        natural_hz=tuple(frequencies_hz.tolist()),
+        ratios=tuple(damping_ratios.tolist()),
+        rows=tuple(ShapeRow(float(x), tuple(values)) for x, values in zip(positions_m, shapes.tolist(), strict=True)),
+    )
+
+
+@lru_cache(maxsize=64)
+def _spline(rows: tuple[ShapeRow, ...]) -> CubicSpline:
+    return CubicSpline([row.position_m for row in rows], [row.values for row in rows])

@@ -1,0 +1,104 @@
+"""A barrel of two thicknesses, known by its modal basis alone: recorded by Exudyn's finite elements, then identified.
+
+python -m scenarios.stepped_barrel --out out
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from jaxtyping import Float
+from msgspec.structs import replace
+
+from rig.beam import Beam
+from rig.command_line import progress_bar, run
+from rig.description import Rig, to_json
+from rig.effects import effect_named
+from rig.errors import RigError
+from rig.motion import Motion, Progress
+from rig.plants import ancf
+from rig.plants.basis import modal_basis
+from rig.plants.connectors import Section
+from rig.record import record
+from rig.reference import BarrelCradle
+from scenarios.compare import identified_against_true, shown
+
+BREECH_M = 0.4
+THICKER = 1.5
+"""The barrel is so many times as thick, from its left end to the end of its breech, as the rest of it."""
+MODES = 16
+POSITIONS_M = np.linspace(0, 1, 41)
+
+app = typer.Typer(pretty_exceptions_enable=False)
+
+
+@app.command()
+def stepped_barrel(
+    out: Annotated[Path, typer.Option(help="Folder for the recording, rig.json, contact.json and the figures.")] = Path(
+        "out/stepped_barrel"
+    ),
+    duration: Annotated[float, typer.Option(help="Length of the record, s.")] = 60.0,
+    level: Annotated[float, typer.Option(help="Of the force, N rms.")] = 14.0,
+    seed: Annotated[int, typer.Option(help="Of the force and of the noise.")] = 1,
+    effect: Annotated[
+        str | None, typer.Option(help="An unmodelled effect, as of `rig record`; then nothing is identified.")
+    ] = None,
+) -> None:
+    """Records a stepped barrel in its cradle with finite elements and identifies it from the barrel's modes as data."""
+    # the barrel-cradle rig of the paper, with accelerometers alone, 1e-3 m/s2/sqrt(Hz)
+    settings = BarrelCradle(sensors="acceleration", noise_density=1e-3, rms_n=level, duration_s=duration, seed=seed)
+    believed = with_basis(settings.rig())
+
+    # the record is made by the meshed barrel, which knows nothing of modes
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / "stepped_barrel.mcap"
+    with progress_bar(f"recording {path.name} (ancf)") as progress:
+        record(
+            believed,
+            settings.force(),
+            plant=meshed,
+            duration_s=settings.duration_s,
+            step_s=settings.step_s,
+            path=path,
+            progress=progress,
+            actual=with_effect(believed, effect) if effect else None,
+        )
+    (out / "rig.json").write_bytes(to_json(believed))
+
+    # the identification has the modal basis in rig.json, and the record
+    if not effect:
+        shown("A stepped barrel, its modal basis as data", identified_against_true(path, use="acceleration", out=out))
+
+
+def with_basis(rig: Rig) -> Rig:
+    """The rig with its barrel replaced by the modes of the stepped one, from a mesh of 60 elements."""
+    barrel = rig.body("barrel")
+    assert isinstance(barrel, Beam)
+    basis = modal_basis(barrel, breech(barrel), POSITIONS_M, MODES)
+    return replace(rig, bodies=tuple(basis if b is barrel else b for b in rig.bodies))
+
+
+def breech(barrel: Beam) -> tuple[Section, ...]:
+    """E I goes with the cube of the thickness, the mass with the thickness."""
+    return (Section(barrel.name, 0.0, BREECH_M, stiffness_factor=THICKER**3, mass_factor=THICKER),)
+
+
+def meshed(rig: Rig, force_n: Float[np.ndarray, " samples"], step_s: float, progress: Progress) -> Iterator[Motion]:
+    """The plant: the rig with its barrel's modal basis left aside, in place of it a mesh of 20 elements."""
+    barrel = BarrelCradle().rig().body("barrel")
+    assert isinstance(barrel, Beam)
+    beams = replace(rig, bodies=tuple(barrel if b.name == barrel.name else b for b in rig.bodies))
+    return ancf.simulate(beams, force_n, step_s, progress, extra=breech(barrel))
+
+
+def with_effect(rig: Rig, text: str) -> Rig:
+    changed = effect_named(text).applied_to(rig)
+    if changed.bodies != rig.bodies:
+        raise RigError(f"effect {text}: changes the modes, which the meshed barrel does not have; choose another")
+    return changed
+
+
+if __name__ == "__main__":
+    run(app, "scenarios.stepped_barrel")

@@ -1,0 +1,98 @@
+"""A beam's own modes given as data: every identification gives the answers that it gives with the beam itself."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from identify.contact import identify_contact
+from identify.gap.candidates import candidates
+from identify.gap.doubts import doubts_of
+from identify.gap.linear import linear_model
+from identify.gap.residual import MODEL_ERROR
+from identify.gap.spectra import record_of
+from identify.tolerances import EXACT, LABORATORY, jittered
+from rig.description import Rig
+from rig.errors import RigError
+from rig.recording import Recording, read
+from rig.structure import structure_of
+
+FINELY = np.linspace(0, 1, 401)
+
+
+def as_data(rig: Rig) -> Rig:
+    """With all modes that a beam has, finely enough for slopes; the shapes at the stations are exact in any case."""
+    bodies = tuple(
+        structure_of(b.name, b.length_m, b.frequencies_hz(40), b.damping_ratios(40), FINELY, b.shapes(FINELY, 40))
+        for b in rig.bodies
+    )
+    return msgspec.structs.replace(rig, bodies=bodies)
+
+
+@pytest.fixture(scope="module")
+def recordings(barrel_cradle) -> tuple[Recording, Recording]:
+    """The same signals, believed to come from beams and from structures."""
+    beams = read(barrel_cradle)
+    return beams, Recording(as_data(beams.rig), beams.signals, beams.provenance)
+
+
+def numbers(report) -> np.ndarray:
+    return np.array(
+        [v for c in report.contacts for x in (c.clearance_m, c.stiffness_n_per_m) for v in (x.value, x.standard_error)]
+    )
+
+
+@pytest.mark.parametrize("use", ["displacement", "acceleration"])
+def test_contacts_come_out_the_same_to_rounding(recordings, use):
+    beams, data = (identify_contact(r, use=use, tolerances=EXACT).report for r in recordings)
+    np.testing.assert_allclose(numbers(data), numbers(beams), rtol=1e-6)
+    assert len(numbers(beams)) == 8
+    for one, other in zip(data.nifo, beams.nifo, strict=True):
+        assert one.equation == other.equation
+        for a, b in zip(one.stiffness, other.stiffness, strict=True):
+            assert a.mean_n_per_m.value == pytest.approx(b.mean_n_per_m.value, rel=1e-6)
+    assert [m.frequency_hz for m in data.modes] == pytest.approx([m.frequency_hz for m in beams.modes], rel=1e-6)
+
+
+def test_slopes_by_the_spline_leave_the_tolerances_what_they_are(recordings):
+    beams, data = (identify_contact(r, use="acceleration", tolerances=LABORATORY).report for r in recordings)
+    np.testing.assert_allclose(numbers(data), numbers(beams), rtol=1e-3)
+
+
+def test_the_diagnosis_sees_the_same_residual_and_the_same_doubts(recordings):
+    both = []
+    for recording in recordings:
+        record = record_of(recording)
+        model = linear_model(record, recording.rig, MODEL_ERROR)
+        both.append((model, doubts_of(record, model, LABORATORY)))
+    (beam, of_beam), (data, of_data) = both
+    for one, other in (
+        (data.residual, beam.residual),
+        (data.contact_n, beam.contact_n),
+        (data.eta_m, beam.eta_m),
+    ):
+        np.testing.assert_allclose(one, other, atol=1e-8 * np.abs(other).max())
+    assert of_data.names == of_beam.names
+    np.testing.assert_allclose(of_data.residual, of_beam.residual, atol=1e-3 * np.abs(of_beam.residual).max())
+
+
+def test_what_makes_no_sense_for_a_basis_is_no_candidate(recordings):
+    beams, data = ({c.kind.name for c in candidates(r.rig, ["a"], True)} for r in recordings)
+    # how the base carries what is clamped, a basis does not say
+    assert beams - data == {"youngs_modulus", "clamp_compliance", "contact_position", "base_motion"}
+    assert data <= beams
+
+
+def test_jitter_draws_the_same_laboratory(recordings):
+    beams, data = (jittered(r.rig, np.random.default_rng(1)) for r in recordings)
+    assert data.sensors == beams.sensors
+    for one, other in zip(data.bodies, beams.bodies, strict=True):
+        np.testing.assert_allclose(one.frequencies_hz(8), other.frequencies_hz(8))
+        np.testing.assert_allclose(one.damping_ratios(8), other.damping_ratios(8))
+
+
+def test_a_contact_on_what_cannot_float_is_refused(recordings):
+    for recording in recordings:
+        stop = msgspec.structs.replace(recording.rig.contacts[0], at=recording.rig.contacts[0].against, against=None)
+        held = msgspec.structs.replace(recording.rig, contacts=(stop,))
+        with pytest.raises(RigError, match="accelerations tell the constant forces of 0 of the 1 contacts"):
+            identify_contact(Recording(held, recording.signals, recording.provenance), use="acceleration")
