@@ -45,7 +45,7 @@ def doubts_of(record: Record, model: Linear, tolerances: Tolerances) -> Doubts:
         own = index == i
         names.append(f"gain of {sensor.name}")
         changes.append(tolerances.gain * explained * own)
-        moved.append(tolerances.gain * record.displaced * own)
+        moved.append(tolerances.gain * record.displaced / model.chain * own)
     for response, motion in zip(model.responses, model.modal, strict=True):
         body = response.body
         rows = [i for i, s in enumerate(record.sensors) if s.station.body == body.name]
@@ -57,8 +57,9 @@ def doubts_of(record: Record, model: Linear, tolerances: Tolerances) -> Doubts:
             slopes = (beside[0] - beside[1]) / (right - left)[:, None]
             for i, slope in zip(rows, slopes @ motion, strict=True):
                 names.append(f"position of {record.sensors[i].name}")
-                changes.append(tolerances.position_m * slope * (index == i))
-                moved.append(changes[-1] * twice)
+                change = tolerances.position_m * slope * (index == i)
+                changes.append(model.chain * change)
+                moved.append(twice * change)
         shapes = response.shapes([s.station for s in record.sensors])
         natural_hz, zeta = response.modes.frequencies_hz(response.count), response.modes.damping_ratios(response.count)
         flexible = receptance(natural_hz, zeta, omega / (2 * np.pi)) * motion
@@ -71,10 +72,10 @@ def doubts_of(record: Record, model: Linear, tolerances: Tolerances) -> Doubts:
         elastic = np.flatnonzero((natural_hz > 0) & (natural_hz < BEYOND * omega[-1] / (2 * np.pi)))
         for what, change in of_each.items():
             names.append(f"{what} of {body.name}")
-            changes.append(shapes @ change)
+            changes.append(model.chain * (shapes @ change))
             for m in elastic if not isinstance(body, Oscillator) else []:
                 names.append(f"{what} of {body.name} {m + 1}")
-                changes.append(SINGLY * np.outer(shapes[:, m], change[m]))
+                changes.append(SINGLY * model.chain * np.outer(shapes[:, m], change[m]))
         moved += [None] * (len(changes) - len(moved))
     residual, forces, eta = [], [], []
     scale = residual_scale(record)

@@ -11,6 +11,7 @@ sensors less contacts tell it.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -43,13 +44,14 @@ class Response:
 class Linear:
     """A rig's linear model laid against a record.
 
-    residual is in standard deviations; where the base shakes, a last row holds its acceleration in those of its own
+    chain is what each sensor makes of an acceleration. residual is in standard deviations; where the base shakes, a last row holds its acceleration in those of its own
     spectrum, and log_determinant is what that freedom costs. eta_m lacks the slow part that integration loses. modal
     are the accelerations of each body's modes, holding_n the constant contact forces under static loads.
     """
 
     rig: Rig
     responses: tuple[Response, ...]
+    chain: Complex[np.ndarray, "sensors lines"]
     spread: Float[np.ndarray, "sensors lines"]
     unknown: Complex[np.ndarray, "lines sensors inputs"]
     solve: Complex[np.ndarray, "lines inputs sensors"]
@@ -80,7 +82,9 @@ def linear_model(record: Record, rig: Rig, model_error: float) -> Linear:
     """
     named, omega = {s.name: s for s in rig.sensors}, record.omega
     sensors = [named[s.name] for s in record.sensors]
-    chain = np.stack([s.gain * np.exp(-1j * omega * s.delay_s) for s in sensors])
+    chain = np.stack(
+        [s.gain * (np.exp(-1j * omega * s.delay_s) if s.delay_s else np.ones(omega.size)) for s in sensors]
+    )
     displacements = record.displaced / chain
     responses = tuple(_response(record, rig, body) for body in rig.bodies)
     places: list[Station | None] = [s.station for s in sensors]
@@ -89,13 +93,15 @@ def linear_model(record: Record, rig: Rig, model_error: float) -> Linear:
     ]
     for spring in rig.springs:
         if spring.cubic_n_per_m3:
-            moved = np.sum([_interpolated(r, places, displacements, [spring.station]) for r in responses], axis=0)
+            moved = _times(np.sum([_weights(r, places, [spring.station]) for r in responses], axis=0), displacements)
             applied.append((spring.station, -spring.cubic_n_per_m3 * _cubed(record, moved[0])))
-    drives = [np.sum([np.outer(r.shapes([s])[0], force) for s, force in applied], axis=0) for r in responses]
+    forces = np.stack([force for _, force in applied])
+    drives = [_times(r.shapes([s for s, _ in applied]).T, forces) for r in responses]
     ends: list[list[Station | None]] = [[c.at for c in rig.contacts], [c.against for c in rig.contacts]]
     across = [r.shapes(ends[0]) - r.shapes(ends[1]) for r in responses]
     at = [r.shapes(places) for r in responses]
-    known = np.sum([a @ (r.accelerance * d) for a, r, d in zip(at, responses, drives, strict=True)], axis=0)
+    driven = [r.accelerance * d for r, d in zip(responses, drives, strict=True)]
+    known = _times(np.concatenate(at, axis=1), np.concatenate(driven))
     spread = np.sqrt(record.noise + model_error**2 * record.power)
     spread = np.maximum(spread, 1e-9 * spread.max())
     sensed = (chain / spread).T
@@ -107,43 +113,62 @@ def linear_model(record: Record, rig: Rig, model_error: float) -> Linear:
     contacts = len(rig.contacts)
     solve, log_determinant = _least_squares(unknown, contacts)
     residual, contact_n = _split(unknown, solve, record.delivered / spread - known * sensed.T, contacts)
-    modal = tuple(r.accelerance * (d - c.T @ contact_n) for r, d, c in zip(responses, drives, across, strict=True))
+    modal = tuple(d - r.accelerance * _times(c.T, contact_n) for r, d, c in zip(responses, driven, across, strict=True))
     eta = np.zeros((contacts, omega.size), dtype=complex)
     high_passed = integrated(omega, -2, CORNER_HZ)
-    for response, own, motion in zip(responses, at, modal, strict=True):
-        for stations, sign in zip(ends, (1.0, -1.0), strict=True):
-            eta += sign * _interpolated(response, places, displacements - own @ motion * high_passed, stations)
-            eta += sign * response.shapes(stations) @ motion * high_passed
+    for response, own, over, motion in zip(responses, at, across, modal, strict=True):
+        weights = _weights(response, places, ends[0]) - _weights(response, places, ends[1])
+        eta += _times(weights, displacements) + _times(over - weights @ own, motion) * high_passed
     holding_n = _holding(rig, responses, across)
-    return Linear(rig, responses, spread, unknown, solve, residual, contact_n, eta, modal, holding_n, log_determinant)
+    return Linear(
+        rig, responses, chain, spread, unknown, solve, residual, contact_n, eta, modal, holding_n, log_determinant
+    )
 
 
 def _response(record: Record, rig: Rig, body: Body) -> Response:
     """Of a mass with accelerometers alone, its spring acts on the high-passed displacement only."""
     modes, count = modes_of(rig, body), body.most_modes
-    natural_hz, zeta, omega = modes.frequencies_hz(count), modes.damping_ratios(count), record.omega
-    if not isinstance(body, Oscillator) or record.zero_known:
-        accelerance = -(omega**2) * receptance(natural_hz, zeta, omega / (2 * np.pi))
-    else:
-        natural = 2 * np.pi * natural_hz[:, None]
+    natural_hz, zeta = modes.frequencies_hz(count), modes.damping_ratios(count)
+    high_passed = isinstance(body, Oscillator) and not record.zero_known
+    accelerance = _accelerance(natural_hz.tobytes(), zeta.tobytes(), record.omega.tobytes(), high_passed)
+    return Response(body, modes, count, accelerance)
+
+
+@lru_cache(maxsize=16)
+def _accelerance(
+    natural_hz: bytes, damping_ratios: bytes, omega_rad_per_s: bytes, high_passed: bool
+) -> Complex[np.ndarray, "modes lines"]:
+    """Of the modes whose doubles are given; most candidates change those of one body at most."""
+    hz, zeta, omega = (np.frombuffer(values) for values in (natural_hz, damping_ratios, omega_rad_per_s))
+    if high_passed:
+        natural = 2 * np.pi * hz[:, None]
         held = natural**2 * integrated(omega, -2, CORNER_HZ)
-        accelerance = 1 / (1 + held + 2 * zeta[:, None] * natural * integrated(omega, -1, CORNER_HZ))
-    return Response(body, modes, count, np.where(natural_hz[:, None] == 0, 1.0, accelerance))
+        found = 1 / (1 + held + 2 * zeta[:, None] * natural * integrated(omega, -1, CORNER_HZ))
+    else:
+        found = -(omega**2) * receptance(hz, zeta, omega / (2 * np.pi))
+    found[hz == 0] = 1.0
+    found.flags.writeable = False
+    return found
 
 
-def _interpolated(
-    response: Response,
-    places: list[Station | None],
-    values: Complex[np.ndarray, "sensors lines"],
-    stations: list[Station | None],
-) -> Complex[np.ndarray, "stations lines"]:
+def _weights(
+    response: Response, places: list[Station | None], stations: list[Station | None]
+) -> Float[np.ndarray, "stations sensors"]:
     """From the body's sensors to other places on it, by as many of its modes as it has sensors."""
     rows = [i for i, place in enumerate(places) if place is not None and place.body == response.body.name]
-    modes = min(len(rows), response.count)
-    if not rows:
-        return np.zeros((len(stations), values.shape[1]), dtype=complex)
-    inverse = np.linalg.pinv(response.shapes([places[i] for i in rows])[:, :modes])
-    return np.asarray(response.shapes(stations)[:, :modes] @ (inverse @ values[rows]))
+    weights = np.zeros((len(stations), len(places)))
+    if rows:
+        modes = min(len(rows), response.count)
+        inverse = np.linalg.pinv(response.shapes([places[i] for i in rows])[:, :modes])
+        weights[:, rows] = response.shapes(stations)[:, :modes] @ inverse
+    return weights
+
+
+def _times(
+    real: Float[np.ndarray, "rows inner"], spectra: Complex[np.ndarray, "inner lines"]
+) -> Complex[np.ndarray, "rows lines"]:
+    """The product, without taking the real factor as complex: twice as fast."""
+    return np.asarray((real @ np.ascontiguousarray(spectra).view(float)).view(complex))
 
 
 def _accelerances(
@@ -151,11 +176,9 @@ def _accelerances(
     at: list[Float[np.ndarray, "sensors modes"]],
     across: list[Float[np.ndarray, "contacts modes"]],
 ) -> Complex[np.ndarray, "lines sensors contacts"]:
-    found = np.zeros((responses[0].accelerance.shape[1], len(at[0]), len(across[0])), dtype=complex)
-    for response, sensors, contacts in zip(responses, at, across, strict=True):
-        products = (sensors[:, None, :] * contacts[None]).reshape(-1, response.count)
-        found += (response.accelerance.T @ products.T).reshape(found.shape)
-    return found
+    products = [(s[:, None, :] * c[None]).reshape(-1, s.shape[1]) for s, c in zip(at, across, strict=True)]
+    found = _times(np.concatenate(products, axis=1), np.concatenate([r.accelerance for r in responses]))
+    return found.T.reshape(-1, len(at[0]), len(across[0]))
 
 
 def _holding(
@@ -207,10 +230,11 @@ def _least_squares(
     inputs = normal.shape[1]
     size = np.einsum("lii->li", normal).real
     normal = normal + np.eye(inputs) * (1e-10 * size + 1e-300)[:, None, :]
+    if inputs == contacts:
+        return np.linalg.solve(normal, adjoint), 0.0
     free = np.linalg.slogdet(normal[:, :contacts, :contacts])[1] if contacts else 0.0
     normal[:, range(contacts, inputs), range(contacts, inputs)] += 1.0
-    solve = np.linalg.solve(normal, adjoint)
-    return solve, float(np.sum(np.linalg.slogdet(normal)[1] - free)) if inputs > contacts else 0.0
+    return np.linalg.solve(normal, adjoint), float(np.sum(np.linalg.slogdet(normal)[1] - free))
 
 
 def _split(

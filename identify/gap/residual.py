@@ -101,8 +101,8 @@ def residual_of(
     if unknowns is None:
         unknowns = tuple(start_of(at, s, record.rate_hz) for at, s in zip(laid, base.seen, strict=True))
     beside = doubts - base.about
-    linear = bare - np.einsum("d,drt->rt", beside, base.doubts.residual) if beside.any() else bare
-    more_n, more_m = (-np.einsum("d,dct->ct", beside, c) for c in (base.doubts.contact_n, base.doubts.eta_m))
+    linear = bare - np.tensordot(beside, base.doubts.residual, 1) if beside.any() else bare
+    more_n, more_m = (-np.tensordot(beside, c, 1) for c in (base.doubts.contact_n, base.doubts.eta_m))
     contacts = tuple(
         contact_residual(laid[j], base.seen[j], rig.contacts[j].law, unknowns[j], more_n[j], more_m[j])
         for j in range(len(rig.contacts))
