@@ -20,7 +20,7 @@ LONGEST_DELAY_S = 1.0
 
 def _is_gain(value: float) -> bool:
     """Finite and other than zero, and so that no number within reason becomes infinite or zero by it."""
-    return 1e-12 <= abs(value) <= 1e12
+    return bool(1e-12 <= abs(value) <= 1e12)
 
 
 class Station(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

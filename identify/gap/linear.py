@@ -44,9 +44,10 @@ class Response:
 class Linear:
     """A rig's linear model laid against a record.
 
-    chain is what each sensor makes of an acceleration. residual is in standard deviations; where the base shakes, a last row holds its acceleration in those of its own
-    spectrum, and log_determinant is what that freedom costs. eta_m lacks the slow part that integration loses. modal
-    are the accelerations of each body's modes, holding_n the constant contact forces under static loads.
+    chain is what each sensor makes of an acceleration. residual is in standard deviations; where the base shakes, a
+    last row holds its acceleration in those of its own spectrum, and log_determinant is what that freedom costs. eta_m
+    lacks the slow part that integration loses. modal are the accelerations of each body's modes, holding_n the constant
+    contact forces under static loads.
     """
 
     rig: Rig
@@ -83,7 +84,10 @@ def linear_model(record: Record, rig: Rig, model_error: float) -> Linear:
     named, omega = {s.name: s for s in rig.sensors}, record.omega
     sensors = [named[s.name] for s in record.sensors]
     chain = np.stack(
-        [s.gain * (np.exp(-1j * omega * s.delay_s) if s.delay_s else np.ones(omega.size)) for s in sensors]
+        [
+            s.gain * (np.exp(-1j * omega * s.delay_s) if s.delay_s else np.ones(omega.size, dtype=complex))
+            for s in sensors
+        ]
     )
     displacements = record.displaced / chain
     responses = tuple(_response(record, rig, body) for body in rig.bodies)

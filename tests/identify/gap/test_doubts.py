@@ -5,11 +5,11 @@ import pytest
 from msgspec.structs import replace
 
 from identify.gap.doubts import moved
-from identify.gap.residual import base_of
+from identify.gap.residual import base_of, residual_of
 from identify.gap.spectra import record_of
 from identify.tolerances import LABORATORY
 from rig.excitation import force_history
-from rig.reference import Sdof
+from rig.reference import BarrelCradle, Sdof
 from rig.replay import modal
 
 SETTINGS = Sdof(sensors="displacement", duration_s=12.0)
@@ -38,3 +38,19 @@ def test_every_doubt_about_a_single_mass_and_its_sensor_moves_the_rig(base):
     assert found.sensors == (
         replace(sensor, gain=sensor.gain * (1 + LABORATORY.gain * by_name[f"gain of {sensor.name}"])),
     )
+
+
+def test_doubts_are_what_a_moved_rig_leaves_through_a_sensor_that_reads_wrong():
+    settings = BarrelCradle(sensors="acceleration", duration_s=12.0, rms_n=1.0)
+    believed = settings.rig()
+    sensors = tuple(replace(s, gain=0.5 if i == 2 else 1.0, delay_s=0.0) for i, s in enumerate(believed.sensors))
+    rig = replace(believed, sensors=sensors)
+    force_n = force_history(settings.force(), settings.duration_s, 1 / rig.sample_rate_hz)
+    base = base_of(record_of(modal(rig, rig, force_n, 1)), rig)
+    small = 1e-2
+    for body in rig.bodies:
+        modulus = body.youngs_modulus_pa * (1 + small * LABORATORY.frequency) ** 2
+        bodies = tuple(replace(b, youngs_modulus_pa=modulus) if b == body else b for b in rig.bodies)
+        change = residual_of(base, rig).bare - residual_of(base, replace(rig, bodies=bodies)).bare
+        expected = small * base.doubts.residual[base.doubts.names.index(f"frequency of {body.name}")]
+        assert np.linalg.norm(change - expected) < 0.02 * np.linalg.norm(change)
