@@ -25,9 +25,9 @@ from rig.errors import RigError
 from rig.recording import Recording, read
 from scenarios import score_figures
 from scenarios.blind_cases import Case, Key, made, planned, sha256_of
-from scenarios.scoreboard import NO_LIMIT, Compared, Diagnosis, Score, scored
+from scenarios.scoreboard import Compared, Diagnosis, Score, scored
 from scenarios.tasks import run_tasks
-from scenarios.true_closure import shares as closures
+from scenarios.true_effect import best_of
 
 T = TypeVar("T")
 app = typer.Typer(pretty_exceptions_enable=False, no_args_is_help=True)
@@ -126,26 +126,19 @@ def score(
     cases: Cases,
     found: Annotated[Path, typer.Option(help="Folder that `diagnose` wrote.")],
     out: Annotated[Path, typer.Option(help="Folder for score.json and the figures.")],
-    limits: Annotated[
-        Path | None, typer.Option(help="JSON file: of every effect the strength from which it can be detected.")
-    ] = None,
     floor: Annotated[Path | None, typer.Option(help="File of the floor, if it is not beside what was found.")] = None,
 ) -> None:
     """Opens the sealed answers, if they are those that were hashed, and compares."""
     answers = opened(cases).cases
     check_recordings(cases, answers)
-    known = _decoded(limits, dict[str, float]) if limits else {}
     compared = beside(answers, _decoded(found / "found.json", list[Found]))
-    floors = floor or found / "floor.json"
-    shares = closures(compared, cases / "recordings", floors, out / "tasks") if floors.exists() else []
-    board = scored(compared, known, shares)
+    best = best_of(compared, cases / "recordings", floor or found / "floor.json", out / "tasks")
+    board = scored(compared, best)
     out.mkdir(parents=True, exist_ok=True)
     _written(out / "score.json", msgspec.json.format(msgspec.json.encode(board), indent=2))
-    figures = score_figures.drawn(compared, known, out)
+    figures = score_figures.drawn(compared, best, out)
     console = Console()
     console.print(shown(board, f"{len(compared)} blind cases"))
-    if not known:
-        console.print(f"no limits given: every effect counts as detectable from strength {NO_LIMIT} on")
     console.print(f"figures: {', '.join(p.name for p in figures)} in {out}", soft_wrap=True)
 
 

@@ -12,18 +12,18 @@ from scipy.special import expit
 from scipy.stats import norm
 
 from scenarios.blind_cases import SINGLE_STRENGTHS
-from scenarios.scoreboard import NO_LIMIT, Compared, confusion, parameter_errors, wilson
+from scenarios.scoreboard import Best, Compared, confusion, parameter_errors, wilson
 
 BLUE, RED, GREY = "#1f5fa8", "#b8323a", "#8a8a8a"
 STYLE = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
 
 
-def drawn(compared: Sequence[Compared], limits: Mapping[str, float], folder: Path) -> list[Path]:
+def drawn(compared: Sequence[Compared], best: Mapping[str, Best], folder: Path) -> list[Path]:
     """Writes every figure; their paths."""
     with mpl.rc_context(STYLE):
         figures = {
             "confusion": _confusion(compared),
-            "power": _power(compared, limits),
+            "power": _power(compared, best),
             "calibration": _calibration(compared),
             "parameters": _parameters(compared),
         }
@@ -58,7 +58,7 @@ def _confusion(compared: Sequence[Compared]) -> Figure:
     return figure
 
 
-def _power(compared: Sequence[Compared], limits: Mapping[str, float]) -> Figure:
+def _power(compared: Sequence[Compared], best: Mapping[str, Best]) -> Figure:
     singles = [c for c in compared if c.truth.kind == "single"]
     names = sorted({c.label for c in singles}) or ["no single effects"]
     across = min(len(names), 4)
@@ -74,15 +74,16 @@ def _power(compared: Sequence[Compared], limits: Mapping[str, float]) -> Figure:
         axes.plot(strength, right, "o", color=BLUE, ms=4, alpha=0.7, clip_on=False)
         if len({*right}) == 2:
             _curve(axes, strength, right)
-        if limits.get(name, NO_LIMIT) > NO_LIMIT:
-            axes.axvline(limits[name], color=RED, lw=0.8, ls="--")
+        limits = [best[c.truth.case].limit(c.truth.strengths[0]) for c in chosen]
+        if limits and np.isfinite(limit := float(np.median(limits))):
+            axes.axvline(limit, color=RED, lw=0.8, ls="--")
         axes.set_title(name.replace("_", " "), fontsize=9)
         axes.set(
             xscale="log", xlim=SINGLE_STRENGTHS, ylim=(-0.05, 1.05), yticks=(0, 1), yticklabels=("missed", "right")
         )
         axes.set_xticks((0.25, 0.5, 1, 2), ("0.25", "0.5", "1", "2"))
         axes.minorticks_off()
-    figure.supxlabel("strength, of the default magnitude")
+    figure.supxlabel("strength, of the default magnitude (dashed: detection limit, median of the cases)")
     return figure
 
 

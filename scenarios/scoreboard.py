@@ -19,8 +19,6 @@ WITHIN = 0.1
 """A place on a body is right within this share of its length."""
 OVERLAP = 0.5
 """A band is right if what it shares with the true one is this much of what both cover."""
-NO_LIMIT = 0.25
-"""The strength that every effect counts as detectable from, unless limits are given."""
 
 
 class Value(msgspec.Struct, frozen=True):
@@ -128,23 +126,37 @@ class Compared:
             all(same(n, t) for n, t in zip(order, true, strict=True)) for order in permutations(named)
         )
 
-    def strong_enough(self, limits: Mapping[str, float]) -> bool:
-        return all(s >= limits.get(n, NO_LIMIT) for n, s in zip(self.names, self.truth.strengths, strict=True))
 
+class Best(msgspec.Struct, frozen=True):
+    """What the true effects of a case achieve: the size of the gap on the validation record without and with them.
 
-def scored(compared: Sequence[Compared], limits: Mapping[str, float], shares: Sequence[float] = ()) -> Score:
-    """The scoreboard of all cases.
-
-    `limits` has the strength from which an effect counts as detectable; `shares` what was closed of each gap that was
-    diagnosed rightly, as a share of what the true effect closes.
+    gain is by how much they lower the cost on the fit record. `needed` is what it must exceed to be no null's: below it
+    an effect is below its detection limit.
     """
+
+    before: float
+    after: float
+    gain: float
+    needed: float
+
+    @property
+    def detectable(self) -> bool:
+        return self.gain > self.needed
+
+    def limit(self, strength: float) -> float:
+        """The strength of the limit, by that of the case: a gain grows with its square."""
+        return float(strength * np.sqrt(self.needed / self.gain)) if self.gain > 0 else np.inf
+
+
+def scored(compared: Sequence[Compared], best: Mapping[str, Best]) -> Score:
+    """The scoreboard of all cases; `best` is what the truth achieves, by case."""
     by_kind = {kind: [c for c in compared if c.truth.kind == kind] for kind in ("null", "single", "pair", "outside")}
     singles, pairs = by_kind["single"], by_kind["pair"]
     placed = [c for c in singles if c.exact and place_fields(effect_named(c.truth.effects[0]))]
     sensors = [c for c in singles if c.names[0].startswith("sensor_") and c.found.where.channels]
     rates = (
         _rate("single effect right", (c.right for c in singles)),
-        _rate("single effect right, above its limit", (c.right for c in singles if c.strong_enough(limits))),
+        _rate("single effect right, above its limit", (c.right for c in singles if best[c.truth.case].detectable)),
         _rate("single effect named itself", (c.exact for c in singles)),
         _rate("false alarm without effect", (c.found.verdict != "no_gap" for c in by_kind["null"])),
         _rate("outside the library rejected", (c.found.verdict == "none_of_these" for c in by_kind["outside"])),
@@ -155,10 +167,10 @@ def scored(compared: Sequence[Compared], limits: Mapping[str, float], shares: Se
         _rate("faulty sensor first among channels", (_first_channel_right(c) for c in sensors)),
         _rate("parameter within its 95 % interval", (abs(z) < 1.96 for _, z in parameter_errors(compared))),
     )
-    closed = [
-        c.found.closure.closed_fraction
-        for c in compared
-        if c.right and c.found.closure and c.found.closure.closed_fraction is not None
+    right = [(c, c.found.closure) for c in compared if c.right and c.found.closure]
+    closed = [f.closed_fraction for _, f in right if f.closed_fraction is not None]
+    shares = [
+        (f.before - f.after) / (f.before - best[c.truth.case].after) for c, f in right if f.closed_fraction is not None
     ]
     between = quantile_test(closed, p=0.5).confidence_interval(0.95) if len(closed) > 1 else None
     return Score(

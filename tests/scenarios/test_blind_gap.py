@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from rig.errors import RigError
 from scenarios import blind_gap
 from scenarios.blind_gap import app, opened
-from scenarios.scoreboard import Diagnosis, Score
+from scenarios.scoreboard import Best, Diagnosis, Score
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +34,8 @@ def copied(made, tmp_path):
 def diagnosed(cases, monkeypatch):
     monkeypatch.setattr(blind_gap, "diagnosis_of", lambda *_: Diagnosis("no_gap"))
     monkeypatch.setattr(blind_gap, "floors_of", lambda *_: None)
+    best = {f"case_{i:03d}": Best(1.0, 1.0, gain=1.0, needed=2.0) for i in range(3)}
+    monkeypatch.setattr(blind_gap, "best_of", lambda *_: best)
     ran("diagnose", "--cases", cases, "--out", cases.parent / "found")
     return cases.parent / "found"
 

@@ -6,6 +6,7 @@ import pytest
 from scenarios.blind_cases import Case
 from scenarios.score_figures import drawn
 from scenarios.scoreboard import (
+    Best,
     Cause,
     Closure,
     Compared,
@@ -24,7 +25,7 @@ SENSOR = "barrel_0000mm_acceleration"
 
 
 def case(kind, *effects, strength=1.0):
-    return Case("case", kind, effects, (strength,) * len(effects), 1, 0, (), {})
+    return Case(" and ".join((kind, *effects)), kind, effects, (strength,) * len(effects), 1, 0, (), {})
 
 
 def named(*effects, probability=0.9, equivalent=(), closed=None, where=NOWHERE, **fields):
@@ -71,10 +72,13 @@ COMPARED = [
     Compared(DRAG, NONE),
     Compared(DRAG, named("coulomb_friction")),
 ]
+BEST = {c.truth.case: Best(10.0, 1.0, gain=5.0, needed=4.0) for c in COMPARED} | {
+    SHAKE.case: Best(1.0, 1.0, gain=1.0, needed=4.0)
+}
 
 
 def test_every_rate_counts_what_it_says():
-    board = scored(COMPARED, {"base_motion": 0.5})
+    board = scored(COMPARED, BEST)
     assert {r.name: (r.count, r.of) for r in board.rates} == {
         "single effect right": (3, 4),
         "single effect right, above its limit": (3, 3),
@@ -90,7 +94,14 @@ def test_every_rate_counts_what_it_says():
     }
     assert board.median_closed_fraction == pytest.approx(0.9)
     assert board.closed_cases == 3
+    assert board.share_of_true_closure == pytest.approx(8.5 / 9)
     assert board.cpu_s_median == 10.0
+
+
+def test_the_limit_is_where_the_gain_is_what_a_null_may_have():
+    below = Best(1.0, 1.0, gain=1.0, needed=4.0)
+    assert (below.detectable, below.limit(0.3)) == (False, pytest.approx(0.6))
+    assert Best(1.0, 1.0, gain=-1.0, needed=4.0).limit(0.3) == np.inf
 
 
 def test_errors_are_in_standard_errors():
@@ -137,6 +148,6 @@ def test_confusion_counts_every_case_but_pairs():
 def test_figures_are_drawn_also_of_nothing(tmp_path):
     for name, compared in (("all", COMPARED), ("one", COMPARED[:1])):
         (tmp_path / name).mkdir()
-        paths = drawn(compared, {"added_mass": 0.5}, tmp_path / name)
+        paths = drawn(compared, BEST, tmp_path / name)
         assert [p.name for p in paths] == ["confusion.png", "power.png", "calibration.png", "parameters.png"]
         assert all(p.stat().st_size > 5000 for p in paths)
