@@ -49,7 +49,7 @@ class FiniteElementModes:
 
     def shapes(self, positions_m: Float[np.ndarray, " stations"], modes: int) -> Float[np.ndarray, "stations modes"]:
         rows = [hermite(self.nodes_m, float(x)) for x in positions_m]
-        return np.array(rows).reshape(len(rows), -1) @ self.vectors[:, :modes]
+        return np.array(rows).reshape(len(rows), len(self.vectors)) @ self.vectors[:, :modes]
 
 
 @dataclass(frozen=True)

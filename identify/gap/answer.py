@@ -9,7 +9,7 @@ from identify.gap.closure import closure, likeness
 from identify.gap.diagnose import Explanation, Outcome, diagnosed
 from identify.gap.doubts import moved
 from identify.gap.faults import sound_channels
-from identify.gap.floor import Simulate, floors_of
+from identify.gap.floor import Floor, Simulate, floors_of
 from identify.gap.results import Cause, Gap, Value
 from identify.gap.spectra import record_of
 from identify.gap.where import where
@@ -63,7 +63,10 @@ def diagnose(
         verdict=outcome.verdict,
         sentence=_sentence(outcome, faults),
         size=outcome.validation_remainder.size,
-        causes=tuple(_cause(e, p) for e, p in zip(outcome.explanations, outcome.probabilities, strict=True)),
+        causes=tuple(
+            _cause(e, p, floors.of(fit_record))
+            for e, p in zip(outcome.explanations, outcome.probabilities, strict=True)
+        ),
         equivalent=(tuple(alike),) if len(alike) > 1 else (),
         separate_by=tuple(f"{name}: {how}" for name, how in alike.items()) if len(alike) > 1 else (),
         where=where(outcome.validation, outcome.validation_nominal, floor),
@@ -86,16 +89,18 @@ def _halves(recording: Recording) -> tuple[Recording, Recording]:
     return part(slice(0, cut)), part(slice(cut, None))
 
 
-def _cause(explanation: Explanation, probability: float) -> Cause:
+def _cause(explanation: Explanation, probability: float, floor: Floor) -> Cause:
+    """Standard errors hold what the effect leaves, and what it seems to explain where there is none."""
     parameters: dict[str, Value] = {}
     places: dict[str, str] = {}
     at = 0
     misfit = max(1.0, explanation.remainder.size)  # nulls leave one
     spread = np.sqrt(np.maximum(np.diag(explanation.fitted.covariance), 0.0) * misfit)
     for part in explanation.parts:
+        spurious = max(1.0, floor.gains.get(part.kind.name, 0.0) / explanation.validated.strictness) ** 0.5
         for name, about in part.parameters.items():
             value = float(explanation.fitted.values[at])
-            parameters[f"{part.kind.name}.{name}"] = Value(value, float(spread[at]), about.unit)
+            parameters[f"{part.kind.name}.{name}"] = Value(value, float(spread[at]) * spurious, about.unit)
             at += 1
         places |= {f"{part.kind.name}.{field}": place for field, place in part.place.items()}
     return Cause(explanation.effects, probability, parameters, places, explanation.remainder.size)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -11,7 +12,7 @@ from identify.gap.fit import Fit, fit
 from identify.gap.floor import MARGIN, SPREAD, Floor, Floors, Remainder, remainder
 from identify.gap.residual import Base, Residual, base_of
 from identify.gap.results import Verdict
-from identify.gap.search import Found, search, settled, without_doubts
+from identify.gap.search import Found, refined, search, settled, without_doubts
 from identify.gap.shaking import shaken
 from identify.gap.spectra import Record
 from rig.description import Rig
@@ -20,7 +21,7 @@ from rig.errors import RigError
 ALLOWED = 0.01
 """An effect may leave this share of the gap beyond the floor: no effect is described more exactly."""
 ASIDE = 1e-3
-"""No second effect is looked for in what is a smaller share of the gap than this."""
+"""Nothing more is looked for in what is a smaller share of the gap than this."""
 WORTHWHILE = 0.2
 """A second effect must take away this share of what the first one leaves."""
 SECOND = 0.1
@@ -80,17 +81,21 @@ def diagnosed(
         ((f.candidate,), f.fitted) for f in worthwhile(base, at, known, floor)
     ]
     progress(0.4)
-    pairs = []
+    pairs: dict[frozenset[str], tuple[tuple[Candidate, ...], Fit]] = {}
     for i, (parts, first) in enumerate(_firsts(fits, at, floor)):
         about, left = settled(fit_record, applied(rig, parts, first.values), base.seen, first.residual)
         if explained(remainder(about, left, floor), first_look, floor, ASIDE):
             break
         for second in worthwhile(about, left, known, floor)[:TRIED]:
-            if second.gain > WORTHWHILE * _excess(left, floor):
-                pairs.append(_together(base, (*parts, second.candidate), first, second))
+            both = (*parts, second.candidate)
+            names = frozenset(c.name for c in both)
+            if second.gain > WORTHWHILE * _excess(left, floor) and names not in pairs:
+                pairs[names] = _together(base, both, first, second)
         progress(0.4 + 0.25 * (i + 1))
+        if any(explained(remainder(base, f.residual, floor), first_look, floor, ASIDE) for _, f in pairs.values()):
+            break
     explanations = []
-    for parts, fitted in fits[:3] + pairs:
+    for parts, fitted in [*fits[:3], *pairs.values()]:
         try:
             explanations.append(_validated(judge, parts, fitted, rig, other_floor))
         except RigError:
@@ -145,17 +150,16 @@ def _together(base: Base, parts: tuple[Candidate, ...], first: Fit, second: Foun
     """Two effects fitted together, from where each was found; a base motion keeps what was found."""
     values = np.concatenate([first.values, second.fitted.values])
     steps = np.concatenate([c.steps for c in parts])
-    bounds = tuple(np.concatenate(ends) for ends in zip(*(c.bounds for c in parts), strict=True))
+    low, high = (np.concatenate(ends) for ends in zip(*(c.bounds for c in parts), strict=True))
     if any(c.kind.name == "base_motion" for c in parts):
         covariance = np.zeros((values.size, values.size))
         covariance[: first.values.size, : first.values.size] = first.covariance
         covariance[first.values.size :, first.values.size :] = second.fitted.covariance
         return parts, Fit(values, covariance, second.fitted.residual)
-    about = base_of(base.record, applied(base.rig, parts, values), base.seen, second.fitted.residual)
-    low, high = bounds
-    return parts, fit(
-        about, lambda v: applied(base.rig, parts, v), values, steps, (low, high), without_doubts(second.fitted.residual)
-    )
+    build = partial(applied, base.rig, parts)
+    about = base_of(base.record, build(values), base.seen, second.fitted.residual)
+    both = fit(about, build, values, steps, (low, high), without_doubts(second.fitted.residual))
+    return parts, refined(base, build, both, steps, (low, high))
 
 
 def _validated(judge: Base, parts: tuple[Candidate, ...], fitted: Fit, rig: Rig, floor: Floor) -> Explanation:

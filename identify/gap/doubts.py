@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from msgspec.structs import replace
 
-from identify.gap.linear import Linear
+from identify.gap.linear import Linear, bent
 from identify.gap.spectra import Record
 from identify.kinematics import CORNER_HZ, integrated
 from identify.modal import receptance
@@ -80,7 +80,7 @@ def doubts_of(record: Record, model: Linear, tolerances: Tolerances) -> Doubts:
     residual, forces, eta = [], [], []
     scale = residual_scale(record)
     for change, displaced in zip(changes, moved, strict=True):
-        left, force = model.projected(change)
+        left, force = model.projected(change if displaced is None else change + bent(record, model, displaced))
         residual.append(scale * record.in_time(left))
         forces.append(record.in_time(force))
         eta.append(

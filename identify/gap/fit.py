@@ -9,18 +9,21 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 from scipy.sparse.linalg import SuperLU
 
-from identify.gap.doubts import LIMIT
+from identify.gap.doubts import LIMIT, residual_scale
 from identify.gap.residual import Base, Residual, residual_of
 from rig.description import Rig
 from rig.errors import RigError
 
 STEPS = 12
+FINE = 1e-3
+"""Derivatives are by this share of a candidate's steps: little of a parameter is left once doubts are eliminated."""
 ROUNDING = 1e-9
 SETTLED = 0.1
 """Gauss-Newton stops when the cost falls by less than this."""
 
 Column = tuple[Float[np.ndarray, "rows times"], list[Float[np.ndarray, " _"]]]
-Build = Callable[[Float[np.ndarray, " parameters"]], Rig]
+Values = Float[np.ndarray, " parameters"]
+Build = Callable[[Values], Rig]
 
 
 @dataclass(frozen=True)
@@ -58,10 +61,27 @@ class Normal:
 
 
 def derivative(base: Base, moved: Rig, at: Residual) -> Column:
-    """What another rig takes off the linear and the contact residuals."""
+    """What another rig takes off the linear and the contact residuals.
+
+    The contact forces are projected out with the weights of the rig at hand (Kaufman, BIT 15, 1975), as for the doubts:
+    a parameter that is the like of a doubt then has the like of its column.
+    """
     there = residual_of(base, moved, at.doubts, tuple(c.unknowns for c in at.contacts), like=at)
+    linear = at.linear - there.linear
     contacts = [a.residual - b.residual for a, b in zip(at.contacts, there.contacts, strict=True)]
-    return at.linear - there.linear, contacts
+    if there.model is at.model:
+        return linear, contacts
+    old, new, record = at.model, there.model, base.record
+    sensors = len(record.sensors)
+    change = old.residual - new.residual
+    inputs = np.concatenate([old.contact_n - new.contact_n, change[sensors:]])
+    less = change[:sensors] + (old.unknown @ inputs.T[:, :, None])[:, :, 0].T
+    left, less_n = old.projected(less * old.spread)
+    held_n = old.holding_n - new.holding_n
+    for j, (seen, force_n) in enumerate(zip(base.seen, record.in_time(less_n) + held_n[:, None], strict=True)):
+        beyond = force_n - (at.laid[j].force_n - there.laid[j].force_n)
+        contacts[j][: seen.weights.size] += seen.weights * beyond
+    return residual_scale(record) * record.in_time(left), contacts
 
 
 @dataclass(frozen=True)
@@ -124,9 +144,9 @@ def reduced(base: Base, at: Residual) -> Reduced:
 def fit(
     base: Base,
     build: Build,
-    values: Float[np.ndarray, " parameters"],
-    steps: Float[np.ndarray, " parameters"],
-    bounds: tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, " parameters"]],
+    values: Values,
+    steps: Values,
+    bounds: tuple[Values, Values],
     start: Residual | None = None,
     most: int = STEPS,
 ) -> Fit:
@@ -137,7 +157,7 @@ def fit(
     at = residual_of(base, build(values), *(_state(start) if start else (None, None)))
     count, sizes = len(base.doubts.names), np.eye(values.size)
     for _ in range(most):
-        inside = np.where(values + steps > bounds[1], -steps, steps)
+        inside = FINE * np.where(values + steps > bounds[1], -steps, steps)
         normal = reduced(base, at).joined([derivative(base, build(values + s), at) for s in sizes * inside])
         scaled = np.concatenate([np.ones(count), inside])
         held = normal.matrix + np.diag(np.r_[np.zeros(count), 1e-9 * np.diag(normal.matrix)[count:] + 1e-300])
@@ -169,7 +189,7 @@ def fit(
         values, at = moved, there
         if fell < SETTLED:
             break
-    covariance = base.record.strictness * np.linalg.pinv(normal.matrix)[count:, count:] * np.outer(steps, steps)
+    covariance = base.record.strictness * np.linalg.pinv(normal.matrix)[count:, count:] * np.outer(inside, inside)
     return Fit(values, covariance, at)
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -40,28 +41,10 @@ class Seen:
     curve: Spline
     strictness: float
 
-
-@dataclass(frozen=True)
-class Contact:
-    """A contact's law laid against its separated force, with its drift and the law's own tolerances as unknowns.
-
-    unknowns are the drift's knots (m), then clearance, stiffness and damping in their tolerances. residual is force
-    less law, in standard deviations, above the residuals of the prior; columns are its derivatives by the unknowns,
-    by_eta (N/m) the law's by the relative displacement.
-    """
-
-    law: DeadZone
-    unknowns: Float[np.ndarray, " unknowns"]
-    residual: Float[np.ndarray, " rows"]
-    columns: csr_matrix
-    by_eta: Float[np.ndarray, " times"]
-
     @property
-    def cost(self) -> float:
-        return float(self.residual @ self.residual)
-
-    def solver(self) -> SuperLU:
-        return splu(csc_matrix(self.columns.T @ self.columns))
+    def firm(self) -> float:
+        """The weight of a tolerance's standard deviation."""
+        return float(self.strictness**0.5)
 
 
 def seen_contacts(record: Record, model: Linear, levels: Sequence[float] | None) -> tuple[Seen, ...]:
@@ -130,6 +113,57 @@ def start_of(laid: Laid, seen: Seen, rate_hz: float) -> Float[np.ndarray, " unkn
     return start
 
 
+@dataclass(frozen=True)
+class Contact:
+    """A contact's law laid against its separated force, with its drift and the law's own tolerances as unknowns.
+
+    unknowns are the drift's knots (m), then clearance, stiffness and damping in their tolerances. within is the law
+    with those, at a fine depth and velocity. residual is force less law, in standard deviations, above the residuals of
+    the prior.
+    """
+
+    seen: Seen
+    laid: Laid
+    law: DeadZone
+    within: DeadZone
+    unknowns: Float[np.ndarray, " unknowns"]
+    depth_m: Float[np.ndarray, " fine"]
+    damped_n: Float[np.ndarray, " fine"]
+    residual: Float[np.ndarray, " rows"]
+
+    @property
+    def cost(self) -> float:
+        return float(self.residual @ self.residual)
+
+    @cached_property
+    def tangent_n_per_m(self) -> Float[np.ndarray, " fine"]:
+        return (self.within.stiffness_n_per_m + 3 * self.within.cubic_n_per_m3 * self.depth_m**2) * (self.depth_m != 0)
+
+    @cached_property
+    def by_eta(self) -> Float[np.ndarray, " times"]:
+        """The law's derivative by slow changes of the relative displacement, N/m."""
+        return _coarsely(self.tangent_n_per_m, self.laid.finer) + self.laid.spring_n_per_m
+
+    @cached_property
+    def columns(self) -> csr_matrix:
+        """By how much the residual falls with each unknown."""
+        weights, curve = self.seen.weights, self.seen.curve
+        fine = [
+            -self.tangent_n_per_m * np.sign(self.depth_m) * TRUSTED * self.law.clearance_m,
+            self.depth_m * TRUSTED * self.law.stiffness_n_per_m,
+            self.damped_n,
+        ]
+        by_law = np.stack([decimated(row, self.laid.finer) for row in fine], axis=1)
+        by_knots = diags(weights * self.by_eta) @ curve.value
+        rows = hstack([by_knots, csr_matrix(weights[:, None] * by_law)])
+        prior = hstack([curve.curvature, csr_matrix((curve.target.size, 3))])
+        own = hstack([csr_matrix((3, curve.knots)), diags(self.seen.firm * (1 + WALL * (_beyond(self.unknowns) != 0)))])
+        return vstack([rows, prior, own]).tocsr()
+
+    def solver(self) -> SuperLU:
+        return splu(csc_matrix(self.columns.T @ self.columns))
+
+
 def contact_residual(
     laid: Laid,
     seen: Seen,
@@ -157,32 +191,22 @@ def contact_residual(
     damped = DAMPING_S * law.stiffness_n_per_m * rate * damping_share(depth)
     force = within.force_n(eta, rate, laid.time_s) + damping * damped
     residual = laid.force_n + more_n - decimated(force, laid.finer) - laid.spring_n_per_m * slow
-    tangent = (within.stiffness_n_per_m + 3 * within.cubic_n_per_m3 * depth**2) * (depth != 0)
-    by_eta = _coarsely(tangent, laid.finer) + laid.spring_n_per_m
-    by_law = np.stack(
-        [
-            -_coarsely(tangent * np.sign(depth), laid.finer) * TRUSTED * law.clearance_m,
-            _coarsely(depth, laid.finer) * TRUSTED * law.stiffness_n_per_m,
-            _coarsely(damped, laid.finer),
-        ],
-        axis=1,
-    )
-    by_knots = diags(seen.weights * by_eta) @ curve.value
-    rows = hstack([by_knots, csr_matrix(seen.weights[:, None] * by_law)])
-    prior = hstack([curve.curvature, csr_matrix((curve.target.size, 3))])
-    tolerances = unknowns[curve.knots :]
-    beyond = tolerances - np.clip(tolerances, -LIMIT, LIMIT)
-    firm = seen.strictness**0.5
-    own = hstack([csr_matrix((3, curve.knots)), diags(firm * (1 + WALL * (beyond != 0)))])
+    held = -seen.firm * (unknowns[curve.knots :] + WALL * _beyond(unknowns))
     return Contact(
+        seen=seen,
+        laid=laid,
         law=law,
+        within=within,
         unknowns=unknowns,
-        residual=np.concatenate(
-            [seen.weights * residual, curve.target - curve.curvature @ knots, -firm * (tolerances + WALL * beyond)]
-        ),
-        columns=vstack([rows, prior, own]).tocsr(),
-        by_eta=by_eta,
+        depth_m=depth,
+        damped_n=damped,
+        residual=np.concatenate([seen.weights * residual, curve.target - curve.curvature @ knots, held]),
     )
+
+
+def _beyond(unknowns: Float[np.ndarray, " unknowns"]) -> Float[np.ndarray, "3"]:
+    """How far the law's tolerances are beyond their limits."""
+    return np.asarray(unknowns[-3:] - np.clip(unknowns[-3:], -LIMIT, LIMIT))
 
 
 def _finely(values: Float[np.ndarray, " times"], finer: int) -> Float[np.ndarray, " fine"]:

@@ -19,7 +19,7 @@ from jaxtyping import Complex, Float
 from identify.gap.spectra import Record
 from identify.kinematics import CORNER_HZ, integrated
 from identify.modal import receptance
-from rig.description import Body, Rig, Station
+from rig.description import Body, PointSpring, Rig, Station
 from rig.modes import Modes, modes_of, participation
 from rig.oscillator import Oscillator
 
@@ -92,15 +92,12 @@ def linear_model(record: Record, rig: Rig, model_error: float) -> Linear:
     displacements = record.displaced / chain
     responses = tuple(_response(record, rig, body) for body in rig.bodies)
     places: list[Station | None] = [s.station for s in sensors]
-    applied = [
-        (rig.force_at, record.force * np.exp(-1j * omega * rig.force_sensor.lag_s) / rig.force_sensor.gain),
-    ]
-    for spring in rig.springs:
-        if spring.cubic_n_per_m3:
-            moved = _times(np.sum([_weights(r, places, [spring.station]) for r in responses], axis=0), displacements)
-            applied.append((spring.station, -spring.cubic_n_per_m3 * _cubed(record, moved[0])))
-    forces = np.stack([force for _, force in applied])
-    drives = [_times(r.shapes([s for s, _ in applied]).T, forces) for r in responses]
+    cubic = [s for s in rig.springs if s.cubic_n_per_m3]
+    forces = [record.force * np.exp(-1j * omega * rig.force_sensor.lag_s) / rig.force_sensor.gain]
+    for spring, moved in zip(cubic, _at_springs(responses, places, cubic, displacements), strict=True):
+        forces.append(-spring.cubic_n_per_m3 * _product(record, moved, moved, moved))
+    pushed: list[Station | None] = [rig.force_at, *(s.station for s in cubic)]
+    drives = [_times(r.shapes(pushed).T, np.stack(forces)) for r in responses]
     ends: list[list[Station | None]] = [[c.at for c in rig.contacts], [c.against for c in rig.contacts]]
     across = [r.shapes(ends[0]) - r.shapes(ends[1]) for r in responses]
     at = [r.shapes(places) for r in responses]
@@ -200,10 +197,38 @@ def _holding(
     return held
 
 
-def _cubed(record: Record, displacement: Complex[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:
+def bent(
+    record: Record, model: Linear, displaced: Complex[np.ndarray, "sensors lines"]
+) -> Complex[np.ndarray, "sensors lines"]:
+    """What the sensors give beside, as the cubic springs are displaced less than the sensors say."""
+    cubic = [s for s in model.rig.springs if s.cubic_n_per_m3]
+    found = np.zeros(displaced.shape, dtype=complex)
+    places: list[Station | None] = [s.station for s in record.sensors]
+    moved = _at_springs(model.responses, places, cubic, record.displaced / model.chain)
+    for spring, own, change in zip(cubic, moved, _at_springs(model.responses, places, cubic, displaced), strict=True):
+        less_n = 3 * spring.cubic_n_per_m3 * _product(record, own, own, change)
+        for r in model.responses:
+            shape = r.shapes([spring.station])[0]
+            found += model.chain * _times(r.shapes(places) * shape, r.accelerance * less_n)
+    return found
+
+
+def _at_springs(
+    responses: tuple[Response, ...],
+    places: list[Station | None],
+    springs: list[PointSpring],
+    displacements: Complex[np.ndarray, "sensors lines"],
+) -> Complex[np.ndarray, "springs lines"]:
+    """The displacements at springs, from those of the sensors."""
+    stations: list[Station | None] = [s.station for s in springs]
+    return _times(np.sum([_weights(r, places, stations) for r in responses], axis=0), displacements)
+
+
+def _product(record: Record, *three: Complex[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:
+    """Of three displacements over time, without alias."""
     length = record.length // record.factor
-    fine = 3 * np.fft.irfft(displacement / record.factor, 3 * length)
-    return np.asarray(np.fft.rfft(fine**3)[: displacement.size] * record.factor / 3)
+    fine = np.prod([3 * np.fft.irfft(d / record.factor, 3 * length) for d in three], axis=0)
+    return np.asarray(np.fft.rfft(fine)[: three[0].size] * record.factor / 3)
 
 
 def _base(

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
 
 from identify.gap.candidates import Candidate
 from identify.gap.doubts import LIMIT
-from identify.gap.fit import STEPS, Fit, derivative, fit, reduced
+from identify.gap.fit import Build, Fit, Values, derivative, fit, reduced
 from identify.gap.law import Seen
 from identify.gap.residual import Base, Residual, base_of, residual_of, same_but_laws
 from identify.gap.scan import linear_starts
@@ -22,8 +23,10 @@ FINAL = 3
 """So many of those are kept, ..."""
 RIVAL = 0.5
 """... and fitted to the end, if they gained this share of what the best one did."""
+ROUNDS = 2
+"""The doubts are linearised anew so many times, ..."""
 AGAIN = 2
-"""So many times the doubts about a single mass are linearised anew."""
+"""... and those about a single mass so many times more."""
 WORTH = 0.02
 """An effect whose linear gain is a smaller share of the best one's is not."""
 
@@ -127,10 +130,11 @@ def search(base: Base, at: Residual, candidates: Sequence[Candidate], least: Map
     if not best:
         return []
     close = [at.cost - f.cost > RIVAL * (at.cost - best[0][0].cost) for f, _ in best]
-    found = [
-        polished(base, candidate, fitted, at.cost) if rival else Found(candidate, fitted, at.cost - fitted.cost)
-        for (fitted, candidate), rival in zip(best[:FINAL], close, strict=False)
+    fits = [
+        (refined(base, partial(c.applied, base.rig), fitted, c.steps, c.bounds) if rival else fitted, c)
+        for (fitted, c), rival in zip(best[:FINAL], close, strict=False)
     ]
+    found = [Found(candidate, fitted, at.cost - fitted.cost) for fitted, candidate in fits]
     return sorted(found, key=lambda one: -one.gain)
 
 
@@ -140,17 +144,15 @@ def without_doubts(at: Residual) -> Residual:
     return replace(at, doubts=np.zeros_like(at.doubts), contacts=straight)
 
 
-def polished(base: Base, candidate: Candidate, fitted: Fit, before: float) -> Found:
-    """Fitted to the end, with the doubts linearised about the rig that has the effect."""
-    for _ in range(2 + _again(base.rig)):
-        about = base_of(base.record, candidate.applied(base.rig, fitted.values), base.seen, fitted.residual)
-        again = _fit(base, candidate, fitted.values, fitted.residual, STEPS, about)
-        fell = fitted.cost - again.cost
-        if fell > 0:
-            fitted = again
-        if fell < 1e-3 * fitted.cost:
+def refined(base: Base, build: Build, fitted: Fit, steps: Values, bounds: tuple[Values, Values]) -> Fit:
+    """Fitted to the end, with the doubts linearised anew about where the parameters have come to."""
+    for _ in range(ROUNDS + _again(base.rig)):
+        about = base_of(base.record, build(fitted.values), base.seen, fitted.residual)
+        before = fitted.cost
+        fitted = fit(about, build, fitted.values, steps, bounds, fitted.residual)
+        if before - fitted.cost < 1e-3 * fitted.cost:
             break
-    return Found(candidate, fitted, before - fitted.cost)
+    return fitted
 
 
 def quiet(base: Base, candidate: Candidate) -> bool:
@@ -167,6 +169,5 @@ def _fit(
     most: int,
     about: Base | None = None,
 ) -> Fit:
-    return fit(
-        about or base, lambda v: candidate.applied(base.rig, v), values, candidate.steps, candidate.bounds, start, most
-    )
+    build = partial(candidate.applied, base.rig)
+    return fit(about or base, build, values, candidate.steps, candidate.bounds, start, most)
