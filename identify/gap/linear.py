@@ -179,7 +179,7 @@ def _accelerances(
 ) -> Complex[np.ndarray, "lines sensors contacts"]:
     products = [(s[:, None, :] * c[None]).reshape(-1, s.shape[1]) for s, c in zip(at, across, strict=True)]
     found = _times(np.concatenate(products, axis=1), np.concatenate([r.accelerance for r in responses]))
-    return found.T.reshape(-1, len(at[0]), len(across[0]))
+    return found.T.reshape(found.shape[1], len(at[0]), len(across[0]))
 
 
 def _holding(

@@ -48,7 +48,7 @@ OFF = Station("barrel", 1.5)
             "base motion: seed is -1; give zero or above",
         ),
         (ForceSensor, {"gain": 0.0}, "force sensor: gain is 0.0; give a finite value other than zero"),
-        (ForceSensor, {"lag_s": -1e-3}, "force sensor: lag_s is -0.001; give a finite value, zero or above"),
+        (ForceSensor, {"lag_s": -1e-3}, "force sensor: lag_s is -0.001; give a finite value, zero to 1 s"),
     ],
 )
 def test_a_primitive_that_cannot_be_is_refused(kind, values, sentence):
