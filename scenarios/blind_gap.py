@@ -8,6 +8,7 @@ python -m scenarios.blind_gap score --cases out/blind --found out/found --out ou
 import hashlib
 import time
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -26,7 +27,7 @@ from rig.recording import Recording, read
 from scenarios import score_figures
 from scenarios.blind_cases import Case, Key, made, planned, sha256_of
 from scenarios.scoreboard import Compared, Diagnosis, Score, scored
-from scenarios.tasks import run_tasks
+from scenarios.tasks import Dask, run_tasks
 from scenarios.true_effect import best_of
 
 T = TypeVar("T")
@@ -47,6 +48,7 @@ def make(
     duration: Annotated[float, typer.Option(help="Length of each record, s.")] = 30.0,
     step_log2: Annotated[int, typer.Option(min=12, max=20, help="The ancf plant's step is 2 to minus this, s.")] = 13,
     elements: Annotated[int, typer.Option(min=4, help="Of the ancf plant, a beam.")] = 16,
+    dask: Dask = None,
     force: Force = False,
 ) -> None:
     """Records the cases and seals their answers; run again after an interruption, it goes on."""
@@ -55,7 +57,7 @@ def make(
     refuse_existing(hash_path, force)
     (out / "recordings").mkdir(parents=True, exist_ok=True)
     (out / "sealed" / "work").mkdir(parents=True, exist_ok=True)
-    answers = run_tasks(made, plans, Case, out / "sealed" / "tasks")
+    answers = run_tasks(made, plans, Case, out / "sealed" / "tasks", dask)
     check_recordings(out, answers)
     key = msgspec.json.format(msgspec.json.encode(Key(seed, tuple(answers))), indent=2)
     _written(key_path, key)
@@ -95,6 +97,7 @@ def diagnose(
     cases: Cases,
     out: Annotated[Path, typer.Option(help="Folder for what is found.")],
     floor: Annotated[Path | None, typer.Option(help="File of the floor; made with Exudyn if it is not there.")] = None,
+    dask: Dask = None,
 ) -> None:
     """Diagnoses every case from its recordings alone; run again after an interruption, it goes on."""
     fits = sorted(p for p in (cases / "recordings").glob("*.mcap") if not p.stem.endswith("_validate"))
@@ -109,7 +112,7 @@ def diagnose(
         validate = fit.with_name(f"{fit.stem}_validate.mcap")
         hashes = {path.name: sha256_of(path) for path in (fit, validate)}
         tasks.append(ToDiagnose(fit.stem, str(fit), str(validate), str(kept), hashes))
-    found = run_tasks(diagnosed, tasks, Found, out / "tasks")
+    found = run_tasks(diagnosed, tasks, Found, out / "tasks", dask)
     _written(out / "found.json", msgspec.json.format(msgspec.json.encode(found), indent=2))
     Console().print(f"{len(found)} diagnoses in {out / 'found.json'}", soft_wrap=True)
 
@@ -209,5 +212,5 @@ def _written(path: Path, data: bytes) -> None:
     part.replace(path)
 
 
-if __name__ == "__main__":
-    run(app, "scenarios.blind_gap")
+if __name__ == "__main__":  # under its own name, by which other processes find its tasks
+    run(import_module("scenarios.blind_gap").app, "scenarios.blind_gap")

@@ -5,6 +5,7 @@ python -m scenarios.identification_campaign --out out/campaign
 
 import tempfile
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
@@ -26,7 +27,7 @@ from rig.plants import modal, plant_named
 from rig.record import record
 from rig.recording import Recording, Signals, channel_groups, read
 from rig.reference import BarrelCradle
-from scenarios.tasks import run_tasks
+from scenarios.tasks import Dask, run_tasks
 
 QUANTITIES = ("clearance", "stiffness", "damping")
 app = typer.Typer(pretty_exceptions_enable=False)
@@ -67,6 +68,7 @@ def campaign(
     seed: Annotated[int, typer.Option(help="Of the first rig; the others follow.")] = 1000,
     duration: Annotated[float, typer.Option(help="Length of each record, s.")] = 60.0,
     ancf_every: Annotated[int, typer.Option(help="Every how manyth rig is simulated with Exudyn; 0 for none.")] = 4,
+    dask: Dask = None,
 ) -> None:
     """Records and identifies the rigs exactly as described, with jitter, and with four stations a beam."""
     tasks = [
@@ -74,7 +76,7 @@ def campaign(
         for i in range(rigs)
         for jitter in (False, True)
     ]
-    outcomes = run_tasks(one_rig, tasks, Outcome, out)
+    outcomes = run_tasks(one_rig, tasks, Outcome, out, dask)
     table = Table(title=f"Errors of {rigs} rigs; six or four stations a beam, accelerometers only")
     for heading in ("", "quantity", "median, %", "95th, %", "covered", "refused"):
         table.add_column(heading, justify="left" if heading in ("", "quantity") else "right")
@@ -234,5 +236,5 @@ def _draw(found: list[Found], path: Path, kind: str) -> None:
         figure.savefig(path, dpi=130)
 
 
-if __name__ == "__main__":
-    run(app, "scenarios.identification_campaign")
+if __name__ == "__main__":  # under its own name, by which other processes find its tasks
+    run(import_module("scenarios.identification_campaign").app, "scenarios.identification_campaign")
