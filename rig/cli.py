@@ -16,7 +16,7 @@ from rich.table import Table
 
 from rig.beam import Beam
 from rig.cli_files import export_, import_, recover
-from rig.command_line import Force, Json, StoppedError, progress_bar, refuse_existing, run
+from rig.command_line import Force, Json, StoppedError, progress_bar, refuse_existing, run, working
 from rig.description import Body, Station
 from rig.effects import effect_named, effects
 from rig.errors import RigError
@@ -118,7 +118,8 @@ def info(file: File, as_json: Json = False) -> None:
 
     Example: rig info barrel_cradle.mcap
     """
-    recording = read(file)
+    with working(f"reading {file.name}"):
+        recording = read(file)
     if as_json:
         print(json.dumps(_summary(recording)))
         return
@@ -148,7 +149,8 @@ def check(file: File, as_json: Json = False) -> None:
 
     Example: rig check barrel_cradle.mcap
     """
-    recording = read(file)
+    with working(f"reading {file.name}"):
+        recording = read(file)
     if as_json:
         print(json.dumps({"file": str(file), "sound": True, "samples": recording.samples}))
     else:

@@ -7,7 +7,7 @@ from typing import Annotated
 import msgspec
 import typer
 
-from rig.command_line import Force, Json, refuse_existing
+from rig.command_line import Force, Json, progress_bar, refuse_existing, working
 from rig.exporting import WRITERS, export
 from rig.importing import import_file
 from rig.recording import read
@@ -25,7 +25,8 @@ def recover(
     Example: rig recover barrel_cradle.mcap.part --out saved.mcap
     """
     refuse_existing(out, force)
-    losses = recover_recording(bad, out)
+    with working(f"recovering {bad.name}"):
+        losses = recover_recording(bad, out)
     if as_json:
         print(json.dumps({"recording": str(out), "groups": msgspec.to_builtins(losses)}))
         return
@@ -46,7 +47,8 @@ def import_(
     Example: rig import run7.csv --map run7.toml --out run7.mcap
     """
     refuse_existing(out, force)
-    steps = import_file(source, map_, out)
+    with working(f"importing {source.name}"):
+        steps = import_file(source, map_, out)
     if as_json:
         print(json.dumps({"recording": str(out), "history": steps}))
         return
@@ -75,5 +77,6 @@ def export_(
         raise typer.BadParameter(f"{out} is named twice", param_hint="--out")
     for path in written:
         refuse_existing(path, force)
-    export(read(file), format_, out, map_)
+    with progress_bar(f"writing {out.name}") as progress:
+        export(read(file), format_, out, map_, progress)
     print(f"{', '.join(map(str, written))}: written")

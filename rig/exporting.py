@@ -15,15 +15,23 @@ from rig.recording import RIG_NAME, Recording
 
 _UFF_KINDS = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13}
 _UFF_TIME = 17
+TOGETHER = 16384
+"""Lines of a table that are written at once."""
 
 
-def export(recording: Recording, form: str, out: Path, map_path: Path | None) -> None:
+def export(
+    recording: Recording,
+    form: str,
+    out: Path,
+    map_path: Path | None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> None:
     """Writes every channel in SI, and with `map_path` also the map and rig.json beside it.
 
     CSV holds 17 digits, UFF 58 (binary) and .mat the doubles themselves, so nothing is lost. Raises RigError if a file
     cannot be written.
     """
-    _beside(out, lambda part: WRITERS[form](recording, part))
+    _beside(out, lambda part: WRITERS[form](recording, part, progress))
     if map_path is not None:
         _beside(map_path, lambda part: part.write_bytes(_map_of(recording, form).encode()))
         _beside(map_path.with_name(RIG_NAME), lambda part: part.write_bytes(to_json(recording.rig)))
@@ -48,15 +56,18 @@ def _rows(recording: Recording) -> Iterator[tuple[str, int, str, Float[np.ndarra
             yield group, number, name, row
 
 
-def _write_csv(recording: Recording, path: Path) -> None:
+def _write_csv(recording: Recording, path: Path, progress: Callable[[float], None]) -> None:
     rows = list(_rows(recording))
     with path.open("w", encoding="utf-8", newline="") as stream:
         csv.writer(stream, lineterminator="\n").writerow(["time_s", *(name for _, _, name, _ in rows)])
         time_s = recording.signals["force"].time_s
-        np.savetxt(stream, np.stack([time_s, *(row for _, _, _, row in rows)], axis=1), fmt="%.17g", delimiter=",")
+        table = np.stack([time_s, *(row for _, _, _, row in rows)], axis=1)
+        for first in range(0, len(table), TOGETHER):
+            np.savetxt(stream, table[first : first + TOGETHER], fmt="%.17g", delimiter=",")
+            progress(first / len(table))
 
 
-def _write_uff(recording: Recording, path: Path) -> None:
+def _write_uff(recording: Recording, path: Path, _: Callable[[float], None]) -> None:
     import pyuff
 
     time_s = recording.signals["force"].time_s
@@ -85,7 +96,7 @@ def _write_uff(recording: Recording, path: Path) -> None:
     pyuff.UFF(str(path)).write_sets(datasets, mode="add")  # its "overwrite" loses the first binary header
 
 
-def _write_mat(recording: Recording, path: Path) -> None:
+def _write_mat(recording: Recording, path: Path, _: Callable[[float], None]) -> None:
     from scipy.io import savemat
 
     variables: dict[str, object] = {"sample_rate_hz": recording.rig.sample_rate_hz}
@@ -95,7 +106,8 @@ def _write_mat(recording: Recording, path: Path) -> None:
     savemat(path, variables, appendmat=False, do_compression=True)
 
 
-WRITERS: dict[str, Callable[[Recording, Path], None]] = {"csv": _write_csv, "uff": _write_uff, "mat": _write_mat}
+Writer = Callable[[Recording, Path, Callable[[float], None]], None]
+WRITERS: dict[str, Writer] = {"csv": _write_csv, "uff": _write_uff, "mat": _write_mat}
 
 
 def _map_of(recording: Recording, form: str) -> str:

@@ -5,7 +5,7 @@ import sys
 import pytest
 import typer
 
-from rig.command_line import StoppedError, progress_bar, run
+from rig.command_line import StoppedError, progress_bar, run, working
 from rig.errors import RigError
 
 
@@ -49,3 +49,17 @@ def test_progress_is_for_terminals(monkeypatch, capsys, terminal):
         assert "37%" in err
     else:
         assert err == ""
+
+
+def test_a_sign_of_life_is_silent_when_piped(capsys, monkeypatch):
+    monkeypatch.delenv("FORCE_COLOR", raising=False)
+    with working("weighing"):
+        pass
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_sign_of_life_is_shown_on_a_terminal(capsys, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    with working("weighing"):
+        pass
+    assert "weighing" in capsys.readouterr().err
