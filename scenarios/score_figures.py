@@ -14,6 +14,8 @@ from scipy.stats import norm
 from scenarios.blind_cases import SINGLE_STRENGTHS
 from scenarios.scoreboard import Best, Compared, confusion, parameter_errors, wilson
 
+FAINTEST = 0.005
+"""Where the axis of strengths begins; limits below stand there."""
 BLUE, RED, GREY = "#1f5fa8", "#b8323a", "#8a8a8a"
 STYLE = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
 
@@ -76,12 +78,16 @@ def _power(compared: Sequence[Compared], best: Mapping[str, Best]) -> Figure:
             _curve(axes, strength, right)
         limits = [best[c.truth.case].limit(c.truth.strengths[0]) for c in chosen]
         if limits and np.isfinite(limit := float(np.median(limits))):
-            axes.axvline(limit, color=RED, lw=0.8, ls="--")
+            axes.axvline(max(limit, 1.05 * FAINTEST), color=RED, lw=0.8, ls="--")
         axes.set_title(name.replace("_", " "), fontsize=9)
         axes.set(
-            xscale="log", xlim=SINGLE_STRENGTHS, ylim=(-0.05, 1.05), yticks=(0, 1), yticklabels=("missed", "right")
+            xscale="log",
+            xlim=(FAINTEST, SINGLE_STRENGTHS[1]),
+            ylim=(-0.05, 1.05),
+            yticks=(0, 1),
+            yticklabels=("missed", "right"),
         )
-        axes.set_xticks((0.25, 0.5, 1, 2), ("0.25", "0.5", "1", "2"))
+        axes.set_xticks((0.01, 0.1, 1), ("0.01", "0.1", "1"))
         axes.minorticks_off()
     figure.supxlabel("strength, of the default magnitude (dashed: detection limit, median of the cases)")
     return figure
