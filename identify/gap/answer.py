@@ -124,7 +124,8 @@ def _sentence(outcome: Outcome, faults: dict[str, str]) -> str:
         return f"There is a gap ({size:.3g} times the floor), and no effect of the library explains it.{said}"
     best = outcome.explanations[0]
     words = " and ".join(c.name.replace(":", " of ", 1) for c in best.parts)
+    explain = "explains" if len(best.parts) == 1 else "together explain"
     left = best.remainder.size
     return (
-        f"There is a gap ({size:.3g} times the floor); {words} explains it, down to {left:.3g} times the floor.{said}"
+        f"There is a gap ({size:.3g} times the floor); {words} {explain} it, down to {left:.3g} times the floor.{said}"
     )

@@ -24,14 +24,15 @@ def closure(judge: Base, before: Residual, after: Residual, floor: Floor, simula
     """closed = (before - after) / (before - floor), mean squares of the residual on the validation record.
 
     before is that of the believed rig, after that of the corrected one; floor that of the corrected one on its own
-    simulation under the validation record's force. The interval draws sixteenths of the record with replacement.
+    simulation under the validation record's force. The interval draws sixteenths of the record with replacement. There
+    is no fraction where nothing was corrected.
     """
     record = record_of(simulated, tolerances=judge.record.tolerances)
     own, at = settled(record, after.rig, levels=floor.contacts)
     lowest = size(own, at, floor)
     parts = [_parts(judge, at, floor) for at in (before, after)]
     size_before, size_after = (float(np.mean(p)) for p in parts)
-    if size_before < SPREAD * lowest:
+    if after is before or size_before < SPREAD * lowest:
         return Closure(size_before, lowest, size_after, None, None)
     rng = np.random.default_rng(0)
     drawn = rng.integers(0, PARTS, (DRAWS, PARTS))
@@ -67,14 +68,16 @@ def likeness(
 ) -> tuple[Recording, tuple[Likeness, ...], tuple[Curve, ...]]:
     """The corrected rig's simulation, and what the measured record has in common with it and with the believed rig's.
 
-    Two records of the same chaotic machine differ too: nothing is decided by these figures.
+    Contacts are seen by the rig that each run is of, the measured by the corrected one. Two records of the same chaotic
+    machine differ too: nothing is decided by these figures.
     """
     runs = (
         measured,
         simulate(believed, believed, measured.force_n, 1),
         simulate(believed, corrected, measured.force_n, 1),
     )
-    bases = [base_of(record_of(run), believed) for run in runs]
+    rigs = (corrected, believed, corrected)
+    bases = [base_of(record_of(run), rig) for run, rig in zip(runs, rigs, strict=True)]
     figures = [_figures(base) for base in bases]
     likenesses = tuple(Likeness(name, unit, *(f[name, unit] for f in figures)) for name, unit in figures[0])
     curves = [_spectrum(runs), _response(runs)]

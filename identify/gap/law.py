@@ -29,7 +29,9 @@ WALL = 100.0
 LAW_ERROR = 2e-3
 """Share of a contact force that no law of this kind explains."""
 CLOSED = 5.0
-"""A contact is closed where its force exceeds this many standard deviations."""
+"""A contact force is more than noise where it exceeds this many standard deviations; ..."""
+STRUCK = 0.1
+"""... where it also exceeds this share of its root mean square, which no open contact's error does, it is closed."""
 
 
 @dataclass(frozen=True)
@@ -58,12 +60,13 @@ def seen_contacts(record: Record, model: Linear, levels: Sequence[float] | None)
     for force, open_n, contact, drift, level in zip(
         forces, spreads, model.rig.contacts, record.drifts, levels, strict=True
     ):
-        closed = np.abs(force) > CLOSED * open_n
+        loud = np.abs(force) > CLOSED * open_n
+        closed = loud & (np.abs(force) > STRUCK * np.sqrt(np.mean(force**2)))
         fast_m = 0.0 if drift is None else drift.unfollowed_m
         stiffness = contact.law.stiffness_n_per_m
         moving = record.time_s > record.excited_s  # at rest nothing tells on which side of a stop it rests
         weights = (
-            moving / np.sqrt(level) / np.sqrt(open_n**2 + (stiffness * fast_m * closed) ** 2 + (LAW_ERROR * force) ** 2)
+            moving / np.sqrt(level) / np.sqrt(open_n**2 + (stiffness * fast_m * loud) ** 2 + (LAW_ERROR * force) ** 2)
         )
         slow = drift
         if drift is not None:

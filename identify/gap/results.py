@@ -60,7 +60,7 @@ class Where(msgspec.Struct, frozen=True, kw_only=True):
 class Closure(msgspec.Struct, frozen=True):
     """How far the gap on the validation record shrinks: mean squares of the whitened residual.
 
-    No fraction is given where the gap was at the floor before.
+    No fraction is given where nothing was corrected, or the gap was at the floor before.
     """
 
     before: float

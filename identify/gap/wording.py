@@ -27,9 +27,9 @@ def none_of_these(gap: Gap) -> tuple[str, float]:
 
 
 def closed(found: Closure) -> str:
-    """The closed fraction with its 95 % interval; near the floor a fraction would mean nothing."""
+    """The closed fraction with its 95 % interval; where nothing was to be closed, it would mean nothing."""
     if found.closed_fraction is None:
-        return "at the floor"
+        return "no share (nothing was added, or the gap was at the floor)"
     whole = f"{100 * found.closed_fraction:.1f} %"
     if found.interval_95 is None:
         return whole
