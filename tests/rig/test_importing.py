@@ -1,4 +1,4 @@
-"""Measured data in, recordings out, and back: the same numbers, or one sentence that says why not."""
+"""Measured data made recordings: the same numbers, or one sentence that says why not."""
 
 import json
 import struct
@@ -15,11 +15,9 @@ from scipy.io import savemat
 from rig.cli import main
 from rig.description import to_json
 from rig.errors import RigError
-from rig.exporting import WRITERS, export
 from rig.importing import import_file
-from rig.matlab import arrays_of
-from rig.recording import channel_groups, read, writing
-from rig.reference import BarrelCradle, Sdof
+from rig.recording import read
+from rig.reference import Sdof
 from rig.tables import TextForm, columns_of
 
 RIG = Sdof().rig()
@@ -170,18 +168,6 @@ def test_matlab_7_3_is_named(folder):
         imported(folder, mapped(), "lab.mat")
 
 
-@pytest.mark.parametrize("compressed", [False, True])
-def test_matlab_arrays_of_every_kind(tmp_path, compressed):
-    kinds = ("i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8")
-    arrays = {f"as_{kind}": np.arange(12.0).reshape(3, 4).astype(kind) for kind in kinds}
-    others = {"z": np.ones((2, 2)) * 1j, "text": "by hand", "cell": np.array([1, "a"], dtype=object)}
-    savemat(tmp_path / "lab.mat", others | arrays, do_compression=compressed)
-    found = dict(arrays_of(tmp_path / "lab.mat"))
-    assert set(found) == set(arrays)
-    for name, array in arrays.items():
-        np.testing.assert_array_equal(found[name], array)
-
-
 def test_matlab_4_is_read_too(folder):
     savemat(folder / "lab.mat", {"F": VALUES["force"], "x": VALUES[X], "a": VALUES[A], "t": TIME_S}, format="4")
     check(imported(folder, mapped(), "lab.mat"))
@@ -241,23 +227,6 @@ def test_a_tdms_file_that_is_cut_is_refused(folder, capfd):
         with pytest.raises(RigError, match=r"is cut off|has no whole segment"):
             imported(folder, told, "lab.tdms", text)
     assert capfd.readouterr() == ("", "")  # its library warns by itself
-
-
-@pytest.mark.parametrize("form", WRITERS)
-def test_an_exported_recording_comes_back_by_the_map_beside_it(tmp_path, form):
-    rig, rng = BarrelCradle(stations=4).rig(), np.random.default_rng(2)
-    groups = channel_groups(rig)
-    with writing(tmp_path / "r.mcap", rig, groups, {}) as recording:
-        for name, group in groups.items():
-            recording.append(name, rng.standard_normal((len(group.names), 1500)))
-    before = read(tmp_path / "r.mcap")
-    export(before, form, tmp_path / f"out.{form}", tmp_path / "map.toml")
-    import_file(tmp_path / f"out.{form}", tmp_path / "map.toml", tmp_path / "back.mcap")
-    back = read(tmp_path / "back.mcap")
-    assert back.rig == before.rig
-    for name, signals in before.signals.items():
-        np.testing.assert_array_equal(back.signals[name].values, signals.values)
-    assert not list(tmp_path.glob("*.part"))
 
 
 def nan_at(row, sample):
