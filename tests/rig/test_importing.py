@@ -18,7 +18,6 @@ from rig.errors import RigError
 from rig.importing import import_file
 from rig.recording import read
 from rig.reference import Sdof
-from rig.tables import TextForm, columns_of
 
 RIG = Sdof().rig()
 RATE_HZ = RIG.sample_rate_hz
@@ -285,16 +284,6 @@ def test_what_cannot_be_imported_is_refused_in_one_sentence(folder, told, text, 
     assert sentence in str(caught.value)
     assert "\n" not in str(caught.value)
     assert not list(folder.glob("r.mcap*"))
-
-
-@pytest.mark.parametrize("suffix", [".uff", ".mat", ".tdms", ".wav"])
-def test_what_is_not_of_its_format_is_refused(tmp_path, suffix):
-    path = tmp_path / f"lab{suffix}"
-    path.write_text(csv_text())
-    with pytest.raises(RigError) as caught:
-        columns_of(path, TextForm())
-    assert str(caught.value).startswith(f"{path}: ")
-    assert "\n" not in str(caught.value)
 
 
 def test_uneven_stamps_are_led_to_an_even_grid(folder):
