@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import csd, welch
 
-from identify.gap.floor import NOTHING, SPREAD, Floor, Simulate
+from identify.gap.floor import NOTHING, Floor, Simulate
 from identify.gap.residual import Base, Residual, base_of
 from identify.gap.results import Closure, Curve, Likeness
 from identify.gap.search import settled
@@ -14,6 +14,8 @@ from identify.gap.spectra import record_of
 from rig.description import Rig
 from rig.recording import Recording
 
+NEAR = 2.0
+"""A gap of less than this multiple of the floor is not to be closed."""
 PARTS = 16
 DRAWS = 500
 CURVE_POINTS = 400
@@ -32,7 +34,7 @@ def closure(judge: Base, before: Residual, after: Residual, floor: Floor, simula
     lowest = size(own, at, floor)
     parts = [_parts(judge, at, floor) for at in (before, after)]
     size_before, size_after = (float(np.mean(p)) for p in parts)
-    if after is before or size_before < SPREAD * lowest:
+    if after is before or size_before < NEAR * lowest:
         return Closure(size_before, lowest, size_after, None, None)
     rng = np.random.default_rng(0)
     drawn = rng.integers(0, PARTS, (DRAWS, PARTS))

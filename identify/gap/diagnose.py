@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from identify.gap.candidates import Candidate, candidates
 from identify.gap.fit import Fit, fit
-from identify.gap.floor import MARGIN, SPREAD, Floor, Floors, Remainder, remainder
+from identify.gap.floor import MARGIN, Floor, Floors, Remainder, remainder
 from identify.gap.residual import Base, Residual, base_of
 from identify.gap.results import Verdict
 from identify.gap.search import Found, refined, search, settled, without_doubts
@@ -192,12 +192,5 @@ def _verdict(
 
 def explained(after: Remainder, before: Remainder, floor: Floor, share: float = ALLOWED) -> bool:
     """Whether what an effect leaves is at the floor, up to a share of the gap."""
-    for left, gap, largest in zip(
-        after.each,
-        before.each,
-        floor.remainders,
-        strict=True,
-    ):
-        if left > SPREAD * largest + share * gap:
-            return False
-    return True
+    each = zip(after.each, before.each, floor.limits, strict=True)
+    return all(left <= limit + share * gap for left, gap, limit in each)

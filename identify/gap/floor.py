@@ -10,7 +10,9 @@ from pathlib import Path
 import msgspec
 import numpy as np
 from jaxtyping import Float
+from msgspec.structs import replace
 from scipy.signal.windows import hann
+from scipy.stats import t as student
 
 from identify.gap.candidates import candidates
 from identify.gap.residual import Base, Residual
@@ -37,8 +39,10 @@ EXACT = 0.01
 """No law is believed to leave less than this of the mean square that its error is put at."""
 ORDINARY = 2.0
 """So many standard deviations of a tolerance are ordinary."""
-SPREAD = 2.0
-"""A remainder is at the floor up to this multiple of the largest among the nulls."""
+FALSE_ALARMS = 0.05
+"""So often may a null exceed one of the four limits, were they independent."""
+LEAST_SPREAD = 0.1
+"""Logarithms of remainders scatter by this much at least."""
 
 Simulate = Callable[[Rig, Rig, Float[np.ndarray, " samples"], int], Recording]
 """The recording of the believed rig (first) that the actual one makes under a measured force, noise from a seed: the
@@ -48,15 +52,15 @@ simulator that the diagnosis is handed."""
 class Floor(msgspec.Struct, frozen=True):
     """Mean squares of null residuals by band (2 Hz) and sensor, and by contact; what their remainders and gains reach.
 
-    It is that of motions up to motion_m (root mean square). remainders are the largest of the nulls' own `Remainder`:
-    overall, in the worst band, in the worst contact, and the largest use of a tolerance.
+    It is that of motions up to motion_m (root mean square). limits are those of a null's `Remainder`: overall, in the
+    worst band, in the worst contact, and of the largest use of a tolerance.
     """
 
     motion_m: float
     sensors: list[str]
     linear: list[list[float]]
     contacts: list[float]
-    remainders: tuple[float, float, float, float]
+    limits: tuple[float, float, float, float]
     gains: dict[str, float]
 
 
@@ -94,8 +98,8 @@ class Remainder(msgspec.Struct, frozen=True):
         return max(self.overall, self.contact)
 
     def at_floor(self, floor: Floor) -> bool:
-        """Whether each is within the floor's own spread."""
-        return all(mine <= SPREAD * largest for mine, largest in zip(self.each, floor.remainders, strict=True))
+        """Whether each is within its limit."""
+        return all(mine <= limit for mine, limit in zip(self.each, floor.limits, strict=True))
 
 
 def remainder(base: Base, at: Residual, floor: Floor) -> Remainder:
@@ -167,11 +171,14 @@ def floors_of(
             records.append(record_of(made, tolerances=tolerances))
             progress(0.6 * len(records) / (nulls * len(LEVELS)))
     records.sort(key=lambda r: r.motion_m)
-    levels = []
+    levels, left = [], []
     for first in range(0, len(records), nulls):
-        levels.append(_floor(rig, records[first : first + nulls]))
+        level, remainders = _floor(rig, records[first : first + nulls])
+        levels.append(level)
+        left.append(remainders)
         progress(0.6 + 0.4 * len(levels) / len(LEVELS))
-    floors = Floors(_mark(rig), nulls, levels)
+    limits = limits_of(np.array(left))
+    floors = Floors(_mark(rig), nulls, [replace(f, limits=tuple(row)) for f, row in zip(levels, limits, strict=True)])
     if kept:
         kept.parent.mkdir(parents=True, exist_ok=True)
         part = kept.with_suffix(".part")
@@ -196,8 +203,26 @@ def another(
     return np.concatenate([force_n[:start], turned])
 
 
-def _floor(rig: Rig, records: Sequence[Record]) -> Floor:
-    """Of nulls of similar motion; the second time with the contacts weighed by what nulls leave there."""
+def limits_of(left: Float[np.ndarray, "levels nulls kinds"]) -> list[list[float]]:
+    """What the remainder of one more null exceeds, of each kind, with a probability of FALSE_ALARMS over the kinds.
+
+    The upper prediction limit of a lognormal distribution whose mean is each level's own and whose spread is common.
+    """
+    levels, nulls, kinds = left.shape
+    logs = np.log(np.maximum(left, NOTHING))
+    means = logs.mean(axis=1)
+    freedom = max(1, levels * (nulls - 1))
+    spread = np.sqrt(np.sum((logs - means[:, None]) ** 2, axis=(0, 1)) / freedom)
+    beyond = student.ppf(1 - FALSE_ALARMS / kinds, freedom) * np.sqrt(1 + 1 / nulls)
+    found: list[list[float]] = np.exp(means + beyond * np.maximum(spread, LEAST_SPREAD)).tolist()
+    return found
+
+
+def _floor(rig: Rig, records: Sequence[Record]) -> tuple[Floor, Float[np.ndarray, "nulls kinds"]]:
+    """Of nulls of similar motion, with what is left of each; its limits are yet to be set.
+
+    The second time the contacts are weighed by what nulls leave there.
+    """
     first = [contact_levels(*settled(record, rig)) for record in records]
     mean_contact = np.maximum(np.mean(first, axis=0), EXACT).tolist()
     bands, contacts, strains = [], [], []
@@ -212,19 +237,17 @@ def _floor(rig: Rig, records: Sequence[Record]) -> Floor:
     fewest = min(len(b) for b in bands)
     levels = np.array([b[:fewest] for b in bands])
     relative = levels / np.maximum(levels.mean(axis=0), 1e-300)
-    return Floor(
+    floor = Floor(
         motion_m=max(r.motion_m for r in records),
         sensors=[s.name for s in records[0].sensors],
         linear=levels.mean(axis=0).tolist(),
         contacts=mean_contact,
-        remainders=(
-            float(relative.mean(axis=(1, 2)).max()),
-            float(relative.mean(axis=2).max()),
-            float(np.max(contacts, initial=1.0)),
-            max(*strains, ORDINARY),
-        ),
+        limits=(0.0, 0.0, 0.0, 0.0),
         gains=gains,
     )
+    worst = [max(c, default=1.0) for c in contacts]
+    kinds = (relative.mean(axis=(1, 2)), relative.mean(axis=2).max(axis=1), worst, np.maximum(strains, ORDINARY))
+    return floor, np.stack(kinds, axis=1)
 
 
 def read_floors(path: Path, rig: Rig) -> Floors:
