@@ -142,6 +142,8 @@ def score(
     figures = score_figures.drawn(compared, best, out)
     console = Console()
     console.print(shown(board, f"{len(compared)} blind cases"))
+    limits = ", ".join(f"{name} {limit:.2g}" for name, limit in board.limits.items())
+    console.print(f"detection limits, of the default magnitude: {limits}", soft_wrap=True)
     console.print(f"figures: {', '.join(p.name for p in figures)} in {out}", soft_wrap=True)
 
 
@@ -193,7 +195,9 @@ def shown(board: Score, title: str) -> Table:
         table.add_row("median closed fraction, of those right", f"{board.closed_cases}", median, between)
     if board.share_of_true_closure is not None:
         table.add_row("... of what the true effect closes", "", f"{board.share_of_true_closure:.3f}", "")
-    table.add_row("median CPU time of a case", "", f"{board.cpu_s_median:.0f} s", "")
+    table.add_row(
+        "CPU time of a case, median and largest", "", f"{board.cpu_s_median:.0f} s", f"{board.cpu_s_largest:.0f} s"
+    )
     return table
 
 

@@ -12,7 +12,7 @@ from scipy.special import expit
 from scipy.stats import norm
 
 from scenarios.blind_cases import SINGLE_STRENGTHS
-from scenarios.scoreboard import Best, Compared, confusion, parameter_errors, wilson
+from scenarios.scoreboard import Best, Compared, confusion, detection_limits, parameter_errors, wilson
 
 FAINTEST = 0.005
 """Where the axis of strengths begins; limits below stand there."""
@@ -62,6 +62,7 @@ def _confusion(compared: Sequence[Compared]) -> Figure:
 
 def _power(compared: Sequence[Compared], best: Mapping[str, Best]) -> Figure:
     singles = [c for c in compared if c.truth.kind == "single"]
+    limits = detection_limits(singles, best)
     names = sorted({c.label for c in singles}) or ["no single effects"]
     across = min(len(names), 4)
     down = -(-len(names) // across)
@@ -76,8 +77,7 @@ def _power(compared: Sequence[Compared], best: Mapping[str, Best]) -> Figure:
         axes.plot(strength, right, "o", color=BLUE, ms=4, alpha=0.7, clip_on=False)
         if len({*right}) == 2:
             _curve(axes, strength, right)
-        limits = [best[c.truth.case].limit(c.truth.strengths[0]) for c in chosen]
-        if limits and np.isfinite(limit := float(np.median(limits))):
+        if np.isfinite(limit := limits.get(name, np.inf)):
             axes.axvline(max(limit, 1.05 * FAINTEST), color=RED, lw=0.8, ls="--")
         axes.set_title(name.replace("_", " "), fontsize=9)
         axes.set(

@@ -78,7 +78,7 @@ class Rate(msgspec.Struct, frozen=True):
 
 
 class Score(msgspec.Struct, frozen=True):
-    """The scoreboard."""
+    """The scoreboard; limits are the detection limits, the median over an effect's cases, in default magnitudes."""
 
     rates: tuple[Rate, ...]
     median_closed_fraction: float | None
@@ -86,6 +86,8 @@ class Score(msgspec.Struct, frozen=True):
     closed_cases: int
     share_of_true_closure: float | None
     cpu_s_median: float
+    cpu_s_largest: float
+    limits: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -180,7 +182,16 @@ def scored(compared: Sequence[Compared], best: Mapping[str, Best]) -> Score:
         closed_cases=len(closed),
         share_of_true_closure=float(np.median(shares)) if shares else None,
         cpu_s_median=float(np.median([c.found.cpu_s for c in compared])),
+        cpu_s_largest=max(c.found.cpu_s for c in compared),
+        limits=detection_limits(singles, best),
     )
+
+
+def detection_limits(singles: Sequence[Compared], best: Mapping[str, Best]) -> dict[str, float]:
+    """Of every effect the median over its cases."""
+    names = sorted({c.label for c in singles})
+    by_name = {n: [best[c.truth.case].limit(c.truth.strengths[0]) for c in singles if c.label == n] for n in names}
+    return {name: float(np.median(limits)) for name, limits in by_name.items()}
 
 
 def parameter_errors(compared: Iterable[Compared]) -> list[tuple[str, float]]:

@@ -59,7 +59,6 @@ class Outcome:
     explanations: tuple[Explanation, ...]
     probabilities: tuple[float, ...]
     nominal: Residual
-    nominal_remainder: Remainder
     validation: Base
     validation_nominal: Residual
     validation_remainder: Remainder
@@ -103,7 +102,7 @@ def diagnosed(
     explanations.sort(key=_price)
     verdict, probabilities = _verdict(explanations, before, other_floor, judged)
     progress(1.0)
-    return Outcome(verdict, tuple(explanations), probabilities, at, first_look, judge, judged, before)
+    return Outcome(verdict, tuple(explanations), probabilities, at, judge, judged, before)
 
 
 def _firsts(

@@ -95,7 +95,9 @@ def test_every_rate_counts_what_it_says():
     assert board.median_closed_fraction == pytest.approx(0.9)
     assert board.closed_cases == 3
     assert board.share_of_true_closure == pytest.approx(8.5 / 9)
-    assert board.cpu_s_median == 10.0
+    assert (board.cpu_s_median, board.cpu_s_largest) == (10.0, 20.0)
+    assert board.limits["added_mass"] == pytest.approx((4 / 5) ** 0.5)
+    assert board.limits["base_motion"] == pytest.approx(0.6)
 
 
 def test_the_limit_is_where_the_gain_is_what_a_null_may_have():
