@@ -19,6 +19,7 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from identify.gap.answer import diagnose as diagnosis
+from identify.gap.answer import loudest
 from identify.gap.floor import floors_of
 from rig import replay
 from rig.command_line import Force, progress_bar, refuse_existing, run
@@ -104,9 +105,10 @@ def diagnose(
     if not fits:
         raise RigError(f"{cases / 'recordings'}: has no recordings; make the cases first")
     kept = floor or out / "floor.json"
-    first = read(fits[0])
-    with threadpool_limits(1), progress_bar("the floor: nulls with Exudyn") as progress:
-        floors_of(first.rig, first.force_n, replay.ancf, progress, kept)
+    if not kept.exists():
+        loud = loudest(map(read, sorted((cases / "recordings").glob("*.mcap"))))
+        with threadpool_limits(1), progress_bar("the floor: nulls with Exudyn") as progress:
+            floors_of(loud.rig, loud.force_n, replay.ancf, progress, kept)
     tasks = []
     for fit in fits:
         validate = fit.with_name(f"{fit.stem}_validate.mcap")

@@ -1,6 +1,6 @@
 """From recordings to a diagnosis in words and numbers: the content of gap.json."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +9,9 @@ from identify.gap.closure import closure, likeness
 from identify.gap.diagnose import Explanation, Outcome, diagnosed
 from identify.gap.doubts import moved
 from identify.gap.faults import sound_channels
-from identify.gap.floor import Floor, Simulate, floors_of
+from identify.gap.floor import Floor, Floors, Simulate, floors_of
 from identify.gap.results import Cause, Gap, Value
-from identify.gap.spectra import record_of
+from identify.gap.spectra import Record, record_of
 from identify.gap.where import where
 from identify.tolerances import LABORATORY, Tolerances
 from rig.description import Rig, to_json
@@ -42,7 +42,8 @@ def diagnose(
     elif to_json(recording.rig) != to_json(validation.rig):
         raise RigError("the validation recording is of another rig (their rig.json differ); record the same rig twice")
     full = recording.rig
-    floors = floors_of(full, recording.force_n, simulate, lambda x: progress("floor", x), floor_file, tolerances)
+    force_n = loudest([recording, validation]).force_n
+    floors = floors_of(full, force_n, simulate, lambda x: progress("floor", x), floor_file, tolerances)
     fit_part, faults = sound_channels(recording)
     other, more = sound_channels(validation, without=tuple(faults))
     if more:
@@ -61,7 +62,7 @@ def diagnose(
     alike = _alike(outcome)
     gap = Gap(
         verdict=outcome.verdict,
-        sentence=_sentence(outcome, faults),
+        sentence=_sentence(outcome, faults) + _beyond(floors, other_record),
         size=outcome.validation_remainder.size,
         causes=tuple(
             _cause(e, p, floors.of(fit_record))
@@ -76,6 +77,21 @@ def diagnose(
         channel_faults=faults,
     )
     return gap, corrected
+
+
+def loudest(recordings: Iterable[Recording]) -> Recording:
+    """The one of the largest force (root mean square): the floor has to reach as far."""
+    return max(recordings, key=lambda r: float(np.mean(r.force_n**2)))
+
+
+def _beyond(floors: Floors, record: Record) -> str:
+    if floors.hold(record):
+        return ""
+    most, own = 1e3 * floors.levels[-1].motion_m, 1e3 * record.motion_m
+    return (
+        f" The validation record moves more ({own:.3g} mm, root mean square) than the floor's nulls ({most:.3g} mm):"
+        " remove the floor's file, and it is made anew."
+    )
 
 
 def _halves(recording: Recording) -> tuple[Recording, Recording]:

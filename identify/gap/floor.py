@@ -24,12 +24,12 @@ from rig.description import Rig, to_json
 from rig.errors import RigError
 from rig.recording import Recording
 
-NULLS = 5
+NULLS = 6
 """At each level."""
 BAND_HZ = 2.0
 SEGMENT_S = 1.0
-LEVELS = (1.0, 1.5, 2.25)
-"""Nulls are made with the force times these: large motion is less linear, and a validation record may be larger."""
+LEVELS = (0.45, 0.65, 0.9, 1.25)
+"""Nulls are made with the largest force times these: large motion is less linear, and no two forces move alike."""
 RISE_S = 0.1
 MARGIN = 3.0
 """A gain counts from this multiple of the largest that a null recording showed for that effect."""
@@ -75,6 +75,10 @@ class Floors(msgspec.Struct, frozen=True):
         """The first level that holds a motion as large as a record's, or the last one."""
         large = [f for f in self.levels if f.motion_m >= record.motion_m]
         return large[0] if large else self.levels[-1]
+
+    def hold(self, record: Record) -> bool:
+        """Whether nulls moved as much as a record."""
+        return record.motion_m <= self.levels[-1].motion_m
 
 
 class Remainder(msgspec.Struct, frozen=True):
@@ -156,7 +160,8 @@ def floors_of(
     tolerances: Tolerances = LABORATORY,
     nulls: int = NULLS,
 ) -> Floors:
-    """The floors of a rig by a simulator under such a force; read from the file `kept`, if one is given and is there.
+    """The floors of a rig by a simulator, for records under forces up to such a one; read from the file `kept`, if one
+    is given and is there.
 
     Raises RigError if that file is of another rig.
     """
@@ -270,7 +275,7 @@ def null_gains(base: Base, at: Residual) -> dict[str, float]:
     known = candidates(base.rig, [s.name for s in base.record.sensors], base.record.zero_known)
     gains: dict[str, float] = {}
     steady = [c for c in known if c.kind.name != "base_motion"]
-    for look in looks(base, at, steady):
+    for look in looks(base, at, steady, bounded=False):
         gains[look.candidate.kind.name] = max(gains.get(look.candidate.kind.name, 0.0), look.gain)
     for candidate in known:
         if candidate not in steady and (found := shaken(base, at, candidate)):

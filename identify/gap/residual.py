@@ -50,6 +50,11 @@ class Residual:
     strictness: float
 
     @property
+    def rows(self) -> int:
+        """The cost of noise alone."""
+        return int(self.linear.size + sum(c.residual.size for c in self.contacts))
+
+    @property
     def cost(self) -> float:
         return (
             float(np.sum(self.linear**2) + self.strictness * self.doubts @ self.doubts)

@@ -15,7 +15,7 @@ from rig.errors import RigError
 
 STRENGTHS = (0.3, 0.6, 1.2, 2.4)
 """Multiples of what an effect's default adds."""
-THINNED = 4
+THINNED = 8
 """Every so-many-th line tells enough of where a minimum lies."""
 
 

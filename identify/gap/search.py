@@ -75,8 +75,8 @@ class Look:
     values: Float[np.ndarray, " parameters"]
 
 
-def looks(base: Base, at: Residual, candidates: Sequence[Candidate]) -> list[Look]:
-    """The best linear look at every candidate, best first."""
+def looks(base: Base, at: Residual, candidates: Sequence[Candidate], bounded: bool = True) -> list[Look]:
+    """The best linear look at every candidate, best first; bounded by what is plausible, or by nothing."""
     equations = reduced(base, at)
     count = len(equations.gradient)
     free = np.flatnonzero(np.abs(at.doubts) < LIMIT - 1e-6)
@@ -94,7 +94,9 @@ def looks(base: Base, at: Residual, candidates: Sequence[Candidate]) -> list[Loo
             slope = normal.gradient[count] - normal.gradient[free] @ inner
             if curvature <= 1e-9 * normal.matrix[count, count]:
                 continue
-            size = (np.clip(candidate.neutral + slope / curvature * step, low[0], high[0]) - candidate.neutral) / step
+            size = slope / curvature
+            if bounded:
+                size = (np.clip(candidate.neutral + size * step, low[0], high[0]) - candidate.neutral) / step
             gain = 2 * slope * size - curvature * size**2
             if gain > best.gain:
                 values = start.copy()

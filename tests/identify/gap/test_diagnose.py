@@ -33,7 +33,7 @@ def force(seed: int, rms_n: float) -> np.ndarray:
 @pytest.fixture(scope="session")
 def floor_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("floor") / "floor.json"
-    floors_of(RIG, force(5, 0.5), modal, lambda _: None, nulls=3, kept=path)
+    floors_of(RIG, force(5, 0.7), modal, lambda _: None, nulls=3, kept=path)
     return path
 
 
