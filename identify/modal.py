@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Complex, Float
+from scipy.fft import next_fast_len
 
 from identify.kinematics import Kinematics
 from rig.description import Body, Rig, Station, contact_stations
@@ -118,9 +119,9 @@ def without_higher_modes(
     needs the motion as it was.
     """
     keep = motion.force_n.size - round(0.25 * motion.sample_rate_hz)
-    at_hz = np.fft.rfftfreq(motion.force_n.size, 1 / motion.sample_rate_hz)
-    force = np.fft.rfft(motion.force_n)
-    contact = np.fft.rfft(contact_force_n)
+    length = next_fast_len(motion.force_n.size, real=True)
+    at_hz = np.fft.rfftfreq(length, 1 / motion.sample_rate_hz)
+    force, contact = np.fft.rfft(motion.force_n, length), np.fft.rfft(contact_force_n, length)
     rows = [
         np.array(r[:, :keep]) for r in (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
     ]
@@ -140,9 +141,7 @@ def without_higher_modes(
             body.frequencies_hz(all_modes)[beyond], body.damping_ratios(all_modes)[beyond], at_hz
         )
         for order, row in enumerate(rows):
-            row[stations] -= np.fft.irfft(shapes @ response * (2j * np.pi * at_hz) ** order, motion.force_n.size)[
-                :, :keep
-            ]
+            row[stations] -= np.fft.irfft(shapes @ response * (2j * np.pi * at_hz) ** order, length)[:, :keep]
     return replace(
         motion,
         force_n=motion.force_n[:keep],

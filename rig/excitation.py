@@ -1,16 +1,24 @@
 """Exciting forces: each a frozen description that gives the same force at any time step."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
 import msgspec
 import numpy as np
 from jaxtyping import Complex, Float
 from scipy.signal import chirp
 
 from rig.errors import RigError
+from rig.motion import Course
 
 QUIET_S = 1.0
 """Every recording begins with a second without force: what is heard there is not the force's doing."""
 RISE_S = 1 / 32
 """Over which noise and multisine set in: a jump would make the motion depend on the step that it happens in."""
+LONG_S = 1024.0
+"""A Gaussian force of more than this is made of stretches, which are never held all at once."""
+STRETCH_S = 256.0
 
 
 class _Band(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -33,7 +41,9 @@ class _Band(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 class BandLimitedGaussian(_Band, frozen=True, tag="gaussian"):
     """Gaussian noise with a flat spectrum in the band and none outside: the paper's excitation.
 
-    Drawn line by line in the frequency domain, so the force does not depend on the step at which it is asked for.
+    Drawn line by line in the frequency domain, so the force does not depend on the step at which it is asked for. One
+    of more than 1024 s is made of independent stretches of 256 s that overlap by half, under windows whose squares add
+    up to one.
     """
 
     def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
@@ -108,17 +118,46 @@ def force_history(excitation: Excitation, duration_s: float, step_s: float) -> F
 
     Raises RigError if the record is not longer than the quiet second or the band reaches beyond half the step rate.
     """
-    if not duration_s > QUIET_S:
-        raise RigError(f"duration is {duration_s} s; give more than {QUIET_S} s, the quiet start of every recording")
-    if not step_s > 0 or excitation.high_hz * step_s > 0.25:
-        raise RigError(f"step is {step_s} s; {excitation.high_hz} Hz needs a step above 0 and at most 1/(4 high_hz)")
+    _check(excitation, duration_s, step_s)
     quiet = round(QUIET_S / step_s)
     samples = round(duration_s / step_s)
     return np.concatenate([np.zeros(quiet), excitation.excited(samples - quiet, step_s)])
 
 
+@dataclass(frozen=True)
+class LongForce:
+    """A Gaussian force that is had slice by slice."""
+
+    excitation: BandLimitedGaussian
+    samples: int
+    step_s: float
+
+    def __len__(self) -> int:
+        return self.samples
+
+    def __getitem__(self, now: slice) -> Float[np.ndarray, " some"]:
+        first, stop, _ = now.indices(self.samples)
+        quiet, half = round(QUIET_S / self.step_s), round(STRETCH_S / 2 / self.step_s)
+        force = np.zeros(max(0, stop - first))
+        for k in range((max(first, quiet) - quiet) // half, (stop - 1 - quiet) // half + 2):
+            begin = quiet + (k - 1) * half
+            some = slice(max(first, begin, quiet), min(stop, begin + 2 * half))
+            force[some.start - first : some.stop - first] += _stretch(self.excitation, self.step_s, k)[
+                some.start - begin : some.stop - begin
+            ]
+        return force
+
+
+def force_course(excitation: Excitation, duration_s: float, step_s: float) -> Course:
+    """The force of `force_history`; a Gaussian one of more than 1024 s to be had slice by slice."""
+    if isinstance(excitation, BandLimitedGaussian) and duration_s > LONG_S:
+        _check(excitation, duration_s, step_s)
+        return LongForce(excitation, round(duration_s / step_s), step_s)
+    return force_history(excitation, duration_s, step_s)
+
+
 def noise_spectrum(
-    samples: int, step_s: float, low_hz: float, high_hz: float, seed: int
+    samples: int, step_s: float, low_hz: float, high_hz: float, seed: int | Sequence[int]
 ) -> Complex[np.ndarray, " lines"]:
     """Independent Gaussian lines at every multiple of 1/duration in the band, so that the step does not matter.
 
@@ -132,6 +171,27 @@ def noise_spectrum(
     spectrum = np.zeros(samples // 2 + 1, dtype=complex)
     spectrum[first : last + 1] = lines[:, 0] + 1j * lines[:, 1]
     return spectrum
+
+
+def _check(excitation: Excitation, duration_s: float, step_s: float) -> None:
+    if not duration_s > QUIET_S:
+        raise RigError(f"duration is {duration_s} s; give more than {QUIET_S} s, the quiet start of every recording")
+    if not step_s > 0 or excitation.high_hz * step_s > 0.25:
+        raise RigError(f"step is {step_s} s; {excitation.high_hz} Hz needs a step above 0 and at most 1/(4 high_hz)")
+
+
+@lru_cache(maxsize=2)
+def _stretch(band: BandLimitedGaussian, step_s: float, k: int) -> Float[np.ndarray, " samples"]:
+    """The k-th stretch under its window; the first one sets in smoothly, half-way through, where the force begins."""
+    samples = 2 * round(STRETCH_S / 2 / step_s)
+    spectrum = noise_spectrum(samples, step_s, band.low_hz, band.high_hz, (band.seed, k))
+    rms = 2 * np.sqrt(np.count_nonzero(spectrum)) / samples
+    force = np.fft.irfft(spectrum, samples) * (band.rms_n / rms) * np.sin(np.pi * np.arange(samples) / samples)
+    if k < 2:
+        begun = (1 - k) * samples // 2
+        force[begun:] *= _rise(samples - begun, step_s)
+    force.flags.writeable = False
+    return np.asarray(force)
 
 
 def _noise(samples: int, step_s: float, band: _Band) -> Float[np.ndarray, " samples"]:

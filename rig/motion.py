@@ -13,6 +13,14 @@ Progress = Callable[[float], None]
 """Called with the fraction of the work that is done, 0 to 1."""
 
 
+class Course(Protocol):
+    """A force over time, had slice by slice; an array is one."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, now: slice, /) -> Float[np.ndarray, " some"]: ...
+
+
 @dataclass(frozen=True)
 class Motion:
     """True motion over a stretch of time, sampled at the plant's own step.
@@ -35,9 +43,7 @@ class Motion:
 class Plant(Protocol):
     """How a rig is simulated: from rest, with the measured force given at multiples of the step."""
 
-    def __call__(
-        self, rig: Rig, force_n: Float[np.ndarray, " samples"], step_s: float, progress: Progress
-    ) -> Iterator[Motion]: ...
+    def __call__(self, rig: Rig, force_n: Course, step_s: float, progress: Progress) -> Iterator[Motion]: ...
 
 
 def joined(blocks: Iterator[Motion]) -> Motion:

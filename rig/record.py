@@ -11,7 +11,7 @@ import numpy as np
 
 from rig.description import Rig
 from rig.errors import RigError
-from rig.excitation import QUIET_S, Excitation, force_history
+from rig.excitation import QUIET_S, Excitation, force_course
 from rig.motion import Plant, Progress
 from rig.recording import channel_groups, truth_groups, truth_path, writing
 from rig.sensors import Samples, digitised, needed_duration_s
@@ -46,7 +46,7 @@ def record(
             f"than {MAX_DURATION_S:g} s"
         )
     samples = round(duration_s * rig.sample_rate_hz)
-    force = force_history(excitation, needed_duration_s(actual, samples / rig.sample_rate_hz), step_s)
+    force = force_course(excitation, needed_duration_s(actual, samples / rig.sample_rate_hz), step_s)
     plant_name = getattr(plant, "__module__", "").rsplit(".", 1)[-1]
     provenance = {
         "made_by": "rig record",

@@ -9,7 +9,6 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from jaxtyping import Float
 from msgspec.structs import replace
 
 from rig.beam import Beam
@@ -17,7 +16,7 @@ from rig.command_line import progress_bar, run
 from rig.description import Rig, to_json
 from rig.effects import effect_named
 from rig.errors import RigError
-from rig.motion import Motion, Progress
+from rig.motion import Course, Motion, Progress
 from rig.plants import ancf
 from rig.plants.basis import modal_basis
 from rig.plants.connectors import Section
@@ -85,7 +84,7 @@ def breech(barrel: Beam) -> tuple[Section, ...]:
     return (Section(barrel.name, 0.0, BREECH_M, stiffness_factor=THICKER**3, mass_factor=THICKER),)
 
 
-def meshed(rig: Rig, force_n: Float[np.ndarray, " samples"], step_s: float, progress: Progress) -> Iterator[Motion]:
+def meshed(rig: Rig, force_n: Course, step_s: float, progress: Progress) -> Iterator[Motion]:
     """The plant: the rig with its barrel's modal basis left aside, in place of it a mesh of 20 elements."""
     barrel = BarrelCradle().rig().body("barrel")
     assert isinstance(barrel, Beam)

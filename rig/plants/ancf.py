@@ -13,7 +13,7 @@ from rig.beam import Beam
 from rig.description import Body, PointSpring, Rig, Station, stations_of
 from rig.errors import RigError
 from rig.modes import held_coordinates, with_attachments
-from rig.motion import Motion, Progress
+from rig.motion import Course, Motion, Progress
 from rig.plants.connectors import (
     ChangingModulus,
     Extra,
@@ -36,7 +36,7 @@ down into the band of the force: at 0.01 the cradle's, at 129 Hz, falsified its 
 
 def simulate(
     rig: Rig,
-    force_n: Float[np.ndarray, " samples"],
+    force_n: Course,
     step_s: float,
     progress: Progress,
     elements: int = ELEMENTS,
@@ -59,7 +59,7 @@ def simulate(
     base = base_motion(rig, len(force_n), step_s)
     if (base or rig.loads) and any(isinstance(e, Section) for e in extra):
         raise RigError("the ancf plant takes static loads and base motion on uniform beams only; leave them out")
-    applied_n = true_force(rig, force_n, step_s)
+    applied_n = true_force(rig, force_n[:], step_s)
     container = exu.SystemContainer()
     try:
         mbs = container.AddSystem()

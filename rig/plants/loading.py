@@ -8,20 +8,24 @@ from rig.contact import DeadZone
 from rig.description import Contact, Rig
 from rig.errors import RigError
 from rig.excitation import noise_spectrum
+from rig.motion import Course
 
 BASE_RISE_S = 0.5
+SPLINED = 64
+"""So many samples to either side decide a spline's value to the last digit."""
 _ORDERS = ("displacement", "velocity", "acceleration")
 
 
-def true_force(rig: Rig, measured_n: Float[np.ndarray, " samples"], step_s: float) -> Float[np.ndarray, " samples"]:
+def true_force(rig: Rig, measured_n: Course, step_s: float, now: slice = slice(None)) -> Float[np.ndarray, " some"]:
     """The force on the rig, given the measured one at multiples of the step: F(t) = measured(t - lag) / gain."""
     sensor = rig.force_sensor
     if not sensor.lag_s:
-        return measured_n / sensor.gain
-    lag = sensor.lag_s / step_s
-    shifted = np.arange(measured_n.size) - lag
-    between = CubicSpline(np.arange(measured_n.size), measured_n)(np.maximum(shifted, 0.0))
-    return np.where(shifted < 0, measured_n[0], between) / sensor.gain
+        return measured_n[now] / sensor.gain
+    first, stop, _ = now.indices(len(measured_n))
+    shifted = np.arange(first, stop) - sensor.lag_s / step_s
+    known = np.arange(max(0, int(shifted[0]) - SPLINED), min(len(measured_n), int(shifted[-1]) + SPLINED))
+    between = CubicSpline(known, measured_n[known[0] : known[-1] + 1])(np.maximum(shifted, 0.0))
+    return np.where(shifted < 0, measured_n[:1], between) / sensor.gain
 
 
 def base_motion(rig: Rig, samples: int, step_s: float) -> dict[str, Float[np.ndarray, " samples"]]:

@@ -11,10 +11,12 @@ from rig.contact import FRICTION_SPEED_M_PER_S
 from rig.description import Body, Rig, Station, contact_stations, stations_of
 from rig.errors import RigError
 from rig.modes import Modes, modes_of, modes_wanted, participation
-from rig.motion import Motion, Progress
+from rig.motion import Course, Motion, Progress
 from rig.plants.loading import base_motion, connections, equilibrium, true_force
 
 BLOCK = 1 << 13
+BENT = 8
+"""So many samples to either side decide how a force bends within a step, and more."""
 LAW = (  # the columns of the compiled loop's table
     "lower_clearance_m",
     "upper_clearance_m",
@@ -30,8 +32,7 @@ LAW = (  # the columns of the compiled loop's table
 class _Model:
     """Modes of all bodies, the shapes at every station, what acts on them, and where they rest.
 
-    inputs has a row per known force (the exciting force, static loads, the base), one sample longer than the record:
-    its first is the state of rest. gains are the modal forces per unit of each.
+    gains are the modal forces per unit of each known force: the exciting force, static loads, the base.
     """
 
     omega: Float[np.ndarray, " modes"]
@@ -39,15 +40,12 @@ class _Model:
     rows: dict[Station, Float[np.ndarray, " modes"]]
     across: Float[np.ndarray, "contacts modes"]
     laws: Float[np.ndarray, "contacts 7"]
-    inputs: Float[np.ndarray, "inputs samples"]
     gains: Float[np.ndarray, "inputs modes"]
     at_rest: Float[np.ndarray, " modes"]
     holding_n: Float[np.ndarray, " contacts"]
 
 
-def simulate(
-    rig: Rig, force_n: Float[np.ndarray, " samples"], step_s: float, progress: Progress, modes: int = 16
-) -> Iterator[Motion]:
+def simulate(rig: Rig, force_n: Course, step_s: float, progress: Progress, modes: int = 16) -> Iterator[Motion]:
     """The motion from rest, with `modes` modes a beam (a mass has one, a structure no more than its basis).
 
     The modes are those of the bodies with what is attached to them, in a frame that moves with the base. Every mode
@@ -65,14 +63,13 @@ def simulate(
     from rig.plants.stepping import advance, within_a_step
 
     base = base_motion(rig, len(force_n), step_s)
-    model = _model(rig, true_force(rig, force_n, step_s), base, modes)
+    model = _model(rig, bool(base), modes)
     propagate, response = _propagator(model.omega, model.zeta, step_s)
     driven, pushed = (
         (response[:, None] * g[:, None]).reshape(3, len(g), 2 * model.omega.size) for g in (model.gains, -model.across)
     )
     constants = (propagate, driven, model.across, pushed, *_reach(model, pushed, step_s), model.laws)
     within = within_a_step(step_s)
-    all_bends = _bends(model.inputs)
     states = np.zeros((min(BLOCK, len(force_n)) + 1, 2 * model.omega.size))
     states[0, : model.omega.size] = model.at_rest
     none = np.zeros(len(model.across))
@@ -80,7 +77,7 @@ def simulate(
     course_n, course_bent_n = np.tile(model.holding_n[:, None], 4), np.zeros((len(model.across), 1))
     for first in range(0, len(force_n), BLOCK):
         now = slice(first, min(first + BLOCK, len(force_n)))
-        applied, bends = (np.ascontiguousarray(rows[:, first : now.stop + 1]) for rows in (model.inputs, all_bends))
+        applied, bends = _applied(rig, force_n, base, step_s, now)
         contact_n, bent_n = np.empty((2, len(model.across), now.stop - first))
         advance(states, held, contact_n, bent_n, applied, bends, *constants, within, first, step_s)
         moved = states[1 : now.stop - first + 1]
@@ -152,10 +149,8 @@ def _without_alias(
     return course_n[:, 4:] + 1.5 * corner[:, 1:] - 0.5 * corner[:, :-1]
 
 
-def _model(
-    rig: Rig, applied_n: Float[np.ndarray, " samples"], base: dict[str, Float[np.ndarray, " samples"]], modes: int
-) -> _Model:
-    """The rig under the true force and the motion of its base."""
+def _model(rig: Rig, moving_base: bool, modes: int) -> _Model:
+    """The rig with what acts on it."""
     bodies = [(b, modes_of(rig, b), modes_wanted(b, modes)) for b in rig.bodies]
     omega = 2 * np.pi * np.concatenate([shapes.frequencies_hz(n) for _, shapes, n in bodies])
     zeta = np.concatenate([shapes.damping_ratios(n) for _, shapes, n in bodies])
@@ -168,23 +163,41 @@ def _model(
     static = np.zeros(omega.size) + sum(load.force_n * rows[load.station] for load in rig.loads)
     at_rest = equilibrium(omega**2, across, laws, static)
     holding = [law.force_n(np.array([eta]), np.zeros(1))[0] for law, eta in zip(laws, across @ at_rest, strict=True)]
-    known = [(0.0, applied_n, rows[rig.force_at])]
+    gains = [rows[rig.force_at]]
     if rig.loads:
-        known.append((1.0, np.ones(applied_n.size), static))
-    if base:
-        inertia = np.concatenate([participation(rig, body, shapes, n) for body, shapes, n in bodies])
-        known.append((0.0, base["acceleration"], -inertia))
+        gains.append(static)
+    if moving_base:
+        gains.append(-np.concatenate([participation(rig, body, shapes, n) for body, shapes, n in bodies]))
     return _Model(
         omega=omega,
         zeta=zeta,
         rows=rows,
         across=across,
         laws=np.array([[getattr(law, field) for field in LAW] for law in laws]).reshape(len(laws), len(LAW)),
-        inputs=np.array([np.append(before, samples) for before, samples, _ in known]),
-        gains=np.array([gain for _, _, gain in known]),
+        gains=np.array(gains),
         at_rest=at_rest,
         holding_n=np.array(holding, dtype=float),
     )
+
+
+def _applied(
+    rig: Rig, force_n: Course, base: dict[str, Float[np.ndarray, " samples"]], step_s: float, now: slice
+) -> tuple[Float[np.ndarray, "inputs more"], Float[np.ndarray, "inputs more"]]:
+    """The known forces at the samples `now` and at the one before, and how they bend in between.
+
+    Before the first sample is the state of rest: no force, all static loads, no motion of the base.
+    """
+    around = slice(max(0, now.start - BENT), min(len(force_n), now.stop + BENT))
+    rest = int(around.start == 0)
+    rows = [np.append(np.zeros(rest), true_force(rig, force_n, step_s, around))]
+    if rig.loads:
+        rows.append(np.ones(rows[0].size))
+    if base:
+        rows.append(np.append(np.zeros(rest), base["acceleration"][around]))
+    inputs = np.array(rows)
+    begin = now.start - around.start - 1 + rest
+    some = slice(begin, begin + now.stop - now.start + 1)
+    return np.ascontiguousarray(inputs[:, some]), np.ascontiguousarray(_bends(inputs)[:, some])
 
 
 def _reach(

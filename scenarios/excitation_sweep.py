@@ -1,0 +1,41 @@
+"""NIFO against the level of the force (figure 19 of the paper), with displacements known exactly and with noise.
+
+python -m scenarios.excitation_sweep --out out/excitation_sweep
+"""
+
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from msgspec.structs import replace
+
+from rig.command_line import run
+from scenarios.nifo_study import LONG, Study
+from scenarios.nifo_sweep import BLOCK_S, Block, points_of, shown
+from scenarios.tasks import Dask
+
+RMS_N = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
+NOISE = 2e-7
+"""Of the displacements, m/sqrt(Hz): 6 um rms at 2048 samples a second, as of a laser over 0.1 m."""
+app = typer.Typer(pretty_exceptions_enable=False)
+
+
+@app.command()
+def excitation_sweep(
+    out: Annotated[Path, typer.Option(help="Folder for the results and the figure.")] = Path("out/excitation_sweep"),
+    block: Block = BLOCK_S,
+    dask: Dask = None,
+) -> None:
+    """Records the barrel in its cradle under weaker and stronger forces, and finds the stiffnesses."""
+    studied = [
+        (rms_n, case, Study(settings=replace(LONG, rms_n=rms_n), block_s=(block,), noise_density=noise))
+        for case, noise in (("", 0.0), ("noise", NOISE))
+        for rms_n in RMS_N
+    ]
+    points = points_of(studied, out, dask)
+    shown("NIFO against the force", "force, N rms", points, out / "excitation_sweep.png")
+
+
+if __name__ == "__main__":  # under its own name, by which other processes find its tasks
+    run(import_module("scenarios.excitation_sweep").app, "scenarios.excitation_sweep")
