@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.drift import KNOT_S, Drift
-from identify.forces import ContactForces, separated_forces
+from identify.forces import RING_S, ContactForces, separated_forces
 from identify.joint import Joint, Observed, fit_joint
 from identify.kinematics import Kinematics, Use, acceleration_noise, kinematics
 from identify.modal import relative_displacements, relative_velocities
@@ -43,6 +43,8 @@ class Contacts:
 def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Contacts:
     """Clearance, stiffness and damping of every contact, or the reason why the record does not tell them.
 
+    Of a stretch of a longer record the first seconds, in which the beams ring of what was before, tell nothing.
+
     Raises RigError if the record allows nothing: too short, too few stations, no force, no contacts described.
     """
     rig = recording.rig
@@ -54,6 +56,9 @@ def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Con
     factor = max(1, int(motion.sample_rate_hz / 2 / min(SEPARATED_TO * high_hz, motion.trusted_hz[1])))
     noise = acceleration_noise(motion, rig)
     separated = separated_forces(rig, motion, factor, noise, tolerances)
+    if recording.start_s > 0:
+        fewer = round(RING_S * motion.sample_rate_hz / factor)
+        motion, separated = motion.part(slice(fewer * factor, None)), separated.after(fewer)
     observed = _observed(rig, motion, noise, separated, tolerances)
     answers = tuple(_answer(o, separated, j) for j, o in enumerate(observed))
     return Contacts(rig, motion, separated, tuple(observed), answers)

@@ -1,8 +1,9 @@
 """The command `identify`."""
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import Annotated, Any, get_args
 
 import msgspec
 import typer
@@ -13,7 +14,8 @@ from rich.table import Table
 from identify.contact import identify_contact
 from identify.gap.command import gap
 from identify.kinematics import Use
-from identify.results import ContactReport, Estimate, LawReport, write_json
+from identify.pooled import LARGE_BYTES, STRETCH_S, identify_long
+from identify.results import ContactReport, Estimate, LawReport, Stretches, write_json
 from identify.spectra import POWERS, Averaging
 from identify.tolerances import NAMED
 from rig.command_line import Force, Json, progress_bar, refuse_existing, run
@@ -50,6 +52,10 @@ def contact(
         str, typer.Option(help="How exactly rig.json is believed, for the standard errors: laboratory or exact.")
     ] = "laboratory",
     band: Annotated[tuple[float, float] | None, typer.Option(help="Band of NIFO, Hz; otherwise the force's.")] = None,
+    stretch: Annotated[
+        float | None,
+        typer.Option(help="Identify so many seconds at a time and pool them, as is done with files of over 1 GB."),
+    ] = None,
     as_json: Json = False,
     force: Force = False,
 ) -> None:
@@ -66,25 +72,48 @@ def contact(
     averaging = Averaging(averages=averages, block_s=block, overlap=overlap, window=window, band_hz=band)
     if out is not None:
         refuse_existing(out / "contact.json", force)
-    recording = read(file)
+    if stretch is None and file.exists() and file.stat().st_size > LARGE_BYTES:
+        stretch = STRETCH_S
+    settings = {
+        "use": msgspec.convert(use, Use),
+        "averaging": averaging,
+        "equation": equation,
+        "tolerances": NAMED[tolerances],
+    }
     with progress_bar(f"identifying {file.name}") as progress:
-        found = identify_contact(
-            recording,
-            use=msgspec.convert(use, Use),
-            averaging=averaging,
-            equation=equation,
-            tolerances=NAMED[tolerances],
-            progress=lambda share: progress(share if out is None else DRAWN_FROM * share),
-        )
-        if out is not None:
-            from identify.report import write_results
-
-            laws = {c.name: c.law for c in found.rig.contacts}
-            write_results(found, out, f"{found.rig.name}: {file.name}", laws, "rig.json")
+        if stretch is not None:
+            report = _by_stretches(file, stretch, out, progress, settings)
+        else:
+            report = _whole(file, out, progress, settings)
     if as_json:
-        sys.stdout.buffer.write(msgspec.json.encode(found.report) + b"\n")
+        sys.stdout.buffer.write(msgspec.json.encode(report) + b"\n")
     else:
-        print_report(found.report, Console())
+        print_report(report, Console())
+
+
+def _whole(file: Path, out: Path | None, progress: Callable[[float], None], settings: dict[str, Any]) -> ContactReport:
+    drawn = 1.0 if out is None else DRAWN_FROM
+    found = identify_contact(read(file), progress=lambda share: progress(drawn * share), **settings)
+    if out is not None:
+        from identify.report import write_results
+
+        laws = {c.name: c.law for c in found.rig.contacts}
+        write_results(found, out, f"{found.rig.name}: {file.name}", laws, "rig.json")
+    return found.report
+
+
+def _by_stretches(
+    file: Path, stretch_s: float, out: Path | None, progress: Callable[[float], None], settings: dict[str, Any]
+) -> ContactReport:
+    report, parts = identify_long(file, stretch_s=stretch_s, progress=progress, **settings)
+    if out is not None:
+        from identify.plots import write_stretches
+
+        out.mkdir(parents=True, exist_ok=True)
+        write_stretches(report, parts, out / "stretches.png")
+        write_json(Stretches(parts), out / "stretches.json")
+        write_json(report, out / "contact.json")
+    return report
 
 
 @app.command()

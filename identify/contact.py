@@ -1,7 +1,7 @@
 """The identification of the contacts: separated forces, joint estimate, and the paper's surface and NIFO beside it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -84,7 +84,7 @@ def identify_contact(
     )
     eta, force, depth = _with_law(found.observed, answers)
     samples = eta.shape[1]
-    cleaned = without_higher_modes(rig, _cut(motion, samples), force)
+    cleaned = without_higher_modes(rig, motion.part(slice(samples)), force)
     eta, depth = eta[:, : cleaned.force_n.size], depth[:, : cleaned.force_n.size]
     stops = tuple(_stops(a) for a in answers)
     cut = blocks(cleaned.force_n.size, motion.sample_rate_hz, averaging, band)
@@ -144,17 +144,6 @@ def _stops(found: Answer) -> Stops | None:
         return None
     errors = np.sqrt(np.diag(found.covariance))
     return Stops(*(float(x) for x in (*found.parameters[:2], *errors[:2], found.clearance_error_m)))
-
-
-def _cut(motion: Kinematics, samples: int) -> Kinematics:
-    return replace(
-        motion,
-        force_n=motion.force_n[:samples],
-        displacement_m=motion.displacement_m[:, :samples],
-        velocity_m_per_s=motion.velocity_m_per_s[:, :samples],
-        acceleration_m_per_s2=motion.acceleration_m_per_s2[:, :samples],
-        lost_m_per_s2=motion.lost_m_per_s2[:, :samples],
-    )
 
 
 def _decimation(rig: Rig, motion: Kinematics) -> int:

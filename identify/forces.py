@@ -1,6 +1,6 @@
 """The contact forces, each by itself and over time, without assuming a law: from all stations and the linear model."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -35,6 +35,12 @@ class ContactForces:
     factor: int
     doubts: tuple[Doubt, ...]
     spring_n_per_m: float
+
+    def after(self, fewer: int) -> "ContactForces":
+        """Without the first samples, so many of the forces."""
+        more = fewer * self.factor
+        doubts = tuple((force[:, fewer:], eta[:, more:]) for force, eta in self.doubts)
+        return replace(self, force_n=self.force_n[:, fewer:], doubts=doubts)
 
 
 def separated_forces(

@@ -1,6 +1,6 @@
 """From what was measured at a station to its displacement, velocity and acceleration."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -47,6 +47,17 @@ class Kinematics:
     def row(self, station: Station) -> int | None:
         return self.stations.index(station) if station in self.stations else None
 
+    def part(self, now: slice) -> "Kinematics":
+        """Some of the samples."""
+        return replace(
+            self,
+            force_n=self.force_n[now],
+            displacement_m=self.displacement_m[:, now],
+            velocity_m_per_s=self.velocity_m_per_s[:, now],
+            acceleration_m_per_s2=self.acceleration_m_per_s2[:, now],
+            lost_m_per_s2=self.lost_m_per_s2[:, now],
+        )
+
 
 def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNER_HZ) -> Kinematics:
     """Displacement, velocity and acceleration at every station with a sensor.
@@ -54,7 +65,8 @@ def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNE
     In the frequency domain, with the end of the record tapered off: each sensor's gain and delay are divided out, and
     what was not measured is had by multiplication with powers of i omega. Integration is cut off smoothly below the
     corner. Each motion comes from the sensor that measured it, else from the nearest one that needs no integration.
-    `use` takes the sensors of one quantity only.
+    `use` takes the sensors of one quantity only. A stretch of a longer record is tapered off at its start too, and is
+    wrong there.
 
     Raises RigError if no such sensor is there, or the record is too short for its ends to be left out.
     """
@@ -73,6 +85,8 @@ def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNE
             "record longer or raise the corner frequency"
         )
     ending = taper(recording.samples, round(TAPER_S * rate))
+    if recording.start_s > 0:
+        ending = ending * ending[::-1]
     # silence behind the record, as the Fourier transform wraps its end, which integration falsifies, round to its start
     length = next_fast_len(recording.samples + round(2 * left_out * rate), real=True)
     omega = 2 * np.pi * np.fft.rfftfreq(length, 1 / rate)

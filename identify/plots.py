@@ -15,6 +15,7 @@ from identify.contact import Identification
 from identify.joint import Joint
 from identify.law import FoundLaw
 from identify.modal import receptance
+from identify.results import ContactReport, Stretch
 from rig.contact import dead_zone
 
 Marks = Mapping[str, tuple[float, float]]
@@ -59,6 +60,36 @@ def write_law_figure(laws: Sequence[FoundLaw], path: Path) -> None:
         lower[0].set_ylabel("less the\nstraight pieces, N")
         handles, labels = upper[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=4)
+
+
+def write_stretches(report: ContactReport, parts: Sequence[Stretch], path: Path) -> None:
+    """What every stretch of a long record says of each contact with its 95 % interval, and all together."""
+    with _saved(path) as figure:
+        rows = figure.subplots(2, len(report.contacts), squeeze=False, sharex=True)
+        for column, whole in zip(rows.T, report.contacts, strict=True):
+            found = [(p, c) for p in parts for c in p.report.contacts if c.name == whole.name]
+            middle_s = [(p.start_s + p.end_s) / 2 for p, _ in found]
+            for axes, what, scale in zip(column, ("clearance_m", "stiffness_n_per_m"), (1e3, 1.0), strict=True):
+                each, mean = [getattr(c, what) for _, c in found], getattr(whole, what)
+                ends = scale * (mean.value + 1.96 * mean.standard_error * np.array([-1, 1]))
+                errors = [1.96 * scale * e.standard_error for e in each]
+                axes.errorbar(
+                    middle_s,
+                    [scale * e.value for e in each],
+                    errors,
+                    fmt=".",
+                    color=_GREY,
+                    lw=0.8,
+                    label="stretches, with 95 %",
+                )
+                axes.axhline(scale * mean.value, color=_BLUE, lw=1.2, label="all together")
+                axes.axhspan(*ends, color=_BLUE, alpha=0.2, lw=0, label="95 % of all together")
+            column[0].set_title(whole.name)
+            column[1].set_xlabel("time, s")
+        rows[0, 0].set_ylabel("clearance, mm")
+        rows[1, 0].set_ylabel("contact stiffness, N/m")
+        handles, labels = rows[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=3)
 
 
 @contextmanager

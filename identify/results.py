@@ -106,6 +106,20 @@ class ContactReport(msgspec.Struct, frozen=True, kw_only=True):
     channels_used: tuple[str, ...]
 
 
+class Stretch(msgspec.Struct, frozen=True):
+    """What a stretch of a long record says by itself."""
+
+    start_s: float
+    end_s: float
+    report: ContactReport
+
+
+class Stretches(msgspec.Struct, frozen=True):
+    """stretches.json."""
+
+    stretches: tuple[Stretch, ...]
+
+
 class Candidate(msgspec.Struct, frozen=True):
     """A law and the rms of what it leaves of the force in the held-out half of the record."""
 

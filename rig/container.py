@@ -10,6 +10,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from io import BufferedReader, BytesIO
 from pathlib import Path, PurePosixPath
+from typing import TypeVar
 
 import lz4.frame
 import numpy as np
@@ -39,6 +40,7 @@ _KINDS = {
     Opcode.STATISTICS: Statistics,
     Opcode.DATA_END: DataEnd,
 }
+Step = TypeVar("Step")
 DAMAGE = (McapError, ValueError, OverflowError, struct.error, EOFError, OSError, RuntimeError, zstandard.ZstdError)
 """What reading a bad record may raise."""
 
@@ -89,6 +91,18 @@ def whole(file: BufferedReader, wanted: Callable[[Channel], bool] = lambda _: Tr
             messages += record.messages if isinstance(record, Unread) else isinstance(record, Message)
             yield record
         crc = crc32(content, crc)
+
+
+def told(path: Path, steps: Iterator[Step]) -> Iterator[Step]:
+    """What reading a file yields; where it is refused or damaged, one sentence that names it (RigError)."""
+    try:
+        yield from steps
+    except RigError as error:
+        raise RigError(f"{path}: {error}") from error
+    except DAMAGE as error:
+        state = "damaged" if isinstance(error, ValueError) else "cut off or damaged"
+        reason = str(error) or type(error).__name__
+        raise RigError(f"{path}: is {state} ({reason}); try `rig recover`, or restore a copy") from error
 
 
 def complete(file: BufferedReader) -> Iterator[McapRecord]:

@@ -13,6 +13,7 @@ Progress = Callable[[float], None]
 """Called with the fraction of the work that is done, 0 to 1."""
 
 
+@runtime_checkable
 class Course(Protocol):
     """A force over time, had slice by slice; an array is one."""
 

@@ -54,6 +54,15 @@ class Recording:
         return self.force_n.size
 
     @property
+    def start_s(self) -> float:
+        """Above zero in a stretch of a longer record, which does not begin at rest."""
+        return self.signals["force"].start_s
+
+    @property
+    def end_s(self) -> float:
+        return self.start_s + self.duration_s
+
+    @property
     def duration_s(self) -> float:
         return self.samples / self.rig.sample_rate_hz
 
@@ -241,6 +250,13 @@ def is_of_blocks(channel: Channel) -> bool:
 def gathered(records: Iterable[McapRecord]) -> Contents:
     """Sorts the records of a file; raises ValueError or RigError, without the name of the file, if one is wrong."""
     found = Contents({}, {}, {}, {})
+    for _ in gathering(records, found):
+        pass
+    return found
+
+
+def gathering(records: Iterable[McapRecord], found: Contents) -> Iterator[str]:
+    """As `gathered`, into what is given: yields the name of a group whenever a block of it has come."""
     numbers: dict[int, str] = {}
     channels: dict[int, Channel] = {}
     for record in records:
@@ -256,8 +272,9 @@ def gathered(records: Iterable[McapRecord]) -> Contents:
             found.groups[group] = understood(record.topic, record.metadata)
             found.blocks[group] = []
         elif isinstance(record, Message) and record.channel_id in numbers:
-            found.blocks[numbers[record.channel_id]].append(messages.decode_block(record.data))
-    return found
+            group = numbers[record.channel_id]
+            found.blocks[group].append(messages.decode_block(record.data))
+            yield group
 
 
 def rig_of(path: Path, contents: Contents) -> Rig:
@@ -267,15 +284,10 @@ def rig_of(path: Path, contents: Contents) -> Rig:
 
 
 def _loaded(path: Path) -> Recording:
+    contents = Contents({}, {}, {}, {})
     with container.opened(path) as file:
-        try:
-            contents = gathered(container.whole(file, is_of_blocks))
-        except RigError as error:
-            raise RigError(f"{path}: {error}") from error
-        except container.DAMAGE as error:
-            state = "damaged" if isinstance(error, ValueError) else "cut off or damaged"
-            reason = str(error) or type(error).__name__
-            raise RigError(f"{path}: is {state} ({reason}); try `rig recover`, or restore a copy") from error
+        for _ in container.told(path, gathering(container.whole(file, is_of_blocks), contents)):
+            pass
     rig = rig_of(path, contents)
     signals = {name: assembled(path, name, group, contents.blocks[name]) for name, group in contents.groups.items()}
     if "force" not in signals:
@@ -286,10 +298,13 @@ def _loaded(path: Path) -> Recording:
     return Recording(rig, signals, contents.provenance)
 
 
-def assembled(path: Path, name: str, channels: Channels, blocks: list[messages.Block]) -> Signals:
-    """The samples of a group in one piece; raises RigError if there is a gap, or a value that is not finite."""
+def assembled(path: Path, name: str, channels: Channels, blocks: list[messages.Block], first: int = 0) -> Signals:
+    """The samples of a group, from the first on, in one piece.
+
+    Raises RigError if there is a gap, or a value that is not finite.
+    """
     blocks = sorted(blocks, key=lambda b: b.first_sample)
-    expected = 0
+    expected = first
     for block in blocks:
         if block.first_sample != expected:
             raise RigError(
@@ -299,11 +314,12 @@ def assembled(path: Path, name: str, channels: Channels, blocks: list[messages.B
         if block.values.shape[0] != len(channels.names) or block.sample_rate_hz != channels.sample_rate_hz:
             raise RigError(f"{path}: a block of group {name} does not fit its channel's metadata; see the README")
         expected += block.values.shape[1]
-    if not expected:
+    if expected == first:
         raise RigError(f"{path}: group {name} holds no samples; record it again")
-    values = np.empty((len(channels.names), expected))
+    values = np.empty((len(channels.names), expected - first))
     for block in blocks:
-        values[:, block.first_sample : block.first_sample + block.values.shape[1]] = block.values
+        begin = block.first_sample - first
+        values[:, begin : begin + block.values.shape[1]] = block.values
         with np.errstate(over="ignore", invalid="ignore"):
             suspect = not np.isfinite(block.values.sum())  # or only too large together
         if suspect:

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import periodogram
 
 from rig.errors import RigError
-from rig.excitation import QUIET_S, RISE_S, excitation_of, force_history
+from rig.excitation import QUIET_S, RISE_S, excitation_of, force_course, force_history
 
 STEP_S = 2.0**-11
 KINDS = ["gaussian", "burst", "sweep", "multisine", "free_decay"]
@@ -117,3 +117,37 @@ def test_a_force_that_cannot_be_is_refused(changes, sentence):
     with pytest.raises(RigError) as caught:
         history(**{"kind": "gaussian"} | changes)
     assert sentence in str(caught.value)
+
+
+def long_force(duration_s=1100.0, step_s=STEP_S, **changes):
+    settings = {"rms_n": 3.0, "low_hz": 20.0, "high_hz": 80.0} | changes
+    return force_course(excitation_of("gaussian", **settings), duration_s, step_s)
+
+
+def test_a_long_force_is_the_same_however_it_is_sliced_and_stepped():
+    force = long_force()
+    whole = force[:]
+    assert whole.size == len(force) == round(1100 / STEP_S)
+    pieces = [force[first : first + 77777] for first in range(0, len(force), 77777)]
+    np.testing.assert_array_equal(np.concatenate(pieces), whole)
+    np.testing.assert_allclose(long_force(step_s=STEP_S / 2)[:][::2], whole, atol=1e-10)
+
+
+def test_a_long_force_has_its_level_and_its_band_everywhere():
+    whole = long_force()[:]
+    assert not whole[: round(QUIET_S / STEP_S)].any()
+    levels = [part.std() for part in np.array_split(whole[round(QUIET_S / STEP_S) :], 10)]
+    np.testing.assert_allclose(levels, 3.0, rtol=0.05)
+    frequency_hz, density = periodogram(whole, 1 / STEP_S, window="hann")
+    assert density[(frequency_hz < 19) | (frequency_hz > 81)].sum() < 1e-4 * density.sum()
+
+
+def test_a_force_that_is_not_long_is_an_array():
+    assert isinstance(
+        force_course(excitation_of("gaussian", rms_n=3.0, low_hz=20.0, high_hz=80.0), 30.0, STEP_S), np.ndarray
+    )
+
+
+def test_a_long_force_beyond_the_step_is_refused():
+    with pytest.raises(RigError, match="needs a step"):
+        long_force(high_hz=0.3 / STEP_S)
