@@ -86,7 +86,7 @@ class Outcome(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class Reduced:
-    """A piece of a record as NIFO needs it: rows of force, modal coordinate and penetrations; how long it is closed."""
+    """A piece of a record as NIFO needs it: force, modal coordinate with two derivatives, penetrations, in rows."""
 
     equation: ModalEquation
     rows: Float[np.ndarray, "rows samples"]
@@ -105,10 +105,12 @@ def estimated(study: Study) -> Outcome:
     rows = np.concatenate([r.rows for r in found], axis=1)
     estimates = []
     for block_s in study.block_s:
-        force_n, q, *penetrations_m = rows[:, : round((QUIET_S + needed_s(block_s)) * REDUCED_HZ)]
+        force_n, q, velocity, acceleration, *penetrations_m = rows[
+            :, : round((QUIET_S + needed_s(block_s)) * REDUCED_HZ)
+        ]
         averaging = Averaging(averages=AVERAGES, block_s=block_s)
         cut = blocks(force_n.size, REDUCED_HZ, averaging, (study.settings.low_hz, study.settings.high_hz))
-        equation = replace(found[0].equation, displacement=q)
+        equation = replace(found[0].equation, displacement=q, velocity=velocity, acceleration=acceleration)
         for form in FORMS:
             estimates += _estimates(rig, nifo(equation, force_n, np.array(penetrations_m), cut, form), form, block_s)
     closed = np.mean([r.closed for r in found], axis=0).tolist()
@@ -136,7 +138,8 @@ def reduced(rig: Rig, delivered: Float[np.ndarray, "channels samples"]) -> Reduc
         round(rate / REDUCED_HZ),
         slice(round(MARGIN_S * REDUCED_HZ), round((MARGIN_S + PIECE_S) * REDUCED_HZ)),
     )
-    rows = np.stack([cleaned.force_n, equation.displacement, *depth_m[:, :count]])
+    motion_of_mode = equation.displacement, equation.velocity, equation.acceleration
+    rows = np.stack([cleaned.force_n, *motion_of_mode, *depth_m[:, :count]])
     own = slice(round(MARGIN_S * rate), round((MARGIN_S + PIECE_S) * rate))
     clearances = np.array([[contact.law.clearance_m] for contact in rig.contacts])
     return Reduced(equation, decimated(rows, factor)[:, kept], np.mean(np.abs(eta_m[:, own]) > clearances, axis=1))
