@@ -110,7 +110,8 @@ def _by_stretches(
         from identify.plots import write_stretches
 
         out.mkdir(parents=True, exist_ok=True)
-        write_stretches(report, parts, out / "stretches.png")
+        if report.contacts:
+            write_stretches(report, parts, out / "stretches.png")
         write_json(Stretches(parts), out / "stretches.json")
         write_json(report, out / "contact.json")
     return report

@@ -20,6 +20,7 @@ LARGE_BYTES = 1 << 30
 """Files of more are identified stretch by stretch, ..."""
 STRETCH_S = 40.0
 """... of this length, which takes less memory than that."""
+SHORTEST_S = 10.0
 NAMES = ("name", "contact", "equation", "body", "beam", "index")
 """The fields by which what belongs together is found."""
 
@@ -39,8 +40,8 @@ def identify_long(
     A stretch is read with the seconds before it in which the beams ring of what was earlier. One that allows no
     identification is left out. Raises RigError if none does, or the recording cannot be read.
     """
-    if not stretch_s > 0:
-        raise RigError(f"stretches of {stretch_s} s: give a length above zero, in seconds")
+    if not SHORTEST_S <= stretch_s < np.inf:
+        raise RigError(f"stretches of {stretch_s:g} s: give {SHORTEST_S:g} s or more, of which contacts can be told")
     found: list[Stretch] = []
     why = ""
     size = path.stat().st_size if path.exists() else 0
