@@ -26,6 +26,8 @@ WORTHWHILE = 0.2
 """A second effect must take away this share of what the first one leaves."""
 SECOND = 0.1
 """... and of what it leaves on the validation record."""
+UNEXPLAINED = 2.0
+"""What leaves a gap is taken for so many times as costly, and no cause at all for as much more than the best one."""
 TRIED = 2
 """So many first effects are followed by a search for a second, ..."""
 NEARLY = 3.0
@@ -99,7 +101,7 @@ def diagnosed(
             explanations.append(_validated(judge, parts, fitted, rig, other_floor))
         except RigError:
             continue
-    explanations.sort(key=_price)
+    explanations.sort(key=lambda e: _price(e, before, other_floor))
     verdict, probabilities = _verdict(explanations, before, other_floor, judged)
     progress(1.0)
     return Outcome(verdict, tuple(explanations), probabilities, at, judge, judged, before)
@@ -167,9 +169,10 @@ def _validated(judge: Base, parts: tuple[Candidate, ...], fitted: Fit, rig: Rig,
     return Explanation(parts, fitted, corrected, remainder(about, residual, floor), residual)
 
 
-def _price(explanation: Explanation) -> float:
-    """The cost on the validation record; a second effect must earn its place."""
-    return explanation.validated.cost * (1 + SECOND * (len(explanation.parts) - 1))
+def _price(explanation: Explanation, before: Remainder, floor: Floor) -> float:
+    """The cost on the validation record; a second effect must earn its place, and what leaves a gap costs double."""
+    cost = explanation.validated.cost * (1 + SECOND * (len(explanation.parts) - 1))
+    return cost if explained(explanation.remainder, before, floor) else UNEXPLAINED * cost
 
 
 def _verdict(
@@ -179,10 +182,10 @@ def _verdict(
     helpful = [e for e in explanations if e.validated.cost < judged.cost]
     if not helpful:
         return ("no_gap" if before.at_floor(floor) else "none_of_these"), tuple(0.0 for _ in explanations)
-    costs = np.array([_price(e) for e in explanations])
+    costs = np.array([_price(e, before, floor) for e in explanations])
     best = helpful[0]
     accepted = explained(best.remainder, before, floor)
-    none = costs.min() * (2.0 if accepted else 0.5)
+    none = costs.min() * (UNEXPLAINED if accepted else 1 / UNEXPLAINED)
     weights = np.append(costs, none)
     likely = (weights / weights.min()) ** -SHARPNESS
     share = likely / likely.sum()

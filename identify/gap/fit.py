@@ -19,7 +19,7 @@ FINE = 1e-3
 """Derivatives are by this share of a candidate's steps: little of a parameter is left once doubts are eliminated."""
 ROUNDING = 1e-9
 SETTLED = 3e-5
-"""Gauss-Newton stops when the cost falls by a smaller share than this, some tenth of a standard deviation; ..."""
+"""A whole step of Gauss-Newton is the last if the cost falls by a smaller share, a tenth of the errors; ..."""
 UNFIT = 1e-3
 """... or by a smaller share of what no noise explains."""
 
@@ -189,7 +189,7 @@ def fit(
             break
         fell = at.cost - there.cost
         values, at = moved, there
-        if fell < max(SETTLED * at.cost, UNFIT * (at.cost - at.rows)):
+        if not halving and fell < max(SETTLED * at.cost, UNFIT * (at.cost - at.rows)):
             break
     covariance = base.record.strictness * np.linalg.pinv(normal.matrix)[count:, count:] * np.outer(inside, inside)
     return Fit(values, covariance, at)

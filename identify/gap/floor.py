@@ -241,7 +241,8 @@ def _floor(rig: Rig, records: Sequence[Record]) -> tuple[Floor, Float[np.ndarray
             gains[kind] = max(gains.get(kind, 0.0), gain)
     fewest = min(len(b) for b in bands)
     levels = np.array([b[:fewest] for b in bands])
-    relative = levels / np.maximum(levels.mean(axis=0), 1e-300)
+    others = (levels.sum(axis=0) - levels) / max(1, len(levels) - 1)  # each null against those that it has no part in
+    relative = levels / np.maximum(others, 1e-300)
     floor = Floor(
         motion_m=max(r.motion_m for r in records),
         sensors=[s.name for s in records[0].sensors],

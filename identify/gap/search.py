@@ -22,7 +22,9 @@ DEEP = 4
 FINAL = 3
 """So many of those are kept, ..."""
 RIVAL = 0.5
-"""... and fitted to the end, if they gained this share of what the best one did."""
+"""... and fitted to the end, if they gained this share of what the best one did, ..."""
+ALIKE = 1.1
+"""... or leave no more than this multiple of what it leaves."""
 ROUNDS = 2
 """The doubts are linearised anew so many times, ..."""
 AGAIN = 2
@@ -131,7 +133,8 @@ def search(base: Base, at: Residual, candidates: Sequence[Candidate], least: Map
     best = sorted((min(tries, key=lambda t: t[0].cost) for tries in begun.values()), key=lambda t: t[0].cost)
     if not best:
         return []
-    close = [at.cost - f.cost > RIVAL * (at.cost - best[0][0].cost) for f, _ in best]
+    least_cost = best[0][0].cost
+    close = [at.cost - f.cost > RIVAL * (at.cost - least_cost) or f.cost < ALIKE * least_cost for f, _ in best]
     fits = [
         (refined(base, partial(c.applied, base.rig), fitted, c.steps, c.bounds) if rival else fitted, c)
         for (fitted, c), rival in zip(best[:FINAL], close, strict=False)
@@ -141,7 +144,13 @@ def search(base: Base, at: Residual, candidates: Sequence[Candidate], least: Map
 
 
 def without_doubts(at: Residual) -> Residual:
-    """Where to start with an effect: doubts and tolerances that were bent to do without it are straight again."""
+    """Where to start with an effect: doubts and tolerances that were bent to do without it are straight again.
+
+    They stay as they are where none is at its limit.
+    """
+    own = [c.unknowns[-3:] for c in at.contacts]
+    if np.max(np.abs(np.concatenate([at.doubts, *own])), initial=0.0) < LIMIT - 1e-6:
+        return at
     straight = tuple(replace(c, unknowns=np.append(c.unknowns[:-3], np.zeros(3))) for c in at.contacts)
     return replace(at, doubts=np.zeros_like(at.doubts), contacts=straight)
 
