@@ -130,12 +130,16 @@ def applied(rig: Rig, parts: Sequence[Candidate], values: Float[np.ndarray, " pa
 
 
 def worthwhile(base: Base, at: Residual, known: Sequence[Candidate], floor: Floor) -> list[Found]:
-    """Effects that gain clearly more than on any null recording, most first."""
+    """Effects that gain clearly more than on any null recording, and more than a tolerance's standard deviation costs.
+
+    The one that gains most comes first.
+    """
     steady = [c for c in known if c.kind.name != "base_motion"]
     found = search(base, at, steady, floor.gains)
     if base.rig.base_motion is None:
         found += [f for c in known if c not in steady and (f := shaken(base, at, c))]
-    count = [f for f in found if f.gain > MARGIN * floor.gains.get(f.candidate.kind.name, 0.0)]
+    spurious = {name: MARGIN * gain for name, gain in floor.gains.items()}
+    count = [f for f in found if f.gain > max(at.strictness, spurious.get(f.candidate.kind.name, 0.0))]
     return sorted(count, key=lambda f: -f.gain)
 
 
