@@ -20,6 +20,8 @@ from rig.errors import RigError
 
 ALLOWED = 0.01
 """An effect may leave this share of the gap beyond the floor: no effect is described more exactly."""
+SLIGHT = 0.5
+"""No effect counts that gains less than so many standard deviations of a tolerance cost."""
 ASIDE = 1e-3
 """Nothing more is looked for in what is a smaller share of the gap than this."""
 WORTHWHILE = 0.2
@@ -130,16 +132,14 @@ def applied(rig: Rig, parts: Sequence[Candidate], values: Float[np.ndarray, " pa
 
 
 def worthwhile(base: Base, at: Residual, known: Sequence[Candidate], floor: Floor) -> list[Found]:
-    """Effects that gain clearly more than on any null recording, and more than a tolerance's standard deviation costs.
-
-    The one that gains most comes first.
-    """
+    """Effects that gain clearly more than on any null recording, most first."""
     steady = [c for c in known if c.kind.name != "base_motion"]
     found = search(base, at, steady, floor.gains)
     if base.rig.base_motion is None:
         found += [f for c in known if c not in steady and (f := shaken(base, at, c))]
     spurious = {name: MARGIN * gain for name, gain in floor.gains.items()}
-    count = [f for f in found if f.gain > max(at.strictness, spurious.get(f.candidate.kind.name, 0.0))]
+    least = SLIGHT**2 * at.strictness
+    count = [f for f in found if f.gain > max(least, spurious.get(f.candidate.kind.name, 0.0))]
     return sorted(count, key=lambda f: -f.gain)
 
 
