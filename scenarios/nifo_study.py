@@ -133,16 +133,20 @@ def reduced(rig: Rig, delivered: Float[np.ndarray, "channels samples"]) -> Reduc
     stiffness = np.array([[contact.law.stiffness_n_per_m] for contact in rig.contacts])
     cleaned = without_higher_modes(rig, motion, stiffness * depth_m)
     equation = modal_equations(rig, cleaned, rig.body(BODY))[MODE - 1]
-    count = cleaned.force_n.size
-    factor, kept = (
-        round(rate / REDUCED_HZ),
-        slice(round(MARGIN_S * REDUCED_HZ), round((MARGIN_S + PIECE_S) * REDUCED_HZ)),
-    )
-    motion_of_mode = equation.displacement, equation.velocity, equation.acceleration
-    rows = np.stack([cleaned.force_n, *motion_of_mode, *depth_m[:, :count]])
-    own = slice(round(MARGIN_S * rate), round((MARGIN_S + PIECE_S) * rate))
+    mode = equation.displacement, equation.velocity, equation.acceleration
+    wide = np.stack([cleaned.force_n, *mode, *depth_m[:, : cleaned.force_n.size]])
+    rows = decimated(wide, round(rate / REDUCED_HZ))[:, _own(REDUCED_HZ)].copy()  # no view that holds the piece
     clearances = np.array([[contact.law.clearance_m] for contact in rig.contacts])
-    return Reduced(equation, decimated(rows, factor)[:, kept], np.mean(np.abs(eta_m[:, own]) > clearances, axis=1))
+    return Reduced(
+        equation=replace(equation, displacement=rows[1], velocity=rows[2], acceleration=rows[3]),
+        rows=rows,
+        closed=np.mean(np.abs(eta_m[:, _own(rate)]) > clearances, axis=1),
+    )
+
+
+def _own(rate_hz: float) -> slice:
+    """A piece without its margins."""
+    return slice(round(MARGIN_S * rate_hz), round((MARGIN_S + PIECE_S) * rate_hz))
 
 
 def _pieces(study: Study) -> Iterator[Float[np.ndarray, "channels samples"]]:
