@@ -17,7 +17,7 @@ from scenarios.tasks import Dask
 
 RMS_N = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
 NOISE = 2e-7
-"""Of the displacements, m/sqrt(Hz): 6 um rms at 2048 samples a second, as of a laser over 0.1 m."""
+"""Of the displacements, m/sqrt(Hz): 6 um rms at 2048 samples a second."""
 app = typer.Typer(pretty_exceptions_enable=False)
 
 

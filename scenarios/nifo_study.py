@@ -26,11 +26,11 @@ AVERAGES = 40
 BODY, MODE = "barrel", 3
 """The paper's modal equation: the barrel's first bending."""
 PIECE_S, MARGIN_S = 120.0, 2.0
-"""A record is worked on in pieces of this length; the margin on either side is longer than anything rings."""
+"""Pieces in which a record is worked on; the margin on either side is longer than the modes beyond the fitted ring."""
 REDUCED_HZ = 256.0
 """The rate at which force, modal coordinate and penetrations are kept: above twice the band of the force."""
 LONG = BarrelCradle(sensors="displacement", sample_rate_hz=2048.0, step_s=2.0**-13)
-"""The reference rig as the studies record it, at whose step the motion is right within 1e-4 over 0.2 s of contact."""
+"""The reference rig as the studies record it, at a step for whose error see tests/benchmarks/modal_plant.py."""
 
 
 class Study(msgspec.Struct, frozen=True, kw_only=True):

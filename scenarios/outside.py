@@ -32,7 +32,7 @@ class Outside(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     def extra(self) -> tuple[Extra, ...]:
         return ()
 
-    def seen(self, rig: Rig, blocks: Iterator[Motion]) -> Iterator[Motion]:  # noqa: ARG002
+    def seen(self, _rig: Rig, blocks: Iterator[Motion], /) -> Iterator[Motion]:
         """What reaches the sensors' chain of the true motion."""
         return blocks
 
@@ -61,7 +61,7 @@ class QuadraticDrag(OnBody, frozen=True):
     drag_n_s2_per_m2: float
 
     @no_type_check
-    def force_n(self, functions, time_s, w_m, rate_m_per_s):  # noqa: ARG002
+    def force_n(self, functions, _time_s, _w_m, rate_m_per_s):
         return self.drag_n_s2_per_m2 * functions.abs(rate_m_per_s) * rate_m_per_s
 
 
@@ -75,7 +75,7 @@ class MainsForce(OnBody, frozen=True):
     amplitude_n: float
 
     @no_type_check
-    def force_n(self, functions, time_s, w_m, rate_m_per_s):  # noqa: ARG002
+    def force_n(self, functions, time_s, _w_m, _rate_m_per_s):
         return -self.amplitude_n * functions.sin(2 * np.pi * 50.0 * time_s)
 
 
@@ -90,7 +90,7 @@ class ThirdContact(OnBody, frozen=True):
     clearance_m: float
 
     @no_type_check
-    def force_n(self, functions, time_s, w_m, rate_m_per_s):  # noqa: ARG002
+    def force_n(self, functions, _time_s, w_m, _rate_m_per_s):
         d = self.clearance_m
         inside = 0.5 * (functions.abs(w_m + d) - functions.abs(w_m - d))  # w clipped to -d..d
         return self.stiffness_n_per_m * (w_m - inside)
@@ -107,7 +107,7 @@ class SofteningSupport(OnBody, frozen=True):
     yield_m: float
 
     @no_type_check
-    def force_n(self, functions, time_s, w_m, rate_m_per_s):  # noqa: ARG002
+    def force_n(self, functions, _time_s, w_m, _rate_m_per_s):
         return self.stiffness_n_per_m * self.yield_m * functions.tanh(w_m / self.yield_m)
 
 

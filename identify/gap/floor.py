@@ -117,14 +117,8 @@ def remainder(base: Base, at: Residual, floor: Floor) -> Remainder:
         float(linear.mean()),
         float(linear.mean(axis=1).max(initial=0.0)),
         max(contact_levels(base, at), default=0.0),
-        strain(at),
+        at.strain,
     )
-
-
-def strain(at: Residual) -> float:
-    """The largest doubt or contact tolerance of a residual, in standard deviations."""
-    own = [c.unknowns[-3:] for c in at.contacts]
-    return float(np.max(np.abs(np.concatenate([at.doubts, *own])), initial=0.0))
 
 
 def band_levels(record: Record, at: Residual) -> Float[np.ndarray, "bands sensors"]:
@@ -236,7 +230,7 @@ def _floor(rig: Rig, records: Sequence[Record]) -> tuple[Floor, Float[np.ndarray
         base, at = settled(record, rig, levels=mean_contact)
         bands.append(band_levels(record, at))
         contacts.append(contact_levels(base, at))
-        strains.append(strain(at))
+        strains.append(at.strain)
         for kind, gain in null_gains(base, at).items():
             gains[kind] = max(gains.get(kind, 0.0), gain)
     fewest = min(len(b) for b in bands)

@@ -55,6 +55,12 @@ class Residual:
         return int(self.linear.size + sum(c.residual.size for c in self.contacts))
 
     @property
+    def strain(self) -> float:
+        """The largest doubt or contact tolerance, in standard deviations."""
+        own = [c.unknowns[-3:] for c in self.contacts]
+        return float(np.max(np.abs(np.concatenate([self.doubts, *own])), initial=0.0))
+
+    @property
     def cost(self) -> float:
         return (
             float(np.sum(self.linear**2) + self.strictness * self.doubts @ self.doubts)

@@ -148,8 +148,7 @@ def without_doubts(at: Residual) -> Residual:
 
     They stay as they are where none is at its limit.
     """
-    own = [c.unknowns[-3:] for c in at.contacts]
-    if np.max(np.abs(np.concatenate([at.doubts, *own])), initial=0.0) < LIMIT - 1e-6:
+    if at.strain < LIMIT - 1e-6:
         return at
     straight = tuple(replace(c, unknowns=np.append(c.unknowns[:-3], np.zeros(3))) for c in at.contacts)
     return replace(at, doubts=np.zeros_like(at.doubts), contacts=straight)

@@ -51,7 +51,7 @@ def add_contact(exu: Any, mbs: Any, against: int, at: int, law: DeadZone) -> int
     symbolic = exu.symbolic
 
     @no_type_check  # recorded symbolically from the plain function
-    def dead_zone(system, t, number, eta, rate, stiffness, damping, offset):  # noqa: ARG001
+    def dead_zone(_system, t, _number, eta, rate, stiffness, damping, _offset):
         def beyond(depth, size):
             share = symbolic.IfThenElse(size < DAMPING_DEPTH_M, size / DAMPING_DEPTH_M, symbolic.Real(1.0))
             elastic = (
@@ -74,7 +74,7 @@ def add_grounded(exu: Any, mbs: Any, ground: int, at: int, extra: GroundedForce)
     """A connector to the ground with the force's own formula."""
 
     @no_type_check  # recorded symbolically from the plain function
-    def law(system, t, number, w, rate, stiffness, damping, offset):  # noqa: ARG001
+    def law(_system, t, _number, w, rate, _stiffness, _damping, _offset):
         return extra.force_n(exu.symbolic, t, w, rate)
 
     return _connected(mbs, ground, at, law)

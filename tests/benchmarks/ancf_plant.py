@@ -90,7 +90,7 @@ def _python_contact(_: Any, mbs: Any, against: int, at: int, law: DeadZone) -> i
     lower, upper, stiffness = law.lower_clearance_m, law.upper_clearance_m, law.stiffness_n_per_m
 
     @no_type_check
-    def force(system, t, number, eta, rate, k, c, offset):  # noqa: ARG001
+    def force(_system, _t, _number, eta, _rate, _k, _c, _offset):
         return stiffness * (max(eta - upper, 0.0) + min(eta + lower, 0.0))
 
     return int(

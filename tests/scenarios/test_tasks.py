@@ -36,8 +36,6 @@ def dying(_: Square) -> Squared:
 
 @pytest.mark.parametrize("dask", [None, "local"])
 def test_a_killed_process_loses_its_own_task_alone(tmp_path, dask):
-    if dask:
-        pytest.importorskip("distributed", reason="the extra cluster is not installed")
     tasks = [Square(n, str(tmp_path / "killed") if n == 3 else None) for n in range(6)]
     assert run_tasks(squared, tasks, Squared, tmp_path / "kept", dask) == [Squared(n**2) for n in range(6)]
     assert (tmp_path / "killed").exists()
@@ -57,6 +55,5 @@ def test_a_process_that_always_dies_is_given_up(tmp_path):
 
 
 def test_a_scheduler_that_is_not_there_is_one_sentence(tmp_path):
-    pytest.importorskip("distributed", reason="the extra cluster is not installed")
     with pytest.raises(RigError, match="no scheduler answers there"):
         run_tasks(squared, [Square(1)], Squared, tmp_path, "tcp://127.0.0.1:9")
