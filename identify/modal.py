@@ -160,7 +160,8 @@ def receptance(
     """q over the modal force: 1 / (omega_0^2 - omega^2 + 2 i zeta omega_0 omega), s^2; zero at 0 Hz if rigid."""
     natural, omega = 2 * np.pi * np.asarray(frequency_hz)[..., None], 2 * np.pi * at_hz
     stiff = natural**2 - omega**2 + 2j * np.asarray(damping_ratio)[..., None] * natural * omega
-    return np.divide(1, stiff, out=np.zeros_like(stiff), where=stiff != 0)
+    stiff[stiff == 0] = np.inf
+    return np.reciprocal(stiff, out=stiff)
 
 
 def contact_shapes(rig: Rig, body: Body, contact: int, modes: int) -> Float[np.ndarray, " modes"]:

@@ -27,7 +27,7 @@ def clearance_sweep(
 ) -> None:
     """Records the barrel in its cradle with one clearance after the other, and finds the stiffnesses."""
     studied = [
-        (1e3 * c, "", Study(settings=replace(LONG, clearance_1_m=c, clearance_2_m=c), block_s=(block,)))
+        (1e3 * c, Study(settings=replace(LONG, clearance_1_m=c, clearance_2_m=c), block_s=(block,)))
         for c in CLEARANCES_M
     ]
     points = points_of(studied, out, dask)

@@ -31,8 +31,8 @@ def frequency_resolution(
 ) -> None:
     """Records the barrel in its cradle for 24 600 s, and finds the stiffnesses from blocks of four lengths."""
     blocks_s = tuple(block * share for share in SHARES)
-    studied = [(0.0, "", Study(settings=replace(LONG, seed=1 + k), block_s=blocks_s)) for k in range(seeds)]
-    points = [Point(1 / p.found.block_s, p.found, p.closed) for p in points_of(studied, out, dask)]
+    studied = [(0.0, Study(settings=replace(LONG, seed=1 + k), block_s=blocks_s)) for k in range(seeds)]
+    points = [Point(1 / p.found.block_s, p.found, p.closed, p.free) for p in points_of(studied, out, dask)]
     shown("NIFO against its frequency resolution", "resolution, Hz", points, out / "frequency_resolution.png")
 
 

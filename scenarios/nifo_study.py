@@ -3,7 +3,7 @@
 The paper's setting (section 3.4): displacements and clearances are known, and there is one modal equation.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import msgspec
@@ -13,7 +13,7 @@ from jaxtyping import Float
 from identify.kinematics import kinematics
 from identify.modal import ModalEquation, modal_equations, relative_displacements, without_higher_modes
 from identify.nifo import Form, Nifo, nifo
-from identify.spectra import Averaging, blocks, decimated, penetration
+from identify.spectra import Averaging, Blocks, Term, blocks, decimated, penetration
 from rig.description import Rig
 from rig.excitation import QUIET_S, force_course
 from rig.plants import modal
@@ -38,14 +38,8 @@ class Study(msgspec.Struct, frozen=True, kw_only=True):
 
     settings: BarrelCradle
     block_s: tuple[float, ...]
-    noise_density: float = 0.0
-    """Of the displacements, m/sqrt(Hz)."""
-
-    @property
-    def rig(self) -> Rig:
-        rig = self.settings.rig()
-        sensors = (msgspec.structs.replace(s, noise_density=self.noise_density) for s in rig.sensors)
-        return msgspec.structs.replace(rig, sensors=tuple(sensors))
+    noise_densities: tuple[float, ...] = (0.0,)
+    """Of the displacements, m/sqrt(Hz): the same motion is measured with each."""
 
     @property
     def pieces(self) -> int:
@@ -57,6 +51,7 @@ class Estimate(msgspec.Struct, frozen=True, kw_only=True):
 
     form: Form
     block_s: float
+    noise_density: float
     contact: str
     true_n_per_m: float
     mean_n_per_m: float
@@ -77,11 +72,15 @@ class Estimate(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """Of one study: the estimates, and the share of the time for which each contact is closed."""
+    """Of one study: the estimates, and the share of the time for which each contact is closed.
+
+    `free` are the `free_shares` of force and penetrations, without noise.
+    """
 
     estimates: tuple[Estimate, ...]
     contacts: tuple[str, ...]
     closed: tuple[float, ...]
+    free: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -100,21 +99,35 @@ def needed_s(block_s: float) -> float:
 
 def estimated(study: Study) -> Outcome:
     """Simulates the record with the modal plant, reduces it piece by piece to the modal equation, and applies NIFO."""
-    rig = study.rig
-    found = [reduced(rig, piece) for piece in _pieces(study)]
-    rows = np.concatenate([r.rows for r in found], axis=1)
+    rig = study.settings.rig()
+    found = list(_reduced_pieces(study, rig))
+    closed = np.mean([piece[0].closed for piece in found], axis=0)
     estimates = []
-    for block_s in study.block_s:
-        force_n, q, velocity, acceleration, *penetrations_m = rows[
-            :, : round((QUIET_S + needed_s(block_s)) * REDUCED_HZ)
-        ]
-        averaging = Averaging(averages=AVERAGES, block_s=block_s)
-        cut = blocks(force_n.size, REDUCED_HZ, averaging, (study.settings.low_hz, study.settings.high_hz))
-        equation = replace(found[0].equation, displacement=q, velocity=velocity, acceleration=acceleration)
-        for form in FORMS:
-            estimates += _estimates(rig, nifo(equation, force_n, np.array(penetrations_m), cut, form), form, block_s)
-    closed = np.mean([r.closed for r in found], axis=0).tolist()
-    return Outcome(tuple(estimates), tuple(c.name for c in rig.contacts), tuple(closed))
+    for k, density in enumerate(study.noise_densities):
+        rows = np.concatenate([piece[k].rows for piece in found], axis=1)
+        for block_s in study.block_s:
+            force_n, q, velocity, acceleration, *depths_m = rows[:, : round((QUIET_S + needed_s(block_s)) * REDUCED_HZ)]
+            averaging = Averaging(averages=AVERAGES, block_s=block_s)
+            cut = blocks(force_n.size, REDUCED_HZ, averaging, (study.settings.low_hz, study.settings.high_hz))
+            equation = replace(found[0][k].equation, displacement=q, velocity=velocity, acceleration=acceleration)
+            for form in FORMS:
+                result = nifo(equation, force_n, np.array(depths_m), cut, form)
+                estimates += _estimates(rig, result, form, block_s, density)
+            if k == 0 and block_s == max(study.block_s):
+                free = free_shares([force_n, *depths_m], cut)
+    return Outcome(tuple(estimates), tuple(c.name for c in rig.contacts), tuple(closed.tolist()), free)
+
+
+def free_shares(signals: Sequence[Float[np.ndarray, " samples"]], cut: Blocks) -> tuple[float, ...]:
+    """The amplitude of each signal that is no linear response to the others, as a share: rms over frequency.
+
+    With the normal matrix G of their spectra over the blocks, sqrt(1 / (G_jj (G^-1)_jj)) at each line.
+    """
+    spectra = cut.together([[Term(signal)] for signal in signals], cut.starts)
+    normal = np.einsum("ibl,jbl->lij", spectra.conj(), spectra)
+    size = np.sqrt(np.einsum("lii->li", normal).real)
+    inverse = np.linalg.inv(normal / (size[:, :, None] * size[:, None, :]))
+    return tuple(np.sqrt(np.mean(1 / np.einsum("lii->li", inverse).real, axis=0)).tolist())
 
 
 def reduced(rig: Rig, delivered: Float[np.ndarray, "channels samples"]) -> Reduced:
@@ -149,28 +162,48 @@ def _own(rate_hz: float) -> slice:
     return slice(round(MARGIN_S * rate_hz), round((MARGIN_S + PIECE_S) * rate_hz))
 
 
-def _pieces(study: Study) -> Iterator[Float[np.ndarray, "channels samples"]]:
-    """Force and displacements of the record, from the plant through the sensors, piece by piece with margins."""
-    settings, rig = study.settings, study.rig
+def _reduced_pieces(study: Study, rig: Rig) -> Iterator[list[Reduced]]:
+    """Every piece of the record, reduced, once for each noise."""
+    sensors, band = len(rig.sensors), np.sqrt(rig.sample_rate_hz / 2)
+    for rows in _pieces(study, rig):
+        measured, noise = rows[: 1 + sensors], rows[1 + sensors :]
+        found = []
+        for density in study.noise_densities:
+            delivered = measured.copy()
+            if density:
+                delivered[1:] += density * band * noise
+            found.append(reduced(rig, delivered))
+        yield found
+
+
+def _pieces(study: Study, rig: Rig) -> Iterator[Float[np.ndarray, "rows samples"]]:
+    """Force and displacements of the record, from the plant through the sensors, piece by piece with margins.
+
+    Behind them white noise of unit variance for every displacement, if the study wants any.
+    """
+    settings, rng = study.settings, np.random.default_rng(study.settings.seed)
+    sensors, noises = len(rig.sensors), len(rig.sensors) * any(study.noise_densities)
     margin, own = round(MARGIN_S * rig.sample_rate_hz), round(PIECE_S * rig.sample_rate_hz)
     duration_s = needed_duration_s(rig, study.pieces * PIECE_S + MARGIN_S)
     force_n = force_course(settings.force(), duration_s, settings.step_s)
     moved = modal.simulate(rig, force_n, settings.step_s, lambda _: None)
-    held, size = [np.zeros((1 + len(rig.sensors), margin))], margin
-    for block in digitised(rig, moved, np.random.default_rng(settings.seed)):
-        held.append(np.vstack([block.force_n, block.sensed["displacement"]]))
-        size += block.force_n.size
+    held, size = [np.zeros((1 + sensors + noises, margin))], margin
+    for block in digitised(rig, moved, rng):
+        samples = block.force_n.size
+        held.append(np.vstack([block.force_n, block.sensed["displacement"], rng.standard_normal((noises, samples))]))
+        size += samples
         if size >= own + 2 * margin:
             rows = np.concatenate(held, axis=1)
             yield rows[:, : own + 2 * margin]
             held, size = [rows[:, own:]], size - own
 
 
-def _estimates(rig: Rig, result: Nifo, form: Form, block_s: float) -> list[Estimate]:
+def _estimates(rig: Rig, result: Nifo, form: Form, block_s: float, noise_density: float) -> list[Estimate]:
     return [
         Estimate(
             form=form,
             block_s=block_s,
+            noise_density=noise_density,
             contact=rig.contacts[j].name,
             true_n_per_m=rig.contacts[j].law.stiffness_n_per_m,
             mean_n_per_m=float(mean),

@@ -27,30 +27,51 @@ STATED = (0.115, 2.65)
 
 @dataclass(frozen=True)
 class Point:
-    """What was found for one contact where the thing that is varied has this value; a case is a line of its own."""
+    """What was found for one contact where the thing that is varied has this value.
+
+    `closed` of the time it is, and so much of the force and of the penetrations is free (`free_shares`).
+    """
 
     value: float
     found: Estimate
     closed: float
-    case: str = ""
+    free: tuple[float, ...]
+
+    @property
+    def case(self) -> str:
+        """A line of its own."""
+        return "noise" if self.found.noise_density else ""
 
     @property
     def line(self) -> str:
         return ", ".join(filter(None, (NAMES[self.found.form], self.found.contact.replace("_", " "), self.case)))
 
 
-def points_of(studied: Sequence[tuple[float, str, Study]], out: Path, dask: str | None) -> list[Point]:
-    """Of a value, a case and a study each; what an earlier, interrupted run finished is not computed again."""
-    outcomes = run_tasks(estimated, [study for *_, study in studied], Outcome, out / "tasks", dask)
+def points_of(studied: Sequence[tuple[float, Study]], out: Path, dask: str | None) -> list[Point]:
+    """Of a value and a study each; what an earlier, interrupted run finished is not computed again."""
+    outcomes = run_tasks(estimated, [study for _, study in studied], Outcome, out / "tasks", dask)
     return [
-        Point(value, found, dict(zip(outcome.contacts, outcome.closed, strict=True))[found.contact], case)
-        for (value, case, _), outcome in zip(studied, outcomes, strict=True)
+        Point(value, found, dict(zip(outcome.contacts, outcome.closed, strict=True))[found.contact], outcome.free)
+        for (value, _), outcome in zip(studied, outcomes, strict=True)
         for found in outcome.estimates
     ]
 
 
-def shown(title: str, varied: str, points: Sequence[Point], path: Path) -> None:
-    """Prints the table and draws the figure; `varied` names what is varied, with its unit."""
+def ideal_range(points: Sequence[Point]) -> tuple[float, float]:
+    """The values at which the weak form's error, rms over the contacts, is within three times the least."""
+    squares: dict[float, list[float]] = {}
+    for point in points:
+        if point.found.form == "weak":
+            squares.setdefault(point.value, []).append(point.found.off_percent**2)
+    errors = {value: np.sqrt(np.mean(own)) for value, own in squares.items()}
+    good = [value for value, error in errors.items() if error <= 3 * min(errors.values())]
+    return min(good), max(good)
+
+
+def shown(
+    title: str, varied: str, points: Sequence[Point], path: Path, ideal: tuple[float, float] | None = None
+) -> None:
+    """Prints the table and draws the figure; `varied` names what is varied, with its unit; `ideal` is shaded."""
     Console().print(_table(title, varied, points))
     with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3}):
         figure = Figure(figsize=(9, 4.6), layout="constrained")
@@ -59,6 +80,9 @@ def shown(title: str, varied: str, points: Sequence[Point], path: Path) -> None:
         _drawn(right, points, lambda e: e.spread_percent)
         for stated, style in zip(STATED, (":", "-."), strict=True):
             left.axhline(stated, color="k", lw=1, ls=style, label=f"{stated} %, stated in the paper")
+        if ideal is not None:
+            for axes in (left, right):
+                axes.axvspan(*ideal, color="#3a7d44", alpha=0.12, lw=0, label="ideal range, with noise")
         left.set(xlabel=varied, ylabel="error of the spectral mean of the stiffness, %")
         right.set(xlabel=varied, ylabel="rms spread of the stiffness over frequency, %")
         figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
@@ -70,9 +94,13 @@ def shown(title: str, varied: str, points: Sequence[Point], path: Path) -> None:
 
 def _table(title: str, varied: str, points: Sequence[Point]) -> Table:
     """A row for each record, a column for each form and contact."""
-    table = Table(title=title, caption="error of the spectral mean ± standard error (rms spread over frequency), %")
+    table = Table(
+        title=title,
+        caption="error of the spectral mean ± standard error (rms spread over frequency), %; free: of force and "
+        "penetrations, the amplitude that is no linear response to the others",
+    )
     columns = dict.fromkeys((p.found.form, p.found.contact) for p in points)
-    for heading in (varied, "closed, %", *(f"{NAMES[form]}\n{contact}" for form, contact in columns)):
+    for heading in (varied, "closed, %", "free, %", *(f"{NAMES[form]}\n{contact}" for form, contact in columns)):
         table.add_column(heading.replace("_", " "), justify="right")
     rows: dict[tuple[str, float], list[Point]] = {}
     for point in points:
@@ -90,7 +118,8 @@ def _table(title: str, varied: str, points: Sequence[Point]) -> Table:
             )
             for column in columns
         )
-        table.add_row(f"{value:.3g}{case and ', ' + case}", closed, *found)
+        free = ", ".join(f"{100 * share:.0f}" for share in own[0].free)
+        table.add_row(f"{value:.3g}{case and ', ' + case}", closed, free, *found)
     return table
 
 

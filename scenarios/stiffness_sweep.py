@@ -27,7 +27,7 @@ def stiffness_sweep(
 ) -> None:
     """Records the barrel in its cradle with contacts of one stiffness after the other, and finds it."""
     studied = [
-        (k, "", Study(settings=replace(LONG, stiffness_1_n_per_m=k, stiffness_2_n_per_m=k), block_s=(block,)))
+        (k, Study(settings=replace(LONG, stiffness_1_n_per_m=k, stiffness_2_n_per_m=k), block_s=(block,)))
         for k in STIFFNESSES_N_PER_M
     ]
     points = points_of(studied, out, dask)

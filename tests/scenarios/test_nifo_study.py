@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from identify.spectra import Averaging, blocks
 from scenarios import excitation_sweep, frequency_resolution, nifo_study
-from scenarios.nifo_study import LONG, Study, estimated, needed_s
-from scenarios.nifo_sweep import Point, shown
+from scenarios.nifo_study import LONG, Study, estimated, free_shares, needed_s
+from scenarios.nifo_sweep import Point, ideal_range, shown
 
 STUDY = Study(settings=LONG, block_s=(1.0, 2.5))
 
@@ -44,18 +45,18 @@ def test_the_weak_form_is_right_where_the_papers_leaks(outcome):
 
 
 def test_noise_spoils_weak_contact():
-    quiet, noisy = (
-        estimated(Study(settings=replace(LONG, rms_n=0.5), block_s=(2.5,), noise_density=density))
-        for density in (0.0, excitation_sweep.NOISE)
-    )
-    for clean, spoiled in zip(quiet.estimates, noisy.estimates, strict=True):
+    both = Study(settings=replace(LONG, rms_n=0.5), block_s=(2.5,), noise_densities=(0.0, excitation_sweep.NOISE))
+    alone = Study(settings=replace(LONG, rms_n=0.5), block_s=(2.5,))
+    found, quiet = estimated(both).estimates, estimated(alone).estimates
+    assert found[: len(quiet)] == quiet
+    for clean, spoiled in zip(quiet, found[len(quiet) :], strict=True):
         assert spoiled.spread_percent > 2 * clean.spread_percent
 
 
 def test_the_table_and_the_figure(outcome, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "160")
-    points = [Point(1 / e.block_s, e, share) for e in outcome.estimates for share in outcome.closed[:1]]
-    shown("a title", "resolution, Hz", points, tmp_path / "out" / "figure.png")
+    points = [Point(1 / e.block_s, e, outcome.closed[0], outcome.free) for e in outcome.estimates]
+    shown("a title", "resolution, Hz", points, tmp_path / "out" / "figure.png", (0.5, 0.9))
     printed = capsys.readouterr().out
     assert all(text in printed for text in ("a title", "resolution, Hz", "0.4", "weak form", "contact 2"))
     assert (tmp_path / "out" / "figure.png").stat().st_size > 10_000
@@ -69,3 +70,22 @@ def test_the_command_goes_on_where_it_was(tmp_path, capsys, monkeypatch):
     assert {p: p.stat().st_mtime_ns for p in (tmp_path / "tasks").iterdir()} == before
     assert np.count_nonzero([p.suffix == ".png" for p in tmp_path.iterdir()]) == 1
     assert "1" in capsys.readouterr().out
+
+
+def test_the_ideal_range_is_where_the_weak_form_errs_least(outcome):
+    weak = next(e for e in outcome.estimates if e.form == "weak")
+    true = weak.true_n_per_m
+    errors = {1.0: 0.05, 3.0: 0.002, 10.0: -0.001, 30.0: 0.0025, 100.0: 0.02}
+    points = [Point(v, replace(weak, mean_n_per_m=true * (1 + error)), 0.2, ()) for v, error in errors.items()]
+    wrong_form = Point(300.0, replace(weak, form="paper", mean_n_per_m=true), 0.2, ())
+    assert ideal_range([*points, wrong_form]) == (3.0, 30.0)
+
+
+def test_free_shares_of_signals_that_share_a_part():
+    rng = np.random.default_rng(1)
+    common, one, other = rng.standard_normal((3, 4000))
+    cut = blocks(4000, 100.0, Averaging(block_s=1.0), (5.0, 40.0))
+    shares = free_shares([common + one, common + other, rng.standard_normal(4000)], cut)
+    averages = len(cut.starts)
+    left = np.sqrt((averages - 2) / averages)  # of what is fitted by two others from so many blocks
+    assert shares == pytest.approx((np.sqrt(3) / 2 * left, np.sqrt(3) / 2 * left, left), abs=0.03)
