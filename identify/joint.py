@@ -66,8 +66,7 @@ class Joint:
 
     of_tolerances and of_drift are the parts of the covariance that come from what rig.json may have wrong and from the
     slow motion that accelerometers miss; the rest is the record's own scatter. sides_known says whether lower and upper
-    are told apart; drift_m and drift_m_per_s are what was added to the relative displacement and velocity; fitted_n is
-    the low-passed force of the law found.
+    are told apart; drift_m and drift_m_per_s are what was added to the relative displacement and velocity.
     """
 
     parameters: Float[np.ndarray, "4"]
@@ -77,7 +76,6 @@ class Joint:
     sides_known: bool
     drift_m: Float[np.ndarray, " samples"]
     drift_m_per_s: Float[np.ndarray, " samples"]
-    fitted_n: Float[np.ndarray, " fewer"]
 
     @property
     def clearance_m(self) -> float:
@@ -152,7 +150,6 @@ def fit_joint(seen: Observed, doubts: Sequence[Doubt] = ()) -> Joint:
         sides_known=seen.sides_known,
         drift_m=curve.value @ state.knots,
         drift_m_per_s=curve.rate @ state.knots,
-        fitted_n=state.fitted,
     )
 
 
@@ -160,7 +157,6 @@ def fit_joint(seen: Observed, doubts: Sequence[Doubt] = ()) -> Joint:
 class _State:
     law: Float[np.ndarray, "4"]
     knots: Float[np.ndarray, " knots"]
-    fitted: Float[np.ndarray, " fewer"]
     residual: Float[np.ndarray, " fewer"]
     by_law: Float[np.ndarray, "fewer 4"]
     by_eta: Float[np.ndarray, " fewer"]
@@ -242,7 +238,7 @@ def _linearised(
     fitted = decimated(law_force_n(law, *finer), fine * seen.factor)[: seen.force_n.size]
     at_force = curve.value[:: seen.factor][: seen.force_n.size]
     residual = seen.force_n - fitted - seen.spring_n_per_m * (at_force @ knots)
-    return _State(law, knots, fitted, residual, low_passed[:4].T, low_passed[4] + seen.spring_n_per_m, at_force)
+    return _State(law, knots, residual, low_passed[:4].T, low_passed[4] + seen.spring_n_per_m, at_force)
 
 
 def _fitted(seen: Observed, curve: Spline, tie: Float[np.ndarray, "4 free"], state: _State) -> tuple[_State, Weights]:
