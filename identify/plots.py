@@ -73,23 +73,17 @@ def write_stretches(report: ContactReport, parts: Sequence[Stretch], path: Path)
                 each, mean = [getattr(c, what) for _, c in found], getattr(whole, what)
                 ends = scale * (mean.value + 1.96 * mean.standard_error * np.array([-1, 1]))
                 errors = [1.96 * scale * e.standard_error for e in each]
-                axes.errorbar(
-                    middle_s,
-                    [scale * e.value for e in each],
-                    errors,
-                    fmt=".",
-                    color=_GREY,
-                    lw=0.8,
-                    label="stretches, with 95 %",
-                )
-                axes.axhline(scale * mean.value, color=_BLUE, lw=1.2, label="all together")
+                values = [scale * e.value for e in each]
+                axes.errorbar(middle_s, values, errors, fmt="none", color=_GREY, lw=0.8, alpha=0.5, label="their 95 %")
+                axes.plot(middle_s, values, "k.", ms=3, label="stretches")
+                axes.axhline(scale * mean.value, color=_BLUE, lw=1.2, zorder=3, label="all together")
                 axes.axhspan(*ends, color=_BLUE, alpha=0.2, lw=0, label="95 % of all together")
             column[0].set_title(whole.name)
             column[1].set_xlabel("time, s")
         rows[0, 0].set_ylabel("clearance, mm")
         rows[1, 0].set_ylabel("contact stiffness, N/m")
         handles, labels = rows[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=3)
+        figure.legend(handles, labels, loc="outside upper center", ncols=4)
 
 
 @contextmanager
@@ -232,7 +226,7 @@ def _occurrence(figure: Any, found: Identification, marks: Marks, marks_name: st
     axes[-1][0].set_xlabel("time, s")
     axes[-1][1].set_xlabel("occurrence, 1/mm")
     handles, labels = axes[0][0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=3)
+    figure.legend(handles, labels, loc="outside upper center", ncols=4)
 
 
 def _stiffness(figure: Any, found: Identification, marks: Marks, marks_name: str) -> None:
