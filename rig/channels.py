@@ -38,7 +38,7 @@ def understood(topic: str, metadata: Mapping[str, str]) -> Channels:
         places = json.loads(metadata["stations"])
         stations = tuple(None if p is None else Station(str(p["body"]), float(p["position_m"])) for p in places)
         rate = float(json.loads(metadata["sample_rate_hz"]))
-        if len(names) != len(stations) or len(set(names)) < len(names) or not 0 < rate < math.inf:
+        if not names or len(names) != len(stations) or len(set(names)) < len(names) or not 0 < rate < math.inf:
             raise ValueError(f"{len(names)} names, {len(stations)} stations, {rate} Hz")
         return Channels(metadata["quantity"], metadata["unit"], names, stations, rate)
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:

@@ -3,7 +3,6 @@
 mcap's own readers allocate what a record declares, decompress whatever comes, and skip the checksum of attachments.
 """
 
-import os
 import struct
 from collections.abc import Callable, Container, Iterator
 from contextlib import ExitStack
@@ -25,7 +24,7 @@ from rig.errors import RigError
 
 MAX_BYTES = 64 * 1024 * 1024
 """The largest record, and the largest content of a chunk, that is read."""
-_PIECE_BYTES = 16 * 1024 * 1024  # a file is read in pieces of this size, each of which holds many records
+_PIECE_BYTES = 1024 * 1024  # a file is read in pieces of this size, which a processor's cache holds
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
@@ -76,8 +75,8 @@ def opened(path: Path) -> BufferedReader:
 def whole(file: BufferedReader, wanted: Callable[[Channel], bool] = lambda _: True) -> Iterator[McapRecord]:
     """Every record of a complete file that `opened` gave; raises one of DAMAGE where it is cut or damaged.
 
-    The messages of channels that are not wanted are counted, no more. A record that is refused for its size or name
-    raises RigError, without the name of the file.
+    The data of a message are there until the next record is asked for. The messages of channels that are not wanted
+    are counted, no more. A record that is refused for its size or name raises RigError, without the name of the file.
     """
     crc, messages, unwanted = crc32(_MAGIC), 0, set[int]()
     for opcode, content in _split(file):
@@ -106,11 +105,15 @@ def told(path: Path, steps: Iterator[Step]) -> Iterator[Step]:
 
 
 def complete(file: BufferedReader) -> Iterator[McapRecord]:
-    """Every sound record of a file that `opened` gave, cut off or damaged as it may be."""
+    """Every sound record of a file that `opened` gave, cut off or damaged as it may be; its data are as of `whole`.
+
+    A chunk without a checksum is not taken for sound.
+    """
     try:
         for opcode, content in _split(file):
+            body = content[_HEAD.size :]
             try:
-                found = list(records(opcode, content[_HEAD.size :]))
+                found = list(records(opcode, body)) if opcode != Opcode.CHUNK or _CHUNK.unpack_from(body)[3] else []
             except DAMAGE:
                 continue
             yield from found
@@ -167,31 +170,43 @@ def _message(body: memoryview) -> Message:
 
 
 def _split(file: BufferedReader) -> Iterator[tuple[int, memoryview]]:
-    """Every record's opcode and its bytes, head and body, up to the footer and the magic behind it."""
-    content, at, opcode = memoryview(b""), 0, 0
+    """Every record's opcode and its bytes, head and body, up to the footer and the magic behind it.
+
+    The bytes are there until the next record is asked for.
+    """
+    window, opcode = _Window(file), 0
     while opcode != Opcode.FOOTER:
-        content, at = _at_least(_HEAD.size, file, content, at)
-        opcode, length = _head(content, at)
-        content, at = _at_least(_HEAD.size + length, file, content, at)
-        yield opcode, content[at : at + _HEAD.size + length]
-        at += _HEAD.size + length
-    content, at = _at_least(len(_MAGIC), file, content, at)
-    if content[at:] != _MAGIC or file.read(1):
+        opcode, length = _head(window.shown(_HEAD.size), 0)
+        yield opcode, window.shown(_HEAD.size + length)
+        window.move(_HEAD.size + length)
+    if window.shown(len(_MAGIC)) != _MAGIC or window.beyond(len(_MAGIC)):
         raise EOFError("its end is missing")
 
 
-def _at_least(count: int, file: BufferedReader, content: memoryview, at: int) -> tuple[memoryview, int]:
-    """Content with so many bytes from a place on: what is given or, if that is too short, its rest and a new piece."""
-    if len(content) - at >= count:
-        return content, at
-    rest = content[at:]
-    left = max(0, os.fstat(file.fileno()).st_size - file.tell())
-    piece = np.empty(min(max(_PIECE_BYTES, count), len(rest) + left), "u1").data
-    piece[: len(rest)] = rest
-    end = len(rest) + file.readinto(piece[len(rest) :])
-    if end < count:
-        raise EOFError(f"a record of {count} bytes ends after {end}" if end else "its end is missing")
-    return piece[:end], 0
+class _Window:
+    """A part of a file, in the same memory wherever it is moved: new memory costs more than the reading."""
+
+    def __init__(self, file: BufferedReader) -> None:
+        self._file, self._held = file, memoryview(bytearray(_PIECE_BYTES))
+        self._at = self._end = 0
+
+    def shown(self, count: int) -> memoryview:
+        """So many bytes from where it stands; raises EOFError if the file ends before."""
+        if self._end - self._at < count:
+            rest = self._held[self._at : self._end]
+            held = self._held if count <= len(self._held) else memoryview(bytearray(count))
+            held[: len(rest)] = rest
+            self._held, self._at, self._end = held, 0, len(rest) + self._file.readinto(held[len(rest) :])
+        if self._end < count:
+            raise EOFError(f"a record of {count} bytes ends after {self._end}" if self._end else "its end is missing")
+        return self._held[self._at : self._at + count]
+
+    def move(self, count: int) -> None:
+        self._at += count
+
+    def beyond(self, count: int) -> bool:
+        """Whether there is anything behind so many bytes from where it stands."""
+        return self._end - self._at > count or bool(self._file.read(1))
 
 
 def _next(content: memoryview, at: int) -> tuple[int, int, int]:

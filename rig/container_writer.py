@@ -1,9 +1,7 @@
-"""Writing an MCAP file chunk by chunk, without copies of its messages: mcap's own writer copies each seven times."""
+"""Writing an MCAP file chunk by chunk; mcap's own writer copies each message seven times."""
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import cache
 from typing import IO, Any
 
 import numpy as np
@@ -25,52 +23,10 @@ from mcap.records import (
 )
 from zlib_ng.zlib_ng import crc32
 
+from rig.chunk import Chunk
+
 MAGIC = b"\x89MCAP0\r\n"
-_HEAD = struct.Struct("<BQ")
-_CHUNK = struct.Struct("<QQQIIQ")  # times, size, checksum, no compression, size of the records
-_MESSAGE = struct.Struct("<BQHIQQ")
-
-
-@dataclass
-class Gathered:
-    """Messages that will be a chunk: their bytes in pieces, and for each channel their times and places."""
-
-    pieces: list[Any] = field(default_factory=list)
-    size: int = 0
-    times_ns: dict[int, list[UInt[np.ndarray, " messages"]]] = field(default_factory=dict)
-    offsets: dict[int, list[UInt[np.ndarray, " messages"]]] = field(default_factory=dict)
-
-    def add(self, channel: int, time_ns: int, sequence: int, *data: Any) -> None:
-        """One message; its data may come in several pieces of bytes or contiguous arrays, which are not copied."""
-        length = sum(memoryview(piece).nbytes for piece in data)
-        head = _MESSAGE.pack(Opcode.MESSAGE, _MESSAGE.size - _HEAD.size + length, channel, sequence, time_ns, time_ns)
-        self._place(channel, np.array([time_ns], dtype="<u8"), np.zeros(1, dtype="<u8"))
-        self.pieces += [head, *data]
-        self.size += len(head) + length
-
-    def add_many(
-        self,
-        channel: int,
-        times_ns: UInt[np.ndarray, " messages"],
-        head: bytes,
-        values: Float[np.ndarray, "messages channels"],
-    ) -> None:
-        """Messages of the same head and as many doubles."""
-        records = np.empty(len(values), dtype=_alike(len(head), values.shape[1]))
-        records["opcode"], records["sequence"], records["channel"] = Opcode.MESSAGE, 0, channel
-        records["length"] = records.itemsize - _HEAD.size
-        records["log"] = records["publish"] = times_ns
-        records["head"] = np.frombuffer(head, "u1")
-        records["values"] = values
-        self._place(channel, times_ns, np.arange(len(values), dtype="<u8") * np.uint64(records.itemsize))
-        self.pieces.append(records.view("u1"))
-        self.size += records.nbytes
-
-    def _place(
-        self, channel: int, times_ns: UInt[np.ndarray, " messages"], offsets: UInt[np.ndarray, " messages"]
-    ) -> None:
-        self.times_ns.setdefault(channel, []).append(times_ns)
-        self.offsets.setdefault(channel, []).append(offsets + np.uint64(self.size))
+_FOOTER = struct.Struct("<BQQQ")
 
 
 class ContainerWriter:
@@ -82,86 +38,69 @@ class ContainerWriter:
         front: Sequence[Attachment | Metadata],
         schemas: Sequence[Schema],
         channels: Sequence[Channel],
+        chunk_bytes: int,
     ) -> None:
         self._stream, self._at, self._crc = stream, 0, 0
         self._repeated = [*schemas, *channels]
         self._indexes: list[Any] = []
-        self._counts: dict[int, int] = {}
-        self._times_ns: list[int] = []
-        self._chunks = 0
-        self._front = front
+        self._front, self._chunk_bytes = front, chunk_bytes
         self._write(MAGIC)
         self._write(_encoded(Header("", "rig")))
         for record in front:
             place, length = self._at, self._write(_encoded(record))
             self._indexes.append(_index(record, place, length))
-        for record in self._repeated:
-            self._write(_encoded(record))
+        repeated = b"".join(map(_encoded, self._repeated))
+        self._write(repeated)
+        # once more in the first chunk: in front of the chunks no checksum guards them, and what is saved of a file
+        # without its end depends on them
+        self._chunk = Chunk(repeated)
 
-    def first_chunk(self) -> Gathered:
-        """A chunk that begins with the schemas and channels once more: in front of the chunks no checksum guards them.
+    def add(
+        self, channel: int, time_ns: int, sequence: int, head: bytes, values: Float[np.ndarray, "channels samples"]
+    ) -> None:
+        """As Chunk.add, to the chunk in the making, which is written when it is large enough."""
+        self._chunk.add(channel, time_ns, sequence, head, values)
+        if self._chunk.size >= self._chunk_bytes:
+            self._write_chunk()
 
-        What is saved of a file without its end depends on them.
-        """
-        piece = b"".join(map(_encoded, self._repeated))
-        return Gathered([piece], len(piece))
-
-    def write_chunk(self, messages: Gathered) -> None:
-        """Writes the messages as a chunk with its index."""
-        times = {channel: np.concatenate(found) for channel, found in messages.times_ns.items()}
-        begin, end = min(int(t.min()) for t in times.values()), max(int(t.max()) for t in times.values())
-        crc = 0
-        for piece in messages.pieces:
-            crc = crc32(piece, crc)
-        place = self._at
-        self._write(_HEAD.pack(Opcode.CHUNK, _CHUNK.size + messages.size))
-        self._write(_CHUNK.pack(begin, end, messages.size, crc, 0, messages.size))
-        for piece in messages.pieces:
-            self._write(piece)
-        length, places = self._at - place, {}
-        for channel, when in times.items():
-            places[channel] = self._at
-            pairs = np.stack([when, np.concatenate(messages.offsets[channel])], axis=1).tobytes()
-            self._write(
-                _HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(pairs)) + struct.pack("<HI", channel, len(pairs)) + pairs
-            )
-            self._counts[channel] = self._counts.get(channel, 0) + when.size
-        self._indexes.append(
-            ChunkIndex(
-                chunk_length=length,
-                chunk_start_offset=place,
-                compression="",
-                compressed_size=messages.size,
-                message_end_time=end,
-                message_index_length=self._at - place - length,
-                message_index_offsets=places,
-                message_start_time=begin,
-                uncompressed_size=messages.size,
-            )
-        )
-        self._times_ns += [begin, end]
-        self._chunks += 1
+    def add_many(
+        self,
+        channel: int,
+        times_ns: UInt[np.ndarray, " messages"],
+        head: bytes,
+        values: Float[np.ndarray, "messages channels"],
+    ) -> None:
+        """As Chunk.add_many, to the chunk in the making."""
+        self._chunk.add_many(channel, times_ns, head, values)
 
     def finish(self) -> None:
         """Writes the end of the data, the summary and the end of the file."""
+        if self._chunk.filled:
+            self._write_chunk()
         self._write(_encoded(DataEnd(self._crc)))
+        chunks = [index for index in self._indexes if isinstance(index, ChunkIndex)]
         statistics = Statistics(
             attachment_count=sum(isinstance(record, Attachment) for record in self._front),
             channel_count=sum(isinstance(record, Channel) for record in self._repeated),
-            channel_message_counts=self._counts,
-            chunk_count=self._chunks,
-            message_count=sum(self._counts.values()),
-            message_end_time=max(self._times_ns, default=0),
-            message_start_time=min(self._times_ns, default=0),
+            channel_message_counts=dict(self._chunk.counts),
+            chunk_count=len(chunks),
+            message_count=self._chunk.counts.total(),
+            message_end_time=max((index.message_end_time for index in chunks), default=0),
+            message_start_time=min((index.message_start_time for index in chunks), default=0),
             metadata_count=sum(isinstance(record, Metadata) for record in self._front),
             schema_count=sum(isinstance(record, Schema) for record in self._repeated),
         )
         summary = b"".join(_encoded(record) for record in [*self._repeated, statistics, *self._indexes])
         begin = self._at
         self._write(summary)
-        footer = _HEAD.pack(Opcode.FOOTER, 20) + struct.pack("<QQ", begin, 0)
+        footer = _FOOTER.pack(Opcode.FOOTER, 20, begin, 0)
         self._write(_encoded(Footer(begin, 0, crc32(footer, crc32(summary)))))
         self._write(MAGIC)
+
+    def _write_chunk(self) -> None:
+        data, index = self._chunk.sealed(self._at)
+        self._write(data)
+        self._indexes.append(index)
 
     def _write(self, data: Any) -> int:
         """Returns the number of bytes."""
@@ -170,13 +109,6 @@ class ContainerWriter:
         length = memoryview(data).nbytes
         self._at += length
         return length
-
-
-@cache
-def _alike(head: int, doubles: int) -> np.dtype[np.void]:
-    """Of a message with so many bytes before so many doubles."""
-    before = [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8")]
-    return np.dtype([*before, ("publish", "<u8"), ("head", "u1", (head,)), ("values", "<f8", (doubles,))])
 
 
 def _encoded(record: Any) -> bytes:

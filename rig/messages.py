@@ -1,7 +1,7 @@
 """The two message types of a recording: a protobuf block of samples, and a preview that any viewer plots."""
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -33,21 +33,24 @@ class Block:
     sample_rate_hz: float
     values: Float[np.ndarray, "channels samples"]
 
+    def copied(self) -> "Block":
+        """With values of its own."""
+        return replace(self, values=self.values.copy())
 
-def encode_block(
-    time_ns: int, first_sample: int, sample_rate_hz: float, values: Float[np.ndarray, "channels samples"]
-) -> tuple[bytes, Float[np.ndarray, "channels samples"]]:
-    """The message in two pieces, one behind the other: its head, and the little-endian doubles as they are."""
-    message = _Block(first_sample=first_sample, sample_rate_hz=sample_rate_hz, channels=values.shape[0])
+
+def block_head(time_ns: int, first_sample: int, sample_rate_hz: float, shape: tuple[int, int]) -> bytes:
+    """What stands before the little-endian doubles of a block of so many channels and samples, channel by channel.
+
+    A packed double field is its tag, its length in bytes and the doubles; protobuf would take them one by one.
+    """
+    channels, samples = shape
+    message = _Block(first_sample=first_sample, sample_rate_hz=sample_rate_hz, channels=channels)
     message.timestamp.FromNanoseconds(time_ns)
-    # a packed double field is its tag, its length in bytes and the doubles: left as they are, since protobuf would take
-    # them one by one
-    data = np.array(values, dtype="<f8", order="C")
-    return bytes(message.SerializeToString()) + _VALUES_TAG + _varint(data.nbytes), data
+    return bytes(message.SerializeToString()) + _VALUES_TAG + _varint(8 * channels * samples)
 
 
 def decode_block(data: bytes | memoryview) -> Block:
-    """The block in a message; raises ValueError if it is none. Its values may be a view of the data."""
+    """The block in a message; raises ValueError if it is none. Its values are a view of the data if these allow it."""
     message, (end_of_head, begin) = _Block(), _values_in(data)
     try:
         message.ParseFromString(bytes(data[:end_of_head]))

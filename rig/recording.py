@@ -2,18 +2,20 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import IO
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
 
 from rig import container, messages
 from rig.agreement import check_channels
+from rig.assembly import Assembly
 from rig.channels import Channels, described, understood
-from rig.container_writer import ContainerWriter, Gathered
+from rig.container_writer import ContainerWriter
 from rig.description import UNITS, Rig, check_given, from_json, stations_of, to_json
 from rig.errors import CutOffError, RigError
 from rig.sensors import quantities_of, sensors_of
@@ -97,9 +99,9 @@ class RecordingWriter:
                 for name, group in groups.items()
                 for k, (kind, encoding) in enumerate((("block", "protobuf"), ("preview", "cdr")))
             ],
+            chunk_bytes=CHUNK_BYTES,
         )
         stream.flush()
-        self._chunk = self._writer.first_chunk()
         self._pending = {name: np.zeros((len(group.names), 0)) for name, group in groups.items()}
         self._written = dict.fromkeys(groups, 0)
 
@@ -117,8 +119,6 @@ class RecordingWriter:
         for group, rest in self._pending.items():
             if rest.shape[1]:
                 self._write(group, rest, rest.shape[1])
-        if self._chunk.times_ns:
-            self._writer.write_chunk(self._chunk)
         self._writer.finish()
 
     def _write(self, group: str, values: Float[np.ndarray, "channels samples"], length: int) -> None:
@@ -129,17 +129,20 @@ class RecordingWriter:
         begins = np.arange(0, samples, length)
         for begin in begins.tolist():
             time_ns = round((first + begin) / rate * 1e9)
-            data = messages.encode_block(time_ns, first + begin, rate, values[:, begin : begin + length])
-            self._chunk.add(block_id, time_ns, (first + begin) // BLOCK, *data)
-            if self._chunk.size >= CHUNK_BYTES:
-                self._writer.write_chunk(self._chunk)
-                self._chunk = Gathered()
-        within = np.arange(0, length, max(1, round(rate / PREVIEW_HZ)))
-        sums = np.add.reduceat(values.reshape(count, -1, length), within, axis=2)
-        means = (sums / np.diff(within, append=length)).reshape(count, -1)
+            head = messages.block_head(time_ns, first + begin, rate, (count, length))
+            self._writer.add(block_id, time_ns, (first + begin) // BLOCK, head, values[:, begin : begin + length])
+        within, widths = _preview(length, max(1, round(rate / PREVIEW_HZ)))
+        means = (np.add.reduceat(values.reshape(count, -1, length), within, axis=2) / widths).reshape(count, -1)
         moments_ns = np.round((first + begins[:, None] + within).ravel() / rate * 1e9).astype("<u8")
-        self._chunk.add_many(preview_id, moments_ns, messages.preview_head(count), means.T)
+        self._writer.add_many(preview_id, moments_ns, messages.preview_head(count), means.T)
         self._written[group] += samples
+
+
+@cache
+def _preview(length: int, step: int) -> tuple[Int[np.ndarray, " parts"], Int[np.ndarray, " parts"]]:
+    """Where the parts of a block begin that a preview takes the means of, and how many samples each has."""
+    within = np.arange(0, length, step)
+    return within, np.diff(within, append=length)
 
 
 @contextmanager
@@ -234,12 +237,11 @@ def truth_path(path: Path) -> Path:
 
 @dataclass(frozen=True)
 class Contents:
-    """What the records of a file hold: the blocks of every group in the order of the file."""
+    """What the records of a file hold beside the blocks of every group."""
 
-    attachments: dict[str, bytes]
-    provenance: dict[str, str]
-    groups: dict[str, Channels]
-    blocks: dict[str, list[messages.Block]]
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    provenance: dict[str, str] = field(default_factory=dict)
+    groups: dict[str, Channels] = field(default_factory=dict)
 
 
 def is_of_blocks(channel: Channel) -> bool:
@@ -247,16 +249,12 @@ def is_of_blocks(channel: Channel) -> bool:
     return len(parts) == 4 and parts[1] == "rig" and parts[3] == "block"
 
 
-def gathered(records: Iterable[McapRecord]) -> Contents:
-    """Sorts the records of a file; raises ValueError or RigError, without the name of the file, if one is wrong."""
-    found = Contents({}, {}, {}, {})
-    for _ in gathering(records, found):
-        pass
-    return found
+def gathering(records: Iterable[McapRecord], found: Contents) -> Iterator[tuple[str, messages.Block]]:
+    """Sorts the records of a file into what is given, and yields every block with the name of its group.
 
-
-def gathering(records: Iterable[McapRecord], found: Contents) -> Iterator[str]:
-    """As `gathered`, into what is given: yields the name of a group whenever a block of it has come."""
+    Its values are there until the next is asked for. Raises ValueError or RigError, without the name of the file, if a
+    record is wrong.
+    """
     numbers: dict[int, str] = {}
     channels: dict[int, Channel] = {}
     for record in records:
@@ -270,11 +268,8 @@ def gathering(records: Iterable[McapRecord], found: Contents) -> Iterator[str]:
             group = record.topic.split("/")[2]
             numbers[record.id] = group
             found.groups[group] = understood(record.topic, record.metadata)
-            found.blocks[group] = []
         elif isinstance(record, Message) and record.channel_id in numbers:
-            group = numbers[record.channel_id]
-            found.blocks[group].append(messages.decode_block(record.data))
-            yield group
+            yield numbers[record.channel_id], messages.decode_block(record.data)
 
 
 def rig_of(path: Path, contents: Contents) -> Rig:
@@ -284,54 +279,22 @@ def rig_of(path: Path, contents: Contents) -> Rig:
 
 
 def _loaded(path: Path) -> Recording:
-    contents = Contents({}, {}, {}, {})
+    contents, held = Contents(), dict[str, Assembly]()
     with container.opened(path) as file:
-        for _ in container.told(path, gathering(container.whole(file, is_of_blocks), contents)):
-            pass
+        doubles = path.stat().st_size // 8
+        for name, block in container.told(path, gathering(container.whole(file, is_of_blocks), contents)):
+            if name not in held:
+                room = doubles // sum(len(group.names) for group in contents.groups.values())
+                held[name] = Assembly(path, name, contents.groups[name], room=room)
+            held[name].add(block)
     rig = rig_of(path, contents)
-    signals = {name: assembled(path, name, group, contents.blocks[name]) for name, group in contents.groups.items()}
+    signals = {
+        name: Signals(group, *held.get(name, Assembly(path, name, group)).finished())
+        for name, group in contents.groups.items()
+    }
     if "force" not in signals:
         raise RigError(f"{path}: has no channel /rig/force/block; record the exciting force too")
     lengths = {name: s.values.shape[1] for name, s in signals.items()}
     if len(set(lengths.values())) > 1:
         raise RigError(f"{path}: its groups differ in length ({lengths}); every group needs the same samples")
     return Recording(rig, signals, contents.provenance)
-
-
-def assembled(path: Path, name: str, channels: Channels, blocks: list[messages.Block], first: int = 0) -> Signals:
-    """The samples of a group, from the first on, in one piece.
-
-    Raises RigError if there is a gap, or a value that is not finite.
-    """
-    blocks = sorted(blocks, key=lambda b: b.first_sample)
-    expected = first
-    for block in blocks:
-        if block.first_sample != expected:
-            raise RigError(
-                f"{path}: group {name} has samples {expected} to {block.first_sample} missing or doubled; "
-                "record it again"
-            )
-        if block.values.shape[0] != len(channels.names) or block.sample_rate_hz != channels.sample_rate_hz:
-            raise RigError(f"{path}: a block of group {name} does not fit its channel's metadata; see the README")
-        expected += block.values.shape[1]
-    if expected == first:
-        raise RigError(f"{path}: group {name} holds no samples; record it again")
-    values = np.empty((len(channels.names), expected - first))
-    for block in blocks:
-        begin = block.first_sample - first
-        values[:, begin : begin + block.values.shape[1]] = block.values
-        with np.errstate(over="ignore", invalid="ignore"):
-            suspect = not np.isfinite(block.values.sum())  # or only too large together
-        if suspect:
-            _check_finite(path, channels, block)
-    return Signals(channels, blocks[0].time_ns * 1e-9, values)
-
-
-def _check_finite(path: Path, channels: Channels, block: messages.Block) -> None:
-    if not np.isfinite(block.values).all():
-        row, column = np.argwhere(~np.isfinite(block.values))[0]
-        sample = block.first_sample + column
-        raise RigError(
-            f"{path}: channel {channels.names[row]!r} is not a finite number at sample {sample} "
-            f"({sample / channels.sample_rate_hz:.4f} s); repair or leave out that channel"
-        )

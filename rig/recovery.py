@@ -8,14 +8,15 @@ import numpy as np
 
 from rig import container
 from rig.agreement import check_channels
+from rig.assembly import assembled
 from rig.channels import Channels
 from rig.errors import RigError
 from rig.messages import Block
 from rig.recording import (
     BLOCK,
-    assembled,
+    Contents,
     channel_groups,
-    gathered,
+    gathering,
     rig_of,
     truth_groups,
     with_history,
@@ -49,16 +50,18 @@ def recover(bad: Path, good: Path) -> tuple[Loss, ...]:
     """
     if container.part_of(good) == bad:
         raise RigError(f"{good}: would be written over {bad}; give another name")
+    contents, found = Contents(), dict[str, list[Block]]()
     with container.opened(bad) as file:
         try:
-            contents = gathered(container.complete(file))
+            for name, block in gathering(container.complete(file), contents):
+                found.setdefault(name, []).append(block.copied())
         except container.DAMAGE as error:
             raise RigError(f"{bad}: cannot be recovered ({error}); restore it from a copy") from error
     rig = rig_of(bad, contents)
-    blocks = {name: _placed(found) for name, found in contents.blocks.items()}
-    kept = min((_unbroken(found) for found in blocks.values()), default=0)
+    blocks = {name: _placed(found.get(name, [])) for name in contents.groups}
+    kept = min(map(_unbroken, blocks.values()), default=0)
     if not kept:
-        raise RigError(f"{bad}: holds no complete chunk of every group; there is nothing to recover")
+        raise RigError(f"{bad}: holds no complete chunk of every group with its checksum; there is nothing to recover")
     asked_s = _asked(contents.provenance)
     losses = tuple(_loss(channels, blocks[name], kept, asked_s) for name, channels in contents.groups.items())
     signals = {
@@ -70,8 +73,8 @@ def recover(bad: Path, good: Path) -> tuple[Loss, ...]:
     history = with_history(contents.provenance, f"recovered from {bad.name}; " + "; ".join(map(str, losses)))
     with writing(good, rig, contents.groups, history) as recording:
         for first in range(0, kept, BLOCK):
-            for name, signal in signals.items():
-                recording.append(name, signal.values[:, first : min(first + BLOCK, kept)])
+            for name, values in signals.items():
+                recording.append(name, values[:, first : min(first + BLOCK, kept)])
     return losses
 
 

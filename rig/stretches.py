@@ -1,10 +1,11 @@
 """A recording of any length, read stretch by stretch."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from rig import container
 from rig.agreement import check_channels
+from rig.assembly import assembled
 from rig.description import Rig, check_given
 from rig.errors import RigError
 from rig.messages import Block
@@ -13,7 +14,6 @@ from rig.recording import (
     Contents,
     Recording,
     Signals,
-    assembled,
     channel_groups,
     gathering,
     is_of_blocks,
@@ -27,22 +27,23 @@ def stretches(path: Path, length_s: float, overlap_s: float) -> Iterator[Recordi
     Holds no more than one of them. Raises RigError as `read` does, when it comes to what is wrong; and if the rig's
     description stands behind the samples.
     """
-    contents = Contents({}, {}, {}, {})
+    contents, blocks = Contents(), dict[str, list[Block]]()
     rig, begin = None, 0
     with container.opened(path) as file:
-        for _ in container.told(path, gathering(container.whole(file, is_of_blocks), contents)):
+        for name, block in container.told(path, gathering(container.whole(file, is_of_blocks), contents)):
             rig = rig or _checked_rig(path, contents)
+            blocks.setdefault(name, []).append(block.copied())
             length, overlap = (round(s * rig.sample_rate_hz) for s in (length_s, overlap_s))
-            if min(map(_end, contents.blocks.values())) >= begin + length + length // 2:
-                yield _stretch(path, rig, contents, begin, begin + length)
+            if min(_end(blocks.get(name, [])) for name in contents.groups) >= begin + length + length // 2:
+                yield _stretch(path, rig, contents, blocks, begin, begin + length)
                 begin += length - overlap
-                for held in contents.blocks.values():
+                for held in blocks.values():
                     held[:] = [b for b in held if _end([b]) > begin]
     rig = rig or _checked_rig(path, contents)
-    ends = {name: _end(blocks) for name, blocks in contents.blocks.items()}
+    ends = {name: _end(blocks.get(name, [])) for name in contents.groups}
     if len(set(ends.values())) > 1:
         raise RigError(f"{path}: its groups differ in length ({ends}); every group needs the same samples")
-    yield _stretch(path, rig, contents, begin, ends["force"])
+    yield _stretch(path, rig, contents, blocks, begin, ends["force"])
 
 
 def _checked_rig(path: Path, contents: Contents) -> Rig:
@@ -60,11 +61,13 @@ def _end(blocks: list[Block]) -> int:
     return blocks[-1].first_sample + blocks[-1].values.shape[1] if blocks else 0
 
 
-def _stretch(path: Path, rig: Rig, contents: Contents, begin: int, end: int) -> Recording:
+def _stretch(
+    path: Path, rig: Rig, contents: Contents, blocks: Mapping[str, list[Block]], begin: int, end: int
+) -> Recording:
     signals = {}
     for name, channels in contents.groups.items():
-        held = contents.blocks[name]
+        held = blocks.get(name, [])
         first = held[0].first_sample if held else begin
-        values = assembled(path, name, channels, held, first).values[:, begin - first : end - first]
+        values = assembled(path, name, channels, held, first)[:, begin - first : end - first]
         signals[name] = Signals(channels, begin / rig.sample_rate_hz, values.copy())
     return Recording(rig, signals, contents.provenance)

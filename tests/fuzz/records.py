@@ -14,7 +14,8 @@ from mcap.reader import make_reader
 from mcap.records import Chunk
 from mcap.writer import Writer
 
-from rig.messages import decode_block, encode_block
+from rig.messages import decode_block
+from tests.blocks import encode_block
 
 MAGIC = b"\x89MCAP0\r\n"
 Record = tuple[int, bytes]
@@ -99,7 +100,7 @@ def _block_changed(rng: np.random.Generator, data: bytes) -> bytes:
         values = values[:, : rng.integers(values.shape[1])]
     else:
         values = values.reshape(2, -1) if values.size % 2 == 0 else values[:, 1:]
-    return b"".join(map(bytes, encode_block(time_ns, first, rate_hz, values)))
+    return encode_block(time_ns, first, rate_hz, values)
 
 
 def rewritten(

@@ -20,9 +20,10 @@ from rig.command_line import refuse_existing
 from rig.container import MAX_BYTES
 from rig.description import to_json
 from rig.errors import RigError
-from rig.messages import BLOCK_NAME, BLOCK_SCHEMA, encode_block
+from rig.messages import BLOCK_NAME, BLOCK_SCHEMA
 from rig.recording import RIG_NAME, channel_groups, read, writing
 from rig.reference import Sdof
+from tests.blocks import encode_block
 
 RIG = Sdof().rig()
 GROUPS = channel_groups(RIG)
@@ -123,7 +124,7 @@ def test_what_other_writers_make_is_read(tmp_path, compression, chunked):
             channel = writer.register_channel(f"/rig/{group}/block", "protobuf", schema, metadata)
             for first in range(0, 3000, 500):
                 block = encode_block(0, first, about.sample_rate_hz, values[:, first : first + 500])
-                writer.add_message(channel, 0, b"".join(map(bytes, block)), 0)
+                writer.add_message(channel, 0, block, 0)
         writer.finish()
     for signals in read(path).signals.values():
         np.testing.assert_array_equal(signals.values, values)

@@ -10,13 +10,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from rig.messages import BLOCK_NAME, BLOCK_SCHEMA, decode_block, preview_head
-from rig.messages import encode_block as pieces_of_block
+from tests.blocks import encode_block
 
 values = arrays(float, array_shapes(min_dims=2, max_dims=2, max_side=40), elements=st.floats(width=64))
-
-
-def encode_block(*block):
-    return b"".join(map(bytes, pieces_of_block(*block)))
 
 
 def plain_protobuf(data):

@@ -13,9 +13,10 @@ from mcap.writer import CompressionType, Writer
 
 from rig.description import UNITS, to_json
 from rig.errors import RigError
-from rig.messages import decode_block, encode_block
+from rig.messages import decode_block
 from rig.recording import channel_groups, read, read_truth, truth_groups, truth_path, writing
 from rig.reference import BarrelCradle, Sdof
+from tests.blocks import encode_block
 
 RIG = Sdof().rig()
 PROVENANCE = {"made_by": "a test", "seed": "3"}
@@ -162,14 +163,14 @@ def with_nan(topic, data):
     block = decode_block(data)
     values = block.values.copy()
     values[0, 5] = np.nan
-    return b"".join(map(bytes, encode_block(block.time_ns, block.first_sample, block.sample_rate_hz, values)))
+    return encode_block(block.time_ns, block.first_sample, block.sample_rate_hz, values)
 
 
 def at_another_rate(topic, data):
     if topic != "/rig/force/block":
         return data
     block = decode_block(data)
-    return b"".join(map(bytes, encode_block(block.time_ns, block.first_sample, 2 * block.sample_rate_hz, block.values)))
+    return encode_block(block.time_ns, block.first_sample, 2 * block.sample_rate_hz, block.values)
 
 
 def no_block(topic, data):
@@ -206,6 +207,7 @@ MORE = msgspec.structs.replace(RIG.sensors[0], name="more")
         ({"channel": without(ACCELERATION)}, "sensor 'mass_0000mm_acceleration' of rig.json has no channel"),
         ({"channel": described(FORCE, names="[")}, "the metadata of channel /rig/force/block cannot be read"),
         ({"channel": described(FORCE, names='["a", "b"]')}, "2 names, 1 stations"),
+        ({"channel": described(FORCE, names="[]", stations="[]")}, "0 names, 0 stations"),
         ({"channel": described(FORCE, sample_rate_hz="-1")}, "-1.0 Hz"),
         ({"channel": described(FORCE, sample_rate_hz="Infinity")}, "inf Hz"),
         ({"channel": described(FORCE, sample_rate_hz="9" * 400)}, "cannot be read (OverflowError"),

@@ -195,11 +195,14 @@ def chunk_places(content):
     return places
 
 
-def test_a_flipped_chunk_ends_what_is_recovered_and_what_lies_behind_is_counted_as_lost(small, tmp_path):
+@pytest.mark.parametrize("checksum", ["wrong", "none"])
+def test_a_flipped_chunk_ends_what_is_recovered_and_what_lies_behind_is_counted_as_lost(small, tmp_path, checksum):
     path, whole = small
     content = bytearray(path.read_bytes())
-    (_, end), *_ = chunk_places(content)[2:]
+    (begin, end), *_ = chunk_places(content)[2:]
     content[end - 100] ^= 1
+    if checksum == "none":  # as the format allows
+        content[begin + 33 : begin + 37] = bytes(4)
     (tmp_path / "bad.mcap").write_bytes(content)
     losses = recover(tmp_path / "bad.mcap", tmp_path / "saved.mcap")
     check_prefix(read(tmp_path / "saved.mcap"), whole)
