@@ -58,14 +58,15 @@ def points_of(studied: Sequence[tuple[float, Study]], out: Path, dask: str | Non
 
 
 def ideal_range(points: Sequence[Point]) -> tuple[float, float]:
-    """The values at which the weak form's error, rms over the contacts, is within three times the least."""
-    squares: dict[float, list[float]] = {}
-    for point in points:
-        if point.found.form == "weak":
-            squares.setdefault(point.value, []).append(point.found.off_percent**2)
-    errors = {value: np.sqrt(np.mean(own)) for value, own in squares.items()}
-    good = [value for value, error in errors.items() if error <= 3 * min(errors.values())]
-    return min(good), max(good)
+    """The ends of the values around the best one at all of which the weak form's error is within three times the least.
+
+    The error is the rms over the contacts.
+    """
+    weak = [point for point in points if point.found.form == "weak"]
+    values = sorted({point.value for point in weak})
+    errors = np.array([np.sqrt(np.mean([p.found.off_percent**2 for p in weak if p.value == v])) for v in values])
+    best, bad = int(np.argmin(errors)), np.flatnonzero(errors > 3 * errors.min())
+    return values[max(bad[bad < best], default=-1) + 1], values[min(bad[bad > best], default=len(values)) - 1]
 
 
 def shown(

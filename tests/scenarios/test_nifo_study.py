@@ -75,7 +75,7 @@ def test_the_command_goes_on_where_it_was(tmp_path, capsys, monkeypatch):
 def test_the_ideal_range_is_where_the_weak_form_errs_least(outcome):
     weak = next(e for e in outcome.estimates if e.form == "weak")
     true = weak.true_n_per_m
-    errors = {1.0: 0.05, 3.0: 0.002, 10.0: -0.001, 30.0: 0.0025, 100.0: 0.02}
+    errors = {1.0: 0.05, 3.0: 0.002, 10.0: -0.001, 30.0: 0.0025, 100.0: 0.02, 1000.0: 0.002}  # 1000 beyond a bad one
     points = [Point(v, replace(weak, mean_n_per_m=true * (1 + error)), 0.2, ()) for v, error in errors.items()]
     wrong_form = Point(300.0, replace(weak, form="paper", mean_n_per_m=true), 0.2, ())
     assert ideal_range([*points, wrong_form]) == (3.0, 30.0)
