@@ -147,7 +147,7 @@ def _table(varied: str, series: Sequence[Costs]) -> Table:
 def _draw(found: dict[str, list[Costs]], path: Path) -> None:
     with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3}):
         figure = Figure(figsize=(10, 4.4), layout="constrained")
-        panels = figure.subplots(1, len(found), sharey=True)
+        panels = figure.subplots(1, len(found), sharey=True, squeeze=False)[0]
         for axes, (varied, series) in zip(panels, found.items(), strict=True):
             _lines(axes, varied, series)
         panels[0].set_ylabel("CPU time, s")
