@@ -140,3 +140,6 @@ def _drawn(axes: Axes, points: Sequence[Point], what: Callable[[Estimate], float
             ms=4,
             label=line,
         )
+    values = sorted({p.value for p in points})
+    axes.set_xticks(values, [f"{value:.3g}" for value in values])
+    axes.set_xticks([], minor=True)
