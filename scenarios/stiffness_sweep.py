@@ -23,11 +23,13 @@ app = typer.Typer(pretty_exceptions_enable=False)
 def stiffness_sweep(
     out: Annotated[Path, typer.Option(help="Folder for the results and the figure.")] = Path("out/stiffness_sweep"),
     block: Block = BLOCK_S,
+    sample_rate: Annotated[float, typer.Option(min=1024.0, help="Of the sensors, Hz.")] = LONG.sample_rate_hz,
     dask: Dask = None,
 ) -> None:
     """Records the barrel in its cradle with contacts of one stiffness after the other, and finds it."""
+    settings = replace(LONG, sample_rate_hz=sample_rate)
     studied = [
-        (k, Study(settings=replace(LONG, stiffness_1_n_per_m=k, stiffness_2_n_per_m=k), block_s=(block,)))
+        (k, Study(settings=replace(settings, stiffness_1_n_per_m=k, stiffness_2_n_per_m=k), block_s=(block,)))
         for k in STIFFNESSES_N_PER_M
     ]
     points = points_of(studied, out, dask)
