@@ -4,8 +4,6 @@ import struct
 from collections.abc import Sequence
 from typing import IO, Any
 
-import numpy as np
-from jaxtyping import Float, UInt
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
@@ -38,12 +36,11 @@ class ContainerWriter:
         front: Sequence[Attachment | Metadata],
         schemas: Sequence[Schema],
         channels: Sequence[Channel],
-        chunk_bytes: int,
     ) -> None:
         self._stream, self._at, self._crc = stream, 0, 0
         self._repeated = [*schemas, *channels]
         self._indexes: list[Any] = []
-        self._front, self._chunk_bytes = front, chunk_bytes
+        self._front = front
         self._write(MAGIC)
         self._write(_encoded(Header("", "rig")))
         for record in front:
@@ -53,38 +50,26 @@ class ContainerWriter:
         self._write(repeated)
         # once more in the first chunk: in front of the chunks no checksum guards them, and what is saved of a file
         # without its end depends on them
-        self._chunk = Chunk(repeated)
+        self.chunk = Chunk(repeated)
 
-    def add(
-        self, channel: int, time_ns: int, sequence: int, head: bytes, values: Float[np.ndarray, "channels samples"]
-    ) -> None:
-        """As Chunk.add, to the chunk in the making, which is written when it is large enough."""
-        self._chunk.add(channel, time_ns, sequence, head, values)
-        if self._chunk.size >= self._chunk_bytes:
-            self._write_chunk()
-
-    def add_many(
-        self,
-        channel: int,
-        times_ns: UInt[np.ndarray, " messages"],
-        head: bytes,
-        values: Float[np.ndarray, "messages channels"],
-    ) -> None:
-        """As Chunk.add_many, to the chunk in the making."""
-        self._chunk.add_many(channel, times_ns, head, values)
+    def write_chunk(self) -> None:
+        """Writes the chunk in the making, which is empty then."""
+        data, index = self.chunk.sealed(self._at)
+        self._write(data)
+        self._indexes.append(index)
 
     def finish(self) -> None:
         """Writes the end of the data, the summary and the end of the file."""
-        if self._chunk.filled:
-            self._write_chunk()
+        if self.chunk.filled:
+            self.write_chunk()
         self._write(_encoded(DataEnd(self._crc)))
         chunks = [index for index in self._indexes if isinstance(index, ChunkIndex)]
         statistics = Statistics(
             attachment_count=sum(isinstance(record, Attachment) for record in self._front),
             channel_count=sum(isinstance(record, Channel) for record in self._repeated),
-            channel_message_counts=dict(self._chunk.counts),
+            channel_message_counts=dict(self.chunk.counts),
             chunk_count=len(chunks),
-            message_count=self._chunk.counts.total(),
+            message_count=self.chunk.counts.total(),
             message_end_time=max((index.message_end_time for index in chunks), default=0),
             message_start_time=min((index.message_start_time for index in chunks), default=0),
             metadata_count=sum(isinstance(record, Metadata) for record in self._front),
@@ -96,11 +81,6 @@ class ContainerWriter:
         footer = _FOOTER.pack(Opcode.FOOTER, 20, begin, 0)
         self._write(_encoded(Footer(begin, 0, crc32(footer, crc32(summary)))))
         self._write(MAGIC)
-
-    def _write_chunk(self) -> None:
-        data, index = self._chunk.sealed(self._at)
-        self._write(data)
-        self._indexes.append(index)
 
     def _write(self, data: Any) -> int:
         """Returns the number of bytes."""

@@ -99,7 +99,6 @@ class RecordingWriter:
                 for name, group in groups.items()
                 for k, (kind, encoding) in enumerate((("block", "protobuf"), ("preview", "cdr")))
             ],
-            chunk_bytes=CHUNK_BYTES,
         )
         stream.flush()
         self._pending = {name: np.zeros((len(group.names), 0)) for name, group in groups.items()}
@@ -130,11 +129,13 @@ class RecordingWriter:
         for begin in begins.tolist():
             time_ns = round((first + begin) / rate * 1e9)
             head = messages.block_head(time_ns, first + begin, rate, (count, length))
-            self._writer.add(block_id, time_ns, (first + begin) // BLOCK, head, values[:, begin : begin + length])
+            self._writer.chunk.add(block_id, time_ns, (first + begin) // BLOCK, head, values[:, begin : begin + length])
+            if self._writer.chunk.size >= CHUNK_BYTES:
+                self._writer.write_chunk()
         within, widths = _preview(length, max(1, round(rate / PREVIEW_HZ)))
         means = (np.add.reduceat(values.reshape(count, -1, length), within, axis=2) / widths).reshape(count, -1)
         moments_ns = np.round((first + begins[:, None] + within).ravel() / rate * 1e9).astype("<u8")
-        self._writer.add_many(preview_id, moments_ns, messages.preview_head(count), means.T)
+        self._writer.chunk.add_many(preview_id, moments_ns, messages.preview_head(count), means.T)
         self._written[group] += samples
 
 
