@@ -43,6 +43,7 @@ def figures() -> Iterator[Figure]:
     some = range(0, spectra.shape[2], spectra.shape[2] // SIMPLE_LINES)
     loop_s = least_cpu_s(lambda: _loop(spectra, some)) * spectra.shape[2] / len(some) + held_s
     yield Figure("times faster than a loop of lstsq over the lines", loop_s / own_s, at_least=4)
+    yield Figure("CPU of that loop over that of its FFTs", loop_s / fft_s)
     plain = _loop(spectra, some)
     plain[:, 1:] = -plain[:, 1:] / plain[:, :1]
     found = estimate()[some]
