@@ -13,7 +13,7 @@ from rich.console import Console
 
 from rig.command_line import run
 from scenarios.nifo_study import LONG, Study
-from scenarios.nifo_sweep import BLOCK_S, Block, ideal_range, points_of, shown
+from scenarios.nifo_sweep import BLOCK_S, Block, Rate, ideal_range, points_of, shown
 from scenarios.tasks import Dask
 
 RMS_N = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
@@ -26,11 +26,13 @@ app = typer.Typer(pretty_exceptions_enable=False)
 def excitation_sweep(
     out: Annotated[Path, typer.Option(help="Folder for the results and the figure.")] = Path("out/excitation_sweep"),
     block: Block = BLOCK_S,
+    sample_rate: Rate = LONG.sample_rate_hz,
     dask: Dask = None,
 ) -> None:
     """Records the barrel in its cradle under weaker and stronger forces, and finds the stiffnesses."""
+    settings = replace(LONG, sample_rate_hz=sample_rate)
     studied = [
-        (rms_n, Study(settings=replace(LONG, rms_n=rms_n), block_s=(block,), noise_densities=(0.0, NOISE)))
+        (rms_n, Study(settings=replace(settings, rms_n=rms_n), block_s=(block,), noise_densities=(0.0, NOISE)))
         for rms_n in RMS_N
     ]
     points = points_of(studied, out, dask)

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from rig.command_line import run
 from scenarios.nifo_study import LONG, Study
-from scenarios.nifo_sweep import BLOCK_S, Block, Point, points_of, shown
+from scenarios.nifo_sweep import BLOCK_S, Block, Point, Rate, points_of, shown
 from scenarios.tasks import Dask
 
 SHARES = (1 / 6, 1 / 3, 2 / 3, 1)
@@ -26,12 +26,14 @@ def frequency_resolution(
         "out/frequency_resolution"
     ),
     block: Block = BLOCK_S,
+    sample_rate: Rate = LONG.sample_rate_hz,
     seeds: Annotated[int, typer.Option(min=1, help="So many records, each under a force of its own.")] = 2,
     dask: Dask = None,
 ) -> None:
     """Records the barrel in its cradle for 24 600 s, and finds the stiffnesses from blocks of four lengths."""
     blocks_s = tuple(block * share for share in SHARES)
-    studied = [(0.0, Study(settings=replace(LONG, seed=1 + k), block_s=blocks_s)) for k in range(seeds)]
+    settings = replace(LONG, sample_rate_hz=sample_rate)
+    studied = [(0.0, Study(settings=replace(settings, seed=1 + k), block_s=blocks_s)) for k in range(seeds)]
     points = [Point(1 / p.found.block_s, p.found, p.closed, p.free) for p in points_of(studied, out, dask)]
     shown("NIFO against its frequency resolution", "resolution, Hz", points, out / "frequency_resolution.png")
 

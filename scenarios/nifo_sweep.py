@@ -19,6 +19,7 @@ from scenarios.tasks import run_tasks
 BLOCK_S = 1200.0
 """The paper's longest block, for a resolution of 0.000833 Hz."""
 Block = Annotated[float, typer.Option("--block", min=1.0, help="Longest block, s; a record is 20.5 times as long.")]
+Rate = Annotated[float, typer.Option("--sample-rate", min=1024.0, help="Of the sensors, Hz.")]
 NAMES = {"paper": "the paper's NIFO", "weak": "weak form"}
 COLOURS = {"paper": "#b4540a", "weak": "#1f5fa8"}
 STATED = (0.115, 2.65)
@@ -141,5 +142,5 @@ def _drawn(axes: Axes, points: Sequence[Point], what: Callable[[Estimate], float
             label=line,
         )
     values = sorted({p.value for p in points})
-    axes.set_xticks(values, [f"{value:.3g}" for value in values])
+    axes.set_xticks(values, [f"{float(f'{value:.3g}'):g}" for value in values])
     axes.set_xticks([], minor=True)

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from rig.command_line import run
 from scenarios.nifo_study import LONG, Study
-from scenarios.nifo_sweep import BLOCK_S, Block, points_of, shown
+from scenarios.nifo_sweep import BLOCK_S, Block, Rate, points_of, shown
 from scenarios.tasks import Dask
 
 STIFFNESSES_N_PER_M = (1e4, 3e4, 1e5, 3e5, 1e6)
@@ -23,7 +23,7 @@ app = typer.Typer(pretty_exceptions_enable=False)
 def stiffness_sweep(
     out: Annotated[Path, typer.Option(help="Folder for the results and the figure.")] = Path("out/stiffness_sweep"),
     block: Block = BLOCK_S,
-    sample_rate: Annotated[float, typer.Option(min=1024.0, help="Of the sensors, Hz.")] = LONG.sample_rate_hz,
+    sample_rate: Rate = LONG.sample_rate_hz,
     dask: Dask = None,
 ) -> None:
     """Records the barrel in its cradle with contacts of one stiffness after the other, and finds it."""
