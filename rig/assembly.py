@@ -19,7 +19,7 @@ class Assembly:
         self._first = self._end = first
         self._values = np.empty((len(channels.names), room))
         self._early: list[Block] = []
-        self._starts_ns: list[int] = []
+        self._start_ns = 0
         self._suspect: list[slice] = []
 
     def add(self, block: Block) -> None:
@@ -50,7 +50,7 @@ class Assembly:
             raise RigError(f"{self._path}: group {self._name} holds no samples; record it again")
         for part in self._suspect:
             self._check_finite(part)
-        return self._starts_ns[0] * 1e-9, self._values[:, : self._end - self._first]
+        return self._start_ns * 1e-9, self._values[:, : self._end - self._first]
 
     def _put(self, block: Block) -> None:
         begin = self._end - self._first
@@ -62,7 +62,8 @@ class Assembly:
         with np.errstate(over="ignore", invalid="ignore"):
             if not np.isfinite(block.values.sum()):  # or only too large together
                 self._suspect.append(slice(begin, end))
-        self._starts_ns.append(block.time_ns)
+        if self._end == self._first:
+            self._start_ns = block.time_ns
         self._end += end - begin
 
     def _check_finite(self, part: slice) -> None:
@@ -80,6 +81,6 @@ def assembled(
 ) -> Float[np.ndarray, "channels samples"]:
     """As Assembly, of blocks in any order."""
     assembly = Assembly(path, name, channels, first, room=sum(b.values.shape[1] for b in blocks))
-    for block in sorted(blocks, key=lambda b: b.first_sample):
+    for block in blocks:
         assembly.add(block)
     return assembly.finished()[1]

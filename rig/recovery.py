@@ -1,5 +1,6 @@
 """Saving what is sound of a recording whose writer was killed, whose disk was full, or whose file was damaged."""
 
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,15 +51,15 @@ def recover(bad: Path, good: Path) -> tuple[Loss, ...]:
     """
     if container.part_of(good) == bad:
         raise RigError(f"{good}: would be written over {bad}; give another name")
-    contents, found = Contents(), dict[str, list[Block]]()
+    contents, found = Contents(), defaultdict[str, list[Block]](list)
     with container.opened(bad) as file:
         try:
             for name, block in gathering(container.complete(file), contents):
-                found.setdefault(name, []).append(block.copied())
+                found[name].append(block.copied())
         except container.DAMAGE as error:
             raise RigError(f"{bad}: cannot be recovered ({error}); restore it from a copy") from error
     rig = rig_of(bad, contents)
-    blocks = {name: _placed(found.get(name, [])) for name in contents.groups}
+    blocks = {name: _placed(found[name]) for name in contents.groups}
     kept = min(map(_unbroken, blocks.values()), default=0)
     if not kept:
         raise RigError(f"{bad}: holds no complete chunk of every group with its checksum; there is nothing to recover")

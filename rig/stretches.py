@@ -1,6 +1,7 @@
 """A recording of any length, read stretch by stretch."""
 
-from collections.abc import Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
 
 from rig import container
@@ -27,20 +28,20 @@ def stretches(path: Path, length_s: float, overlap_s: float) -> Iterator[Recordi
     Holds no more than one of them. Raises RigError as `read` does, when it comes to what is wrong; and if the rig's
     description stands behind the samples.
     """
-    contents, blocks = Contents(), dict[str, list[Block]]()
+    contents, blocks = Contents(), defaultdict[str, list[Block]](list)
     rig, begin = None, 0
     with container.opened(path) as file:
         for name, block in container.told(path, gathering(container.whole(file, is_of_blocks), contents)):
             rig = rig or _checked_rig(path, contents)
-            blocks.setdefault(name, []).append(block.copied())
+            blocks[name].append(block.copied())
             length, overlap = (round(s * rig.sample_rate_hz) for s in (length_s, overlap_s))
-            if min(_end(blocks.get(name, [])) for name in contents.groups) >= begin + length + length // 2:
+            if min(_end(blocks[name]) for name in contents.groups) >= begin + length + length // 2:
                 yield _stretch(path, rig, contents, blocks, begin, begin + length)
                 begin += length - overlap
                 for held in blocks.values():
                     held[:] = [b for b in held if _end([b]) > begin]
     rig = rig or _checked_rig(path, contents)
-    ends = {name: _end(blocks.get(name, [])) for name in contents.groups}
+    ends = {name: _end(blocks[name]) for name in contents.groups}
     if len(set(ends.values())) > 1:
         raise RigError(f"{path}: its groups differ in length ({ends}); every group needs the same samples")
     yield _stretch(path, rig, contents, blocks, begin, ends["force"])
@@ -62,11 +63,11 @@ def _end(blocks: list[Block]) -> int:
 
 
 def _stretch(
-    path: Path, rig: Rig, contents: Contents, blocks: Mapping[str, list[Block]], begin: int, end: int
+    path: Path, rig: Rig, contents: Contents, blocks: defaultdict[str, list[Block]], begin: int, end: int
 ) -> Recording:
     signals = {}
     for name, channels in contents.groups.items():
-        held = blocks.get(name, [])
+        held = blocks[name]
         first = held[0].first_sample if held else begin
         values = assembled(path, name, channels, held, first)[:, begin - first : end - first]
         signals[name] = Signals(channels, begin / rig.sample_rate_hz, values.copy())
