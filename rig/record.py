@@ -46,6 +46,11 @@ def record(
             f"than {MAX_DURATION_S:g} s"
         )
     samples = round(duration_s * rig.sample_rate_hz)
+    if samples == 0:
+        raise RigError(
+            f"duration is {duration_s} s and sample_rate_hz {rig.sample_rate_hz}, which makes no sample; record longer "
+            "or sample faster"
+        )
     force = force_course(excitation, needed_duration_s(actual, samples / rig.sample_rate_hz), step_s)
     plant_name = getattr(plant, "__module__", "").rsplit(".", 1)[-1]
     provenance = {

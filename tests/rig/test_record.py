@@ -121,3 +121,10 @@ def test_a_failing_simulation_leaves_no_file(tmp_path):
     with pytest.raises(RigError, match="too stiff for the step"):
         recorded(tmp_path / "r.mcap", rig=BarrelCradle(stiffness_1_n_per_m=1e12).rig())
     assert not list(tmp_path.iterdir())
+
+
+def test_a_record_without_a_sample_is_refused_before_anything_is_simulated(tmp_path):
+    slow = msgspec.structs.replace(Sdof().rig(), sample_rate_hz=0.01)
+    with pytest.raises(RigError, match="duration is 2.3 s and sample_rate_hz 0.01, which makes no sample"):
+        recorded(tmp_path / "r.mcap", slow, progress=lambda _: pytest.fail("simulated"))
+    assert not list(tmp_path.iterdir())
