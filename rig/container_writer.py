@@ -19,7 +19,7 @@ from mcap.records import (
     Schema,
     Statistics,
 )
-from zlib_ng.zlib_ng import crc32
+from zlib_ng.zlib_ng import crc32, crc32_combine
 
 from rig.chunk import Chunk
 
@@ -54,8 +54,8 @@ class ContainerWriter:
 
     def write_chunk(self) -> None:
         """Writes the chunk in the making, which is empty then."""
-        data, index = self.chunk.sealed(self._at)
-        self._write(data)
+        data, crc, index = self.chunk.sealed(self._at)
+        self._write(data, crc)
         self._indexes.append(index)
 
     def finish(self) -> None:
@@ -82,13 +82,12 @@ class ContainerWriter:
         self._write(_encoded(Footer(begin, 0, crc32(footer, crc32(summary)))))
         self._write(MAGIC)
 
-    def _write(self, data: Any) -> int:
-        """Returns the number of bytes."""
+    def _write(self, data: bytes | memoryview, crc: int | None = None) -> int:
+        """Returns the number of bytes; `crc` is their checksum where it is known."""
         self._stream.write(data)
-        self._crc = crc32(data, self._crc)
-        length = memoryview(data).nbytes
-        self._at += length
-        return length
+        self._crc = crc32_combine(self._crc, crc32(data) if crc is None else crc, len(data))
+        self._at += len(data)
+        return len(data)
 
 
 def _encoded(record: Any) -> bytes:

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 from typing import IO
 
@@ -21,7 +21,8 @@ from rig.errors import CutOffError, RigError
 from rig.sensors import quantities_of, sensors_of
 
 BLOCK = 1024
-CHUNK_BYTES = 128 * 1024
+CHUNK_BYTES, CHUNK_S = 512 * 1024, 5.0
+"""A chunk is written when it has so many bytes, or so much of the record, which is what a kill may lose."""
 PREVIEW_HZ = 100.0
 RIG_NAME = "rig.json"
 
@@ -125,25 +126,24 @@ class RecordingWriter:
         rate, first = self._groups[group].sample_rate_hz, self._written[group]
         block_id, preview_id = self._ids[group]
         count, samples = values.shape
-        begins = np.arange(0, samples, length)
-        for begin in begins.tolist():
+        for begin in range(0, samples, length):
             time_ns = round((first + begin) / rate * 1e9)
             head = messages.block_head(time_ns, first + begin, rate, (count, length))
             self._writer.chunk.add(block_id, time_ns, (first + begin) // BLOCK, head, values[:, begin : begin + length])
-            if self._writer.chunk.size >= CHUNK_BYTES:
+            if self._writer.chunk.size >= CHUNK_BYTES or self._writer.chunk.span_ns >= CHUNK_S * 1e9:
                 self._writer.write_chunk()
-        within, widths = _preview(length, max(1, round(rate / PREVIEW_HZ)))
-        means = (np.add.reduceat(values.reshape(count, -1, length), within, axis=2) / widths).reshape(count, -1)
-        moments_ns = np.round((first + begins[:, None] + within).ravel() / rate * 1e9).astype("<u8")
+        begins, widths = _preview(samples, length, max(1, round(rate / PREVIEW_HZ)))
+        means = np.add.reduceat(values, begins, axis=1) / widths
+        moments_ns = np.rint((first + begins) / rate * 1e9).astype("<u8")
         self._writer.chunk.add_many(preview_id, moments_ns, messages.preview_head(count), means.T)
         self._written[group] += samples
 
 
-@cache
-def _preview(length: int, step: int) -> tuple[Int[np.ndarray, " parts"], Int[np.ndarray, " parts"]]:
-    """Where the parts of a block begin that a preview takes the means of, and how many samples each has."""
-    within = np.arange(0, length, step)
-    return within, np.diff(within, append=length)
+@lru_cache(maxsize=16)
+def _preview(samples: int, length: int, step: int) -> tuple[Int[np.ndarray, " parts"], Int[np.ndarray, " parts"]]:
+    """Where the parts of blocks begin that a preview takes the means of, and how many samples each has."""
+    begins = np.concatenate([np.arange(block, block + length, step) for block in range(0, samples, length)])
+    return begins, np.diff(begins, append=samples)
 
 
 @contextmanager

@@ -125,6 +125,6 @@ def test_a_failing_simulation_leaves_no_file(tmp_path):
 
 def test_a_record_without_a_sample_is_refused_before_anything_is_simulated(tmp_path):
     slow = msgspec.structs.replace(Sdof().rig(), sample_rate_hz=0.01)
-    with pytest.raises(RigError, match="duration is 2.3 s and sample_rate_hz 0.01, which makes no sample"):
+    with pytest.raises(RigError, match=r"duration is 2\.3 s and sample_rate_hz 0\.01, which makes no sample"):
         recorded(tmp_path / "r.mcap", slow, progress=lambda _: pytest.fail("simulated"))
     assert not list(tmp_path.iterdir())
