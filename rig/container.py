@@ -152,13 +152,18 @@ def _in_chunk(data: memoryview, unwanted: Container[int]) -> Iterator[McapRecord
             alike = _alike(data[begin - _HEAD.size :], _HEAD.size + after - begin)
             after += (alike - 1) * (_HEAD.size + after - begin)
             yield Unread(alike)
-        elif opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
+        elif opcode == Opcode.MESSAGE:
+            yield _message(data[begin:after])
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             yield from records(opcode, data[begin:after])
 
 
 def _alike(data: memoryview, length: int) -> int:
-    """How many records of that kind, length and channel, all in their first eleven bytes, come one behind the other."""
-    rows = len(data) // length
+    """How many records of that kind, length and channel, all in their first eleven bytes, come one behind the other.
+
+    No more than 64 are looked at.
+    """
+    rows = min(len(data) // length, 64)
     starts, ends = (np.ndarray((rows,), "<u8", data, offset=place, strides=(length,)) for place in (0, 3))
     same = (starts == starts[0]) & (ends == ends[0])
     return rows if same.all() else int(np.argmin(same))
