@@ -92,8 +92,7 @@ def _write(
 ) -> None:
     groups = channel_groups(rig)
     with writing(out, rig, groups, provenance) as recording:
-        for name, group in groups.items():
-            recording.append(name, np.stack([rows[channel] for channel in group.names]))
+        recording.append_all({name: np.stack([rows[c] for c in group.names]) for name, group in groups.items()})
 
 
 def _read_map(path: Path) -> tuple[Map, Rig]:

@@ -20,7 +20,7 @@ from rig.description import UNITS, Rig, check_given, from_json, stations_of, to_
 from rig.errors import CutOffError, RigError
 from rig.sensors import quantities_of, sensors_of
 
-BLOCK = 1024
+BLOCK, AT_ONCE = 1024, 2048
 CHUNK_BYTES, CHUNK_S = 512 * 1024, 5.0
 """A chunk is written when it has so many bytes, or so much of the record, which is what a kill may lose."""
 PREVIEW_HZ = 100.0
@@ -109,10 +109,16 @@ class RecordingWriter:
         waiting = self._pending[group]
         pending = np.concatenate([waiting, values], axis=1) if waiting.size else values
         whole = pending.shape[1] // BLOCK * BLOCK
-        if whole:
-            self._write(group, pending[:, :whole], BLOCK)
+        for first in range(0, whole, AT_ONCE):  # the previews of so many samples are in one chunk
+            self._write(group, pending[:, first : min(first + AT_ONCE, whole)], BLOCK)
         self._pending[group] = pending[:, whole:].copy()
         self._stream.flush()  # a kill loses nothing but the chunk in the making
+
+    def append_all(self, values: Mapping[str, Float[np.ndarray, "_ samples"]]) -> None:
+        """Samples of every group, put side by side in the file, so that it can be read stretch by stretch."""
+        for first in range(0, max(rows.shape[1] for rows in values.values()), AT_ONCE):
+            for group, rows in values.items():
+                self.append(group, rows[:, first : first + AT_ONCE])
 
     def finish(self) -> None:
         """Writes what is left, and the index: from here on the file is complete."""

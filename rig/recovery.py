@@ -14,7 +14,6 @@ from rig.channels import Channels
 from rig.errors import RigError
 from rig.messages import Block
 from rig.recording import (
-    BLOCK,
     Contents,
     channel_groups,
     gathering,
@@ -73,9 +72,7 @@ def recover(bad: Path, good: Path) -> tuple[Loss, ...]:
         check_channels(bad, rig, contents.groups, channel_groups(rig))
     history = with_history(contents.provenance, f"recovered from {bad.name}; " + "; ".join(map(str, losses)))
     with writing(good, rig, contents.groups, history) as recording:
-        for first in range(0, kept, BLOCK):
-            for name, values in signals.items():
-                recording.append(name, values[:, first : min(first + BLOCK, kept)])
+        recording.append_all({name: values[:, :kept] for name, values in signals.items()})
     return losses
 
 

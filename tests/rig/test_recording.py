@@ -14,7 +14,7 @@ from mcap.writer import CompressionType, Writer
 from rig.description import UNITS, to_json
 from rig.errors import RigError
 from rig.messages import decode_block
-from rig.recording import channel_groups, read, read_truth, truth_groups, truth_path, writing
+from rig.recording import AT_ONCE, BLOCK, CHUNK_S, channel_groups, read, read_truth, truth_groups, truth_path, writing
 from rig.reference import BarrelCradle, Sdof
 from tests.blocks import encode_block
 
@@ -123,6 +123,33 @@ def test_the_preview_is_the_mean_over_a_hundredth_of_a_second(tmp_path):
     times_ns, means = zip(*shown, strict=True)
     assert list(times_ns) == [round(k * 10e6) for k in range(103)]
     np.testing.assert_allclose(means[:102], values["force"][0, :1020].reshape(102, 10).mean(axis=1))
+
+
+@pytest.mark.parametrize(("rate_hz", "at_once"), [(512.0, 1500), (65536.0, 1500), (512.0, 100_000)])
+def test_a_chunk_is_small_so_that_a_kill_loses_little(tmp_path, rate_hz, at_once):
+    rig = msgspec.structs.replace(RIG, sample_rate_hz=rate_hz)
+    values = samples_of(rig, 100_000)
+    with writing(tmp_path / "r.mcap", rig, channel_groups(rig), PROVENANCE) as recording:
+        for first in range(0, 100_000, at_once):
+            for group, rows in values.items():
+                recording.append(group, rows[:, first : first + at_once])
+    with (tmp_path / "r.mcap").open("rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    assert max(c.chunk_length for c in chunks) <= 2**20
+    assert max(c.message_end_time - c.message_start_time for c in chunks) * 1e-9 < CHUNK_S + (BLOCK + at_once) / rate_hz
+    assert len(chunks) > 2
+
+
+def test_groups_appended_together_lie_side_by_side(tmp_path):
+    values = samples_of(RIG, 50_000)
+    with writing(tmp_path / "r.mcap", RIG, channel_groups(RIG), PROVENANCE) as recording:
+        recording.append_all(values)
+    with (tmp_path / "r.mcap").open("rb") as stream:
+        read_in_order = make_reader(stream).iter_messages(log_time_order=False)
+        times_s = np.array([m.log_time * 1e-9 for _, channel, m in read_in_order if channel.topic.endswith("block")])
+    assert (times_s - np.maximum.accumulate(times_s)).min() >= -AT_ONCE / RIG.sample_rate_hz
+    back = read(tmp_path / "r.mcap")
+    assert all(np.array_equal(back.signals[group].values, rows) for group, rows in values.items())
 
 
 def test_an_interrupted_recording_keeps_what_was_recorded(tmp_path):
