@@ -9,7 +9,7 @@ from jaxtyping import Float
 from numpy.polynomial.legendre import leggauss
 from scipy.linalg import eigh
 
-from rig.beam import MAX_MODES, Beam
+from rig.beam import Beam
 from rig.description import Body, Rig
 from rig.errors import RigError
 from rig.oscillator import Oscillator
@@ -103,14 +103,10 @@ def modes_of(rig: Rig, body: Body) -> Modes:
     nodes_m = np.linspace(0, body.length_m, ELEMENTS + 1)
     mass, stiffness = matrices(rig, body, nodes_m)
     held = held_coordinates(rig, body)
-    squares, free = eigh(stiffness[held:, held:], mass[held:, held:], subset_by_index=[0, MAX_MODES - 1])
-    squares[: _floating(body, nodes_m, stiffness)] = 0.0
-    if not (squares >= 0).all():
-        raise RigError(
-            f"the modes of {body.name!r} are lost in rounding; check the masses, springs and clamps that it carries"
-        )
+    floating = _floating(body, nodes_m, stiffness)
+    natural_hz, free = _solved(body, stiffness[held:, held:], mass[held:, held:], floating)
     vectors = np.concatenate([np.zeros((held, free.shape[1])), free])
-    return FiniteElementModes(body, nodes_m, np.sqrt(squares) / (2 * np.pi), vectors)
+    return FiniteElementModes(body, nodes_m, natural_hz, vectors)
 
 
 def coupled(rig: Rig, body: Structure) -> CoupledModes:
@@ -131,11 +127,28 @@ def coupled(rig: Rig, body: Structure) -> CoupledModes:
             row, slope = body.shapes(place, count)[0], body.slopes(place, count)[0]
             attached += spring.stiffness_n_per_m * np.outer(row, row)
             attached += spring.rotational_n_m_per_rad * np.outer(slope, slope)
-    squares, vectors = eigh(np.diag((2 * np.pi * body.frequencies_hz(count)) ** 2) + attached, mass)
     rigid = body.rigid_modes
     floating = rigid - int(np.linalg.matrix_rank(attached[:rigid, :rigid])) if rigid else 0
+    stiffness = np.diag((2 * np.pi * body.frequencies_hz(count)) ** 2) + attached
+    return CoupledModes(body, *_solved(body, stiffness, mass, floating))
+
+
+def _solved(
+    body: Body, stiffness: Float[np.ndarray, "n n"], mass: Float[np.ndarray, "n n"], floating: int
+) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, "n modes"]]:
+    """Natural frequencies, Hz, and mode shapes, as many as the body has; the floating ones come first, at 0 Hz.
+
+    Raises RigError if they are lost in rounding.
+    """
+    lost = f"the modes of {body.name!r} are lost in rounding; check it and the masses, springs and clamps it carries"
+    try:
+        squares, vectors = eigh(stiffness, mass, subset_by_index=[0, body.most_modes - 1])
+    except np.linalg.LinAlgError as error:
+        raise RigError(lost) from error
     squares[:floating] = 0.0  # rounding would give them a frequency
-    return CoupledModes(body, np.sqrt(squares) / (2 * np.pi), vectors)
+    if not (squares >= 0).all():
+        raise RigError(lost)
+    return np.sqrt(squares) / (2 * np.pi), vectors
 
 
 def with_attachments(rig: Rig, body: Oscillator) -> Oscillator:

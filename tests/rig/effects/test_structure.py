@@ -8,6 +8,7 @@ from scipy.optimize import brentq
 
 from rig.description import PointMass, PointSpring, StaticLoad, Station
 from rig.effects import effect_named
+from rig.errors import RigError
 from rig.modes import FiniteElementModes, modes_of, participation
 from rig.plants import ancf
 from rig.reference import BarrelCradle, Sdof
@@ -37,6 +38,12 @@ def reference_of(bare):
     """The same beam without an effect, but by the same finite elements: with a mass of next to nothing."""
     station = Station(bare.name, 0.5)
     return msgspec.structs.replace(MACHINE, masses=(PointMass(station=station, mass_kg=1e-12),))
+
+
+def test_a_beam_whose_modes_are_lost_in_rounding_is_refused():
+    bare = msgspec.structs.replace(MACHINE.body("barrel"), density_kg_per_m3=1e-320)
+    with pytest.raises(RigError, match="the modes of 'barrel' are lost in rounding"):
+        modes_of(reference_of(bare), bare)
 
 
 @pytest.mark.parametrize("body", ["cradle", "barrel"])
