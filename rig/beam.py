@@ -11,6 +11,8 @@ from scipy.optimize import brentq
 from rig.errors import RigError
 
 MAX_MODES = 40
+LEAST, MOST = 1e-12, 1e15
+"""Of every property of a beam, in SI units."""
 
 
 class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="beam"):
@@ -32,8 +34,8 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     def __post_init__(self) -> None:
         for field in ("length_m", "width_m", "thickness_m", "youngs_modulus_pa", "density_kg_per_m3"):
             value = getattr(self, field)
-            if not (np.isfinite(value) and value > 0):
-                raise RigError(f"beam {self.name!r}: {field} is {value}; give a finite value above zero")
+            if not LEAST <= value <= MOST:  # beyond, their powers are lost in rounding
+                raise RigError(f"beam {self.name!r}: {field} is {value}; give a value from {LEAST:g} to {MOST:g}")
         if not 0 <= self.damping_ratio < 1:
             raise RigError(f"beam {self.name!r}: damping_ratio is {self.damping_ratio}; give a value from 0 to below 1")
 
