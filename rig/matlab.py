@@ -82,7 +82,10 @@ def _matrix(body: bytes, order: str) -> tuple[str, np.ndarray] | None:
 
 def _version_4(content: bytes) -> Iterator[tuple[str, np.ndarray]]:
     from scipy.io import loadmat
+    from scipy.io.matlab import matfile_version
 
+    if matfile_version(BytesIO(content))[0] != 0:  # scipy would read what `arrays_of` did not take for version 5 to 7
+        raise ValueError("its header is damaged")
     for name, array in loadmat(BytesIO(content)).items():
         if isinstance(array, np.ndarray) and array.dtype.kind in "iuf":
             yield name, array

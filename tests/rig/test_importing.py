@@ -188,6 +188,8 @@ def test_a_matlab_file_that_is_cut_or_of_an_unknown_type_is_refused(folder, comp
     for size in (len(content) - 1, len(content) // 2, 130):
         with pytest.raises(RigError, match=r"lab\.mat: "):
             imported(folder, mapped(), "lab.mat", content[:size])
+    with pytest.raises(RigError, match=r"lab\.mat: .*its header is damaged"):
+        imported(folder, mapped(), "lab.mat", b"W" + content[1:])
     if not compressed:
         at = content.rindex(struct.pack("<II", 9, 8 * SAMPLES))
         with pytest.raises(RigError, match="is of the unknown type 8"):
