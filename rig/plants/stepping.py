@@ -33,7 +33,7 @@ def _force(laws, j, eta, rate, time_s):
     depth = max(eta - laws[j, 1] - worn, 0.0) + min(eta + laws[j, 0] + worn, 0.0)
     share = min(1.0, abs(depth) / DAMPING_DEPTH_M)
     force = (laws[j, 2] + laws[j, 4] * depth * depth) * depth + laws[j, 3] * rate * share
-    if laws[j, 5] != 0.0:
+    for _ in range(laws[j, 5] != 0.0):  # under an if, the compiler would evaluate it for every contact
         force += laws[j, 5] * np.tanh(rate / FRICTION_SPEED_M_PER_S)
     return force
 
