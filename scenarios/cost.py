@@ -18,13 +18,14 @@ from matplotlib.figure import Figure
 from msgspec.structs import replace
 from rich.console import Console
 from rich.table import Table
+from scipy.fft import rfft
 from threadpoolctl import threadpool_limits
 
 from identify.answers import find_contacts
 from identify.contact import identify_contact
 from identify.kinematics import kinematics
 from identify.nifo import nifo
-from identify.spectra import Averaging, blocks
+from identify.spectra import OVERSAMPLING, Averaging, blocks
 from identify.surface import fit_surface
 from identify.tolerances import LABORATORY
 from rig.command_line import progress_bar, run
@@ -100,6 +101,7 @@ def costs(settings: BarrelCradle, modes: int, path: Path) -> dict[str, float]:
     recording = read(path)
     found = identify_contact(recording)
     eta_m, force, equation = found.eta_m, found.motion.force_n, found.weak.equation
+    fine = np.repeat(recording.force_n, OVERSAMPLING)
     cut = blocks(force.size, rig.sample_rate_hz, Averaging(block_s=BLOCK_S), (2.0, 100.0))
     return {
         **spent,
@@ -107,6 +109,7 @@ def costs(settings: BarrelCradle, modes: int, path: Path) -> dict[str, float]:
         "contacts, separated and fitted": _cpu_s(lambda: find_contacts(recording, "auto", LABORATORY)),
         "surface of an equation": _cpu_s(lambda: fit_surface(equation, force, eta_m, 4, found.stops)),
         "NIFO of an equation": _cpu_s(lambda: nifo(equation, force, eta_m, cut)),
+        f"for comparison: one FFT of {OVERSAMPLING} x the samples": _cpu_s(lambda: rfft(fine)),
     }
 
 

@@ -16,6 +16,14 @@ def test_every_step_is_timed_printed_and_drawn(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(cost, "BLOCK_S", 1.0)
     cost.cost(tmp_path)
     printed = capsys.readouterr().out
-    steps = ("plant", "reading", "kinematics", "contacts, separated and fitted", "surface of an", "NIFO of an equation")
+    steps = (
+        "plant",
+        "reading",
+        "kinematics",
+        "contacts, separated and fitted",
+        "surface of an",
+        "NIFO of an equation",
+        "one FFT",
+    )
     assert all(step in printed for step in (*steps, "12", "16", "exponent"))
     assert (tmp_path / "cost.png").stat().st_size > 10_000
