@@ -151,14 +151,19 @@ def test_stops_from_the_density_that_the_method_assumes(lower, upper):
 
 
 def test_clearance_from_the_occurrence_of_a_randomly_shaken_mass():
-    """Under a force that is white as far as the mass can follow, its displacement has the assumed density."""
-    step_s, duration_s = 2.0**-12, 400.0
-    settings = Sdof(high_hz=200.0, rms_n=1.8)
-    force_n = force_history(settings.force(), duration_s, step_s)
-    eta = joined(modal.simulate(settings.rig(), force_n, step_s, lambda _: None)).eta_m[0]
-    found = clearance_from_occurrence(eta[round((QUIET_S + 1) / step_s) :: 8])
-    assert found.clearance_m == pytest.approx(settings.clearance_m, abs=3 * found.clearance_error_m)
-    assert found.clearance_m == pytest.approx(settings.clearance_m, rel=0.15)
+    """Under a force that is white as far as the mass can follow, its displacement has the assumed density.
+
+    One record of 400 s tells the clearance within some 15 %, as its standard error says; eight tell it within 5.
+    """
+    step_s, duration_s, found = 2.0**-12, 400.0, []
+    for seed in range(1, 9):
+        settings = Sdof(high_hz=200.0, rms_n=1.8, seed=seed)
+        force_n = force_history(settings.force(), duration_s, step_s)
+        eta = joined(modal.simulate(settings.rig(), force_n, step_s, lambda _: None)).eta_m[0]
+        found.append(clearance_from_occurrence(eta[round((QUIET_S + 1) / step_s) :: 8]))
+    values, errors = (np.array(x) for x in zip(*((f.clearance_m, f.clearance_error_m) for f in found), strict=True))
+    assert np.abs((values - settings.clearance_m) / errors).max() < 4
+    assert values.mean() == pytest.approx(settings.clearance_m, rel=0.15)
 
 
 def test_a_mirrored_displacement_swaps_the_stops():
