@@ -45,7 +45,7 @@ def block_head(time_ns: int, first_sample: int, sample_rate_hz: float, shape: tu
     """
     channels, samples = shape
     message = _Block(first_sample=first_sample, sample_rate_hz=sample_rate_hz, channels=channels)
-    message.timestamp.seconds, message.timestamp.nanos = divmod(time_ns, 10**9)
+    message.timestamp.FromNanoseconds(time_ns)
     return bytes(message.SerializeToString()) + _VALUES_TAG + _varint(8 * channels * samples)
 
 

@@ -22,7 +22,7 @@ from rig.sensors import quantities_of, sensors_of
 
 BLOCK, AT_ONCE = 1024, 2048
 CHUNK_BYTES, CHUNK_S = 512 * 1024, 5.0
-"""A chunk is written when it has so many bytes, or so much of the record, which is what a kill may lose."""
+"""A chunk is written when it has so many bytes, or so much of the record: a kill loses that and a block at most."""
 PREVIEW_HZ = 100.0
 RIG_NAME = "rig.json"
 
