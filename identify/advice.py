@@ -6,9 +6,9 @@ import numpy as np
 
 from identify.contact import Identification
 from identify.joint import Joint
-from identify.tolerances import EXACT
 from identify.wording import percent
 from rig.description import Station
+from rig.model.tolerances import EXACT
 
 QUIET_S = 0.3
 """A record whose force begins earlier does not tell its noise."""

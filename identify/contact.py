@@ -16,9 +16,9 @@ from identify.results import ContactReport
 from identify.spectra import Averaging, blocks, force_band, penetration
 from identify.summary import contact_report
 from identify.surface import Stops, Surface, clearance_from_occurrence, fit_surface
-from identify.tolerances import LABORATORY, Tolerances
 from rig.description import Rig
 from rig.errors import RigError
+from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 
 LOWEST_HZ = 0.5

@@ -10,9 +10,9 @@ from scipy.ndimage import uniform_filter1d
 from identify.kinematics import CORNER_HZ, TAPER_S, Kinematics, integrated, taper
 from identify.modal import contact_shapes, receptance, shape_at, transformation
 from identify.spectra import decimated
-from identify.tolerances import Tolerances
 from rig.description import Body, Rig
 from rig.errors import RigError
+from rig.model.tolerances import Tolerances
 from rig.oscillator import Oscillator
 
 SMOOTHED_HZ = 1.0

@@ -12,8 +12,8 @@ from identify.forces import RING_S
 from identify.kinematics import Use
 from identify.results import ContactReport, Estimate, Stretch
 from identify.spectra import Averaging
-from identify.tolerances import LABORATORY, Tolerances
 from rig.errors import RigError
+from rig.model.tolerances import LABORATORY, Tolerances
 from rig.stretches import stretches
 
 LARGE_BYTES = 1 << 30

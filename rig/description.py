@@ -9,6 +9,7 @@ import numpy as np
 from rig.beam import Beam
 from rig.contact import DeadZone
 from rig.errors import RigError
+from rig.model.tolerances import Tolerances
 from rig.oscillator import Oscillator
 from rig.structure import Structure
 
@@ -161,6 +162,8 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     loads: tuple[StaticLoad, ...] = ()
     base_motion: BaseMotion | None = None
     force_sensor: ForceSensor = ForceSensor()
+    tolerances: Tolerances | None = None
+    """How exactly all this is believed, where the owner says so."""
 
     def __post_init__(self) -> None:
         if not 1e-6 <= self.sample_rate_hz <= 1e9:

@@ -27,9 +27,9 @@ from identify.kinematics import kinematics
 from identify.nifo import nifo
 from identify.spectra import OVERSAMPLING, Averaging, blocks
 from identify.surface import fit_surface
-from identify.tolerances import LABORATORY
 from rig.command_line import progress_bar, run
 from rig.excitation import force_history
+from rig.model.tolerances import LABORATORY
 from rig.plants import modal
 from rig.record import record
 from rig.recording import read

@@ -19,10 +19,11 @@ from rich.table import Table
 
 from identify.answers import Contacts, find_contacts
 from identify.joint import Joint
-from identify.tolerances import EXACT, LABORATORY, jittered
+from identify.tolerances import jittered
 from rig.command_line import run
 from rig.contact import DeadZone
 from rig.description import Rig
+from rig.model.tolerances import EXACT, LABORATORY
 from rig.plants import modal, plant_named
 from rig.record import record
 from rig.recording import Recording, Signals, channel_groups, read

@@ -24,9 +24,9 @@ from identify.gap.report import write_all
 from identify.kinematics import kinematics
 from identify.results import write_json
 from identify.spectra import force_band
-from identify.tolerances import Tolerances
 from rig.command_line import Force, progress_bar, refuse_existing, run
 from rig.description import Rig, Sensor, Station
+from rig.model.tolerances import Tolerances
 from rig.oscillator import Oscillator
 from rig.plants.modal import simulate as modal
 from rig.recording import Recording

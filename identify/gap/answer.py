@@ -13,9 +13,9 @@ from identify.gap.floor import Floor, Floors, Simulate, floors_of
 from identify.gap.results import Cause, Gap, Value
 from identify.gap.spectra import Record, record_of
 from identify.gap.where import where
-from identify.tolerances import LABORATORY, Tolerances
 from rig.description import Rig, to_json
 from rig.errors import RigError
+from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording, Signals
 
 FIT_SHARE = 0.55

@@ -1,4 +1,4 @@
-"""Gauss-Newton on the residual: the parameters of effects, with doubts, drifts and contact tolerances along."""
+"""Gauss-Newton on the residual: the parameters of effects, with nuisance parameters, drifts and contact tolerances along."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,14 +9,14 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 from scipy.sparse.linalg import SuperLU
 
-from identify.gap.doubts import LIMIT, residual_scale
+from identify.gap.nuisance import LIMIT, residual_scale
 from identify.gap.residual import Base, Residual, residual_of
 from rig.description import Rig
 from rig.errors import RigError
 
 STEPS = 12
 FINE = 1e-3
-"""Derivatives are by this share of a candidate's steps: little of a parameter is left once doubts are eliminated."""
+"""Derivatives are by this share of a candidate's steps: little of a parameter is left once nuisance parameters are eliminated."""
 ROUNDING = 1e-9
 SETTLED = 3e-5
 """A whole step of Gauss-Newton is the last if the cost falls by a smaller share, a tenth of the errors; ..."""
@@ -46,7 +46,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class Normal:
-    """Normal equations of doubts and parameters with the contacts' own unknowns eliminated."""
+    """Normal equations of nuisance parameters and parameters with the contacts' own unknowns eliminated."""
 
     matrix: Float[np.ndarray, "global global"]
     gradient: Float[np.ndarray, " global"]
@@ -65,10 +65,10 @@ class Normal:
 def derivative(base: Base, moved: Rig, at: Residual) -> Column:
     """What another rig takes off the linear and the contact residuals.
 
-    The contact forces are projected out with the weights of the rig at hand (Kaufman, BIT 15, 1975), as for the doubts:
+    The contact forces are projected out with the weights of the rig at hand (Kaufman, BIT 15, 1975), as for the nuisance parameters:
     a parameter that is the like of a doubt then has the like of its column.
     """
-    there = residual_of(base, moved, at.doubts, tuple(c.unknowns for c in at.contacts), like=at)
+    there = residual_of(base, moved, at.nuisance, tuple(c.unknowns for c in at.contacts), like=at)
     linear = at.linear - there.linear
     contacts = [a.residual - b.residual for a, b in zip(at.contacts, there.contacts, strict=True)]
     if there.model is at.model:
@@ -88,21 +88,21 @@ def derivative(base: Base, moved: Rig, at: Residual) -> Column:
 
 @dataclass(frozen=True)
 class Reduced:
-    """Normal equations of the doubts at a residual, with the contacts' own unknowns eliminated; columns join them."""
+    """Normal equations of the nuisance parameters at a residual, with the contacts' own unknowns eliminated; columns join them."""
 
     base: Base
     at: Residual
-    matrix: Float[np.ndarray, "doubts doubts"]
-    gradient: Float[np.ndarray, " doubts"]
-    rows: tuple[Float[np.ndarray, "doubts _"], ...]
+    matrix: Float[np.ndarray, "nuisances nuisances"]
+    gradient: Float[np.ndarray, " nuisances"]
+    rows: tuple[Float[np.ndarray, "nuisances _"], ...]
     solvers: tuple[SuperLU, ...]
 
     def joined(self, columns: list[Column]) -> Normal:
-        """Over the doubts, then the columns."""
+        """Over the nuisance parameters, then the columns."""
         count, size = len(self.gradient), len(self.gradient) + len(columns)
         matrix, gradient = np.zeros((size, size)), np.zeros(size)
         matrix[:count, :count], gradient[:count] = self.matrix, self.gradient
-        linear = self.base.doubts.residual.reshape(count, self.at.linear.size)
+        linear = self.base.columns.residual.reshape(count, self.at.linear.size)
         own = np.array([c[0].ravel() for c in columns]).reshape(len(columns), self.at.linear.size)
         matrix[:count, count:] = linear @ own.T
         matrix[count:, count:] = own @ own.T
@@ -122,17 +122,17 @@ class Reduced:
 
 
 def reduced(base: Base, at: Residual) -> Reduced:
-    """The doubts' part of the normal equations."""
-    count = len(base.doubts.names)
-    matrix = base.doubts_gram + base.record.strictness * np.eye(count)
+    """The nuisance parameters' part of the normal equations."""
+    count = len(base.columns.parameters)
+    matrix = base.gram + base.record.strictness * np.eye(count)
     gradient = (
-        base.doubts.residual.reshape(count, at.linear.size) @ at.linear.ravel() - base.record.strictness * at.doubts
+        base.columns.residual.reshape(count, at.linear.size) @ at.linear.ravel() - base.record.strictness * at.nuisance
     )
     every, solvers = [], []
     for j, contact in enumerate(at.contacts):
         weights = base.seen[j].weights
         rows = np.zeros((count, contact.residual.size))
-        rows[:, : weights.size] = weights * (base.doubts.contact_n[:, j] - contact.by_eta * base.doubts.eta_m[:, j])
+        rows[:, : weights.size] = weights * (base.columns.contact_n[:, j] - contact.by_eta * base.columns.eta_m[:, j])
         solver = contact.solver()
         coupled = rows @ contact.columns
         eliminated = solver.solve(np.ascontiguousarray(coupled.T))
@@ -154,17 +154,17 @@ def fit(
 ) -> Fit:
     """Descends from `values`, each parameter within its bounds; `steps` are small changes of each for derivatives.
 
-    `start` gives doubts and contact unknowns to begin at.
+    `start` gives nuisance parameters and contact unknowns to begin at.
     """
     at = residual_of(base, build(values), *(_state(start) if start else (None, None)))
-    count, sizes = len(base.doubts.names), np.eye(values.size)
+    count, sizes = len(base.columns.parameters), np.eye(values.size)
     for _ in range(most):
         inside = FINE * np.where(values + steps > bounds[1], -steps, steps)
         normal = reduced(base, at).joined([derivative(base, build(values + s), at) for s in sizes * inside])
         scaled = np.concatenate([np.ones(count), inside])
         held = normal.matrix + np.diag(np.r_[np.zeros(count), 1e-9 * np.diag(normal.matrix)[count:] + 1e-300])
         ends = [
-            np.concatenate([sign * LIMIT - at.doubts, np.sort((np.stack(bounds) - values) / inside, axis=0)[k]])
+            np.concatenate([sign * LIMIT - at.nuisance, np.sort((np.stack(bounds) - values) / inside, axis=0)[k]])
             for k, sign in enumerate((-1.0, 1.0))
         ]
         step = _bounded(held, normal.gradient, ends[0], ends[1])
@@ -177,7 +177,7 @@ def fit(
                 there = residual_of(
                     base,
                     build(moved),
-                    at.doubts + part[:count],
+                    at.nuisance + part[:count],
                     tuple(c.unknowns + u for c, u in zip(at.contacts, along, strict=True)),
                     like=at,
                 )
@@ -208,5 +208,5 @@ def _bounded(
     return np.asarray(lsq_linear(factor.T, wanted, (low, np.maximum(high, 0.0) + ROUNDING), "bvls").x)
 
 
-def _state(start: Residual) -> tuple[Float[np.ndarray, " doubts"], tuple[Float[np.ndarray, " _"], ...]]:
-    return start.doubts, tuple(c.unknowns for c in start.contacts)
+def _state(start: Residual) -> tuple[Float[np.ndarray, " nuisances"], tuple[Float[np.ndarray, " _"], ...]]:
+    return start.nuisance, tuple(c.unknowns for c in start.contacts)

@@ -19,9 +19,10 @@ from identify.gap.residual import Base, Residual
 from identify.gap.search import looks, settled
 from identify.gap.shaking import shaken
 from identify.gap.spectra import Record, record_of
-from identify.tolerances import LABORATORY, Tolerances, jittered
+from identify.tolerances import jittered
 from rig.description import Rig, to_json
 from rig.errors import RigError
+from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 
 NULLS = 6

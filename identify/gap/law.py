@@ -12,7 +12,7 @@ from scipy.sparse import csc_matrix, csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import SuperLU, splu
 
 from identify.drift import Spline, spline
-from identify.gap.doubts import LIMIT
+from identify.gap.nuisance import LIMIT
 from identify.gap.linear import Linear
 from identify.gap.spectra import Record
 from identify.joint import Observed, regressed
@@ -20,14 +20,8 @@ from identify.spectra import decimated
 from rig.contact import DeadZone, damping_share
 from rig.errors import RigError
 
-TRUSTED = 0.01
-"""Clearance and stiffness of a contact are believed within this share (one standard deviation) ..."""
-DAMPING_S = 1e-5
-"""... and its damping within this multiple of its stiffness."""
 WALL = 100.0
 """Beyond `LIMIT` standard deviations these weigh so many times more: something else is wrong."""
-LAW_ERROR = 2e-3
-"""Share of a contact force that no law of this kind explains."""
 CLOSED = 5.0
 """A contact force is more than noise where it exceeds this many standard deviations; ..."""
 STRUCK = 0.1
@@ -36,12 +30,16 @@ STRUCK = 0.1
 
 @dataclass(frozen=True)
 class Seen:
-    """What a record says of one contact, whatever its law: how exactly its force is known, and its slow drift."""
+    """What a record says of one contact, whatever its law: how exactly its force is known, and its slow drift.
+
+    trusted are the standard deviations of clearance and stiffness (relative) and of damping over stiffness (s).
+    """
 
     weights: Float[np.ndarray, " times"]
     closed: Float[np.ndarray, " times"]
     curve: Spline
     strictness: float
+    trusted: tuple[float, float, float]
 
     @property
     def firm(self) -> float:
@@ -49,14 +47,15 @@ class Seen:
         return float(self.strictness**0.5)
 
 
-def seen_contacts(record: Record, model: Linear, levels: Sequence[float] | None) -> tuple[Seen, ...]:
+def seen_contacts(record: Record, model: Linear, levels: Sequence[float]) -> tuple[Seen, ...]:
     """What the record says of its contacts, by the linear model of the rig that is believed.
 
-    levels are the mean squares that null recordings leave, contact by contact, with the weights as they come.
+    levels are the variances of the contact residuals, in units of what noise and unmodelled share make of them.
     """
     forces, spreads = record.in_time(model.contact_n), model.open_n(record)
     found = []
-    levels = levels or [1.0] * len(forces)
+    believed = record.tolerances
+    trusted = believed.clearance, believed.stiffness, believed.contact_damping_s
     for force, open_n, contact, drift, level in zip(
         forces, spreads, model.rig.contacts, record.drifts, levels, strict=True
     ):
@@ -66,13 +65,15 @@ def seen_contacts(record: Record, model: Linear, levels: Sequence[float] | None)
         stiffness = contact.law.stiffness_n_per_m
         moving = record.time_s > record.excited_s  # at rest nothing tells on which side of a stop it rests
         weights = (
-            moving / np.sqrt(level) / np.sqrt(open_n**2 + (stiffness * fast_m * loud) ** 2 + (LAW_ERROR * force) ** 2)
+            moving
+            / np.sqrt(level)
+            / np.sqrt(open_n**2 + (stiffness * fast_m * loud) ** 2 + (believed.unmodelled_contact * force) ** 2)
         )
         slow = drift
         if drift is not None:
             at = np.arange(record.taken.start, record.taken.stop) * record.factor
             slow = replace(drift, acceleration_m_per_s2=drift.acceleration_m_per_s2[at])
-        found.append(Seen(weights, closed.astype(float), spline(force.size, record.rate_hz, slow), record.strictness))
+        found.append(Seen(weights, closed.astype(float), spline(force.size, record.rate_hz, slow), record.strictness, trusted))
     return tuple(found)
 
 
@@ -151,9 +152,10 @@ class Contact:
     def columns(self) -> csr_matrix:
         """By how much the residual falls with each unknown."""
         weights, curve = self.seen.weights, self.seen.curve
+        by_clearance, by_stiffness, _ = self.seen.trusted
         fine = [
-            -self.tangent_n_per_m * np.sign(self.depth_m) * TRUSTED * self.law.clearance_m,
-            self.depth_m * TRUSTED * self.law.stiffness_n_per_m,
+            -self.tangent_n_per_m * np.sign(self.depth_m) * by_clearance * self.law.clearance_m,
+            self.depth_m * by_stiffness * self.law.stiffness_n_per_m,
             self.damped_n,
         ]
         by_law = np.stack([decimated(row, self.laid.finer) for row in fine], axis=1)
@@ -183,16 +185,16 @@ def contact_residual(
     slow, slow_rate = curve.value @ knots + more_m, curve.rate @ knots
     eta = laid.eta_m + _finely(np.broadcast_to(slow, laid.force_n.shape), laid.finer)
     rate = laid.rate_m_per_s + _finely(slow_rate, laid.finer)
-    clearance, stiffness, damping = unknowns[curve.knots :]
+    clearance, stiffness, _ = unknowns[curve.knots :] * seen.trusted
     within = changed(
         law,
-        lower_clearance_m=law.lower_clearance_m * max(0.0, 1 + TRUSTED * clearance),
-        upper_clearance_m=law.upper_clearance_m * max(0.0, 1 + TRUSTED * clearance),
-        stiffness_n_per_m=law.stiffness_n_per_m * max(0.01, 1 + TRUSTED * stiffness),
+        lower_clearance_m=law.lower_clearance_m * max(0.0, 1 + clearance),
+        upper_clearance_m=law.upper_clearance_m * max(0.0, 1 + clearance),
+        stiffness_n_per_m=law.stiffness_n_per_m * max(0.01, 1 + stiffness),
     )
     depth = within.penetration_m(eta, laid.time_s)
-    damped = DAMPING_S * law.stiffness_n_per_m * rate * damping_share(depth)
-    force = within.force_n(eta, rate, laid.time_s) + damping * damped
+    damped = seen.trusted[2] * law.stiffness_n_per_m * rate * damping_share(depth)
+    force = within.force_n(eta, rate, laid.time_s) + unknowns[-1] * damped
     residual = laid.force_n + more_n - decimated(force, laid.finer) - laid.spring_n_per_m * slow
     held = -seen.firm * (unknowns[curve.knots :] + WALL * _beyond(unknowns))
     return Contact(

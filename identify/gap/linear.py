@@ -46,8 +46,8 @@ class Linear:
 
     chain is what each sensor makes of an acceleration. residual is in standard deviations; where the base shakes, a
     last row holds its acceleration in those of its own spectrum, and log_determinant is what that freedom costs. eta_m
-    lacks the slow part that integration loses. modal are the accelerations of each body's modes, holding_n the constant
-    contact forces under static loads.
+    lacks the slow part that integration loses. modal are the accelerations of each body's modes, by_force those
+    that the measured force alone makes at the sensors, holding_n the constant contact forces under static loads.
     """
 
     rig: Rig
@@ -60,6 +60,7 @@ class Linear:
     contact_n: Complex[np.ndarray, "contacts lines"]
     eta_m: Complex[np.ndarray, "contacts lines"]
     modal: tuple[Complex[np.ndarray, "modes lines"], ...]
+    by_force: Complex[np.ndarray, "sensors lines"]
     holding_n: Float[np.ndarray, " contacts"]
     log_determinant: float
 
@@ -76,10 +77,11 @@ class Linear:
         return np.asarray(np.sqrt(2 * variance.sum(axis=0) / (record.length * record.samples)))
 
 
-def linear_model(record: Record, rig: Rig, model_error: float) -> Linear:
+def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray, " lines"]) -> Linear:
     """The linear residual of a rig that has the record's sensors and contacts, whatever else it has.
 
-    model_error is the share of each acceleration that no model of this kind explains.
+    model_error is the share of each acceleration that no model of this kind explains. The noise of the measured force
+    is a further unknown input, with a prior of its own size.
     """
     named, omega = {s.name: s for s in rig.sensors}, record.omega
     sensors = [named[s.name] for s in record.sensors]
@@ -111,6 +113,11 @@ def linear_model(record: Record, rig: Rig, model_error: float) -> Linear:
         unknown = np.concatenate(
             [unknown, _base(record, rig, responses, at).T[:, :, None] * sensed[:, :, None]], axis=2
         )
+    exciting = [r.accelerance * r.shapes([rig.force_at]).T for r in responses]
+    per_newton = _times(np.concatenate(at, axis=1), np.concatenate(exciting))
+    if record.force_noise:
+        heard = np.sqrt(record.force_noise) / rig.force_sensor.gain * per_newton
+        unknown = np.concatenate([unknown, heard.T[:, :, None] * sensed[:, :, None]], axis=2)
     contacts = len(rig.contacts)
     solve, log_determinant = _least_squares(unknown, contacts)
     residual, contact_n = _split(unknown, solve, record.delivered / spread - known * sensed.T, contacts)
@@ -122,7 +129,19 @@ def linear_model(record: Record, rig: Rig, model_error: float) -> Linear:
         eta += _times(weights, displacements) + _times(over - weights @ own, motion) * high_passed
     holding_n = _holding(rig, responses, across)
     return Linear(
-        rig, responses, chain, spread, unknown, solve, residual, contact_n, eta, modal, holding_n, log_determinant
+        rig=rig,
+        responses=responses,
+        chain=chain,
+        spread=spread,
+        unknown=unknown,
+        solve=solve,
+        residual=residual,
+        contact_n=contact_n,
+        eta_m=eta,
+        modal=modal,
+        by_force=per_newton * forces[0],
+        holding_n=holding_n,
+        log_determinant=log_determinant,
     )
 
 

@@ -1,43 +1,42 @@
-"""The one residual of the diagnosis: a rig against a record, with everything that is always in doubt left free.
+"""The one residual of the diagnosis: a rig's model against a record, with the nuisance parameters free.
 
-cost = |linear residual|^2 + sum over contacts |contact residual|^2 + strictness |doubts|^2 + log determinant
+cost = |linear residual|^2 + sum over contacts |contact residual|^2 + strictness |nuisance|^2 + log determinant
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from msgspec.structs import replace
 
-from identify.gap.doubts import Doubts, doubts_of, moved, residual_scale
 from identify.gap.law import Contact, Laid, Seen, contact_residual, laid_out, seen_contacts, start_of
 from identify.gap.linear import Linear, linear_model
+from identify.gap.nuisance import Columns, Nuisance, apply_nuisance, columns_of, residual_scale
+from identify.gap.scales import Scales, estimated_scales, prior_scales
 from identify.gap.spectra import Record
 from rig.description import Rig
-
-MODEL_ERROR = 5e-4
-"""Share of each acceleration that no model of this kind explains."""
 
 
 @dataclass(frozen=True)
 class Base:
     """A record and the rig about which it is linearised: what every residual of the record shares.
 
-    about are the doubts that are in the rig already where it is linearised.
+    about are the nuisance parameters that are in the rig already where it is linearised.
     """
 
     record: Record
     rig: Rig
+    scales: Scales
     model: Linear
     seen: tuple[Seen, ...]
-    doubts: Doubts
-    doubts_gram: Float[np.ndarray, "doubts doubts"]
-    about: Float[np.ndarray, " doubts"]
+    columns: Columns
+    gram: Float[np.ndarray, "nuisances nuisances"]
+    about: Float[np.ndarray, " nuisances"]
 
 
 @dataclass(frozen=True)
 class Residual:
-    """A rig against a record. linear is in standard deviations, over time, with the doubts taken in."""
+    """A rig against a record. linear is in standard deviations, over time, with the nuisance parameters taken in."""
 
     rig: Rig
     model: Linear
@@ -45,8 +44,8 @@ class Residual:
     bare: Float[np.ndarray, "rows times"]
     linear: Float[np.ndarray, "rows times"]
     contacts: tuple[Contact, ...]
-    doubts: Float[np.ndarray, " doubts"]
-    names: tuple[str, ...]
+    nuisance: Float[np.ndarray, " nuisances"]
+    parameters: tuple[Nuisance, ...]
     strictness: float
 
     @property
@@ -55,15 +54,24 @@ class Residual:
         return int(self.linear.size + sum(c.residual.size for c in self.contacts))
 
     @property
-    def strain(self) -> float:
-        """The largest doubt or contact tolerance, in standard deviations."""
-        own = [c.unknowns[-3:] for c in self.contacts]
-        return float(np.max(np.abs(np.concatenate([self.doubts, *own])), initial=0.0))
+    def pulls(self) -> Float[np.ndarray, " pulls"]:
+        """Of the nuisance parameters and the contacts' own: (estimate - prior mean) / prior standard deviation."""
+        return np.concatenate([self.nuisance, *(c.unknowns[-3:] for c in self.contacts)])
+
+    @property
+    def contact_levels(self) -> tuple[float, ...]:
+        """Mean square of each contact's residual while the rig moves, in the variances that it was weighed by."""
+        found = []
+        for contact in self.contacts:
+            moving = contact.seen.weights > 0
+            own = contact.residual[: moving.size][moving]
+            found.append(float(np.mean(own**2)) if own.size else 0.0)
+        return tuple(found)
 
     @property
     def cost(self) -> float:
         return (
-            float(np.sum(self.linear**2) + self.strictness * self.doubts @ self.doubts)
+            float(np.sum(self.linear**2) + self.strictness * self.nuisance @ self.nuisance)
             + sum(c.cost for c in self.contacts)
             + self.model.log_determinant * self.linear.shape[1] / self.model.spread.shape[1]
         )
@@ -72,53 +80,60 @@ class Residual:
 def base_of(
     record: Record,
     rig: Rig,
-    seen: tuple[Seen, ...] | None = None,
     about: Residual | None = None,
-    levels: Sequence[float] | None = None,
+    scales: Scales | None = None,
+    seen: tuple[Seen, ...] | None = None,
 ) -> Base:
-    """The linearisation about a rig, with the doubts of a residual of the record in it, if one is given.
+    """The linearisation about a rig, with the nuisance parameters of a residual of the record in it, if one is given.
 
-    `seen` of another base of the record keeps their costs comparable; otherwise levels are
-    the mean squares of the contact residuals in null recordings.
+    `scales` and `seen` of another base of the record keep their costs comparable.
     """
-    there, put = moved(rig, about.names, about.doubts, record.tolerances) if about else (rig, None)
-    model = linear_model(record, there, MODEL_ERROR)
-    doubts = doubts_of(record, model, record.tolerances)
-    columns = doubts.residual.reshape(len(doubts.names), -1)
-    put = np.zeros(len(doubts.names)) if put is None else put
-    return Base(record, rig, model, seen or seen_contacts(record, model, levels), doubts, columns @ columns.T, put)
+    scales = scales or prior_scales(record)
+    there, put = apply_nuisance(rig, about.parameters, about.nuisance, record.tolerances) if about else (rig, None)
+    model = linear_model(record, there, scales.discrepancy)
+    columns = columns_of(record, model)
+    flat = columns.residual.reshape(len(columns.parameters), -1)
+    put = np.zeros(len(columns.parameters)) if put is None else put
+    seen = seen or seen_contacts(record, model, scales.contacts)
+    return Base(record, rig, scales, model, seen, columns, flat @ flat.T, put)
+
+
+def rescaled(base: Base, at: Residual) -> Base:
+    """The base with the scales that a residual of it shows."""
+    scales = estimated_scales(base.record, base.scales, at.linear, at.contact_levels)
+    return base_of(base.record, base.rig, at, scales)
 
 
 def residual_of(
     base: Base,
     rig: Rig,
-    doubts: Float[np.ndarray, " doubts"] | None = None,
+    nuisance: Float[np.ndarray, " nuisances"] | None = None,
     unknowns: tuple[Float[np.ndarray, " _"], ...] | None = None,
     like: Residual | None = None,
 ) -> Residual:
-    """The residual of a rig at some doubts and contact unknowns (none of either: zero), without any fit.
+    """The residual of a rig at some nuisance parameters and contact unknowns (none of either: zero), without any fit.
 
     `like` is a residual of the same linear rig, whose linear part is then not computed again.
     """
-    record = base.record
-    doubts = np.zeros(len(base.doubts.names)) if doubts is None else doubts
+    record, parameters = base.record, base.columns.parameters
+    nuisance = np.zeros(len(parameters)) if nuisance is None else nuisance
     if like is not None and same_but_laws(like.rig, rig):
         model, laid, bare = like.model, like.laid, like.bare
     else:
-        there = moved(rig, base.doubts.names, base.about, record.tolerances)[0] if base.about.any() else rig
-        model = linear_model(record, there, MODEL_ERROR)
+        there = apply_nuisance(rig, parameters, base.about, record.tolerances)[0] if base.about.any() else rig
+        model = linear_model(record, there, base.scales.discrepancy)
         laid = laid_out(record, model)
         bare = residual_scale(record) * record.in_time(model.residual)
     if unknowns is None:
         unknowns = tuple(start_of(at, s, record.rate_hz) for at, s in zip(laid, base.seen, strict=True))
-    beside = doubts - base.about
-    linear = bare - np.tensordot(beside, base.doubts.residual, 1) if beside.any() else bare
-    more_n, more_m = (-np.tensordot(beside, c, 1) for c in (base.doubts.contact_n, base.doubts.eta_m))
+    beside = nuisance - base.about
+    linear = bare - np.tensordot(beside, base.columns.residual, 1) if beside.any() else bare
+    more_n, more_m = (-np.tensordot(beside, c, 1) for c in (base.columns.contact_n, base.columns.eta_m))
     contacts = tuple(
         contact_residual(laid[j], base.seen[j], rig.contacts[j].law, unknowns[j], more_n[j], more_m[j])
         for j in range(len(rig.contacts))
     )
-    return Residual(rig, model, laid, bare, linear, contacts, doubts, base.doubts.names, record.strictness)
+    return Residual(rig, model, laid, bare, linear, contacts, nuisance, parameters, record.strictness)
 
 
 def same_but_laws(one: Rig, other: Rig) -> bool:
@@ -126,6 +141,4 @@ def same_but_laws(one: Rig, other: Rig) -> bool:
     if one is other:
         return True
     laws = tuple(c.law for c in other.contacts)
-    from msgspec.structs import replace
-
     return replace(one, contacts=tuple(replace(c, law=law) for c, law in zip(one.contacts, laws, strict=True))) == other

@@ -11,9 +11,9 @@ from identify.answers import drift_of
 from identify.drift import Drift
 from identify.kinematics import CORNER_HZ, Kinematics, acceleration_noise, integrated, kinematics, taper
 from identify.spectra import force_band
-from identify.tolerances import LABORATORY, Tolerances
 from rig.description import Quantity, Rig, Sensor
 from rig.errors import RigError
+from rig.model.tolerances import LABORATORY, Tolerances
 from rig.oscillator import Oscillator
 from rig.recording import Recording
 from rig.sensors import PASSBAND, sensors_of
@@ -26,6 +26,8 @@ LEFT_OUT_S = 4.5
 REACH = 2.5
 """The diagnosis looks up to this multiple of the force's highest frequency."""
 SHORTEST_S = 10.0
+QUIET_S = 0.25
+"""A quiet start of this length tells the noise."""
 SMOOTHED_HZ = 1.0
 FINE_HZ = 8000.0
 """Contact laws are evaluated at no less; at twice that nothing changes."""
@@ -40,7 +42,7 @@ class Record:
 
     delivered is what each sensor gave, turned into an acceleration by powers of i omega, its believed gain and delay
     still in it; displaced the same as a displacement, high-passed where it had to be integrated. noise is the variance
-    of each of its lines by the sensor's noise alone, power its smoothed size. eta_beyond is each relative displacement
+    of each of its lines by the sensor's noise alone, power its smoothed size; force_noise that of the force's lines. eta_beyond is each relative displacement
     as measured on the lines from `high_hz` on, drifts what is known of its slow part (None where nothing is lost).
     excited_s is when the force begins, tolerances how exactly the rig is believed.
     """
@@ -57,6 +59,7 @@ class Record:
     delivered: Complex[np.ndarray, "sensors lines"]
     displaced: Complex[np.ndarray, "sensors lines"]
     noise: Float[np.ndarray, "sensors lines"]
+    force_noise: float
     power: Float[np.ndarray, "sensors lines"]
     eta_beyond: Complex[np.ndarray, "contacts morelines"]
     drifts: tuple[Drift | None, ...]
@@ -105,12 +108,13 @@ class Record:
         return np.asarray(whole[..., self.taken])
 
 
-def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Tolerances = LABORATORY) -> Record:
+def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Tolerances | None = None) -> Record:
     """The spectra of a recording's accelerometers; without any, of its velocity or else its displacement sensors.
 
     Raises RigError if it is too short, or has no force or no sensors.
     """
     rig, rate = recording.rig, recording.rig.sample_rate_hz
+    tolerances = tolerances or rig.tolerances or LABORATORY
     if recording.duration_s < SHORTEST_S:
         raise RigError(
             f"the record lasts {recording.duration_s:.3g} s; the diagnosis needs {SHORTEST_S:g} s, better 30 s or more"
@@ -127,7 +131,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     lines = length // factor // 2 + 1
     omega = 2 * np.pi * np.arange(lines) * rate / length
     omega[0] = 0.01 * omega[1]  # stands for the mean, which powers of omega would lose
-    quiet = motion.excited_from > 0.25 * rate
+    quiet = motion.excited_from > QUIET_S * rate
     shape = taper(samples, round(TAPER_S * rate))
     if not quiet:
         shape = shape * shape[::-1]
@@ -156,6 +160,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         force=spectrum(recording.force_n)[:lines],
         delivered=delivered,
         displaced=displaced,
+        force_noise=samples * _force_noise_n(recording, motion, tolerances) ** 2,
         noise=samples * (densities[:, None] * size) ** 2 * rate / 2,
         power=uniform_filter1d(np.abs(delivered) ** 2, max(1, round(SMOOTHED_HZ * length / rate)), axis=1),
         eta_beyond=_eta_beyond(rig, sensors, measured[:, lines - 1 :], beyond_rad),
@@ -196,6 +201,15 @@ def _spring(rig: Rig, contact: int) -> float:
 def _row(recording: Recording, sensor: Sensor) -> Float[np.ndarray, " samples"]:
     signals = recording.signals[sensor.quantity]
     return signals.values[signals.channels.names.index(sensor.name)]
+
+
+def _force_noise_n(recording: Recording, motion: Kinematics, tolerances: Tolerances) -> float:
+    """Standard deviation of the force channel's noise: heard in the quiet start, else as the tolerances state it."""
+    rate = motion.sample_rate_hz
+    quiet = motion.excited_from - round(0.05 * rate)
+    if quiet > QUIET_S * rate:
+        return float(np.std(recording.force_n[:quiet]))
+    return float(tolerances.force_noise_density * np.sqrt(rate / 2))
 
 
 def _densities(rig: Rig, sensors: tuple[Sensor, ...], motion: Kinematics) -> Float[np.ndarray, " sensors"]:

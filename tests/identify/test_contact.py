@@ -10,10 +10,10 @@ import pytest
 
 import identify
 from identify.contact import identify_contact
-from identify.tolerances import EXACT
 from rig.contact import DeadZone
 from rig.description import PointMass, Station
 from rig.errors import RigError
+from rig.model.tolerances import EXACT
 from rig.plants import modal
 from rig.record import record
 from rig.recording import Recording, read, truth_path

@@ -10,8 +10,8 @@ from identify.advice import surer, variance_shares
 from identify.contact import identify_contact
 from identify.joint import Joint
 from identify.report import write_page, write_results
-from identify.tolerances import EXACT
 from identify.wording import interval
+from rig.model.tolerances import EXACT
 from rig.recording import read
 from rig.reference import Sdof
 

@@ -10,9 +10,10 @@ from identify.gap.doubts import doubts_of
 from identify.gap.linear import linear_model
 from identify.gap.residual import MODEL_ERROR
 from identify.gap.spectra import record_of
-from identify.tolerances import EXACT, LABORATORY, jittered
+from identify.tolerances import jittered
 from rig.description import Rig
 from rig.errors import RigError
+from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import Recording, read
 from rig.structure import structure_of
 

@@ -7,8 +7,8 @@ from msgspec.structs import replace
 from identify.gap.doubts import moved
 from identify.gap.residual import base_of, residual_of
 from identify.gap.spectra import record_of
-from identify.tolerances import LABORATORY
 from rig.excitation import force_history
+from rig.model.tolerances import LABORATORY
 from rig.reference import BarrelCradle, Sdof
 from rig.replay import modal
 

@@ -1,0 +1,1 @@
+"""Which effects, put into the rig, explain the residual of a record."""

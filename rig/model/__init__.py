@@ -1,0 +1,1 @@
+"""What a rig is believed to be."""
