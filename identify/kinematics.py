@@ -15,6 +15,8 @@ from rig.sensors import PASSBAND
 TAPER_S = 0.5
 CORNER_HZ = 0.5
 """Below this an integrated acceleration is drift; it is cut off smoothly between half of it and itself."""
+QUIET_S = 0.25
+BEGUN, NORMAL_BY_MEDIAN = 6.0, 1.4826
 
 _ORDER: dict[Quantity, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
 Use = Literal["auto", "displacement", "velocity", "acceleration"]
@@ -41,8 +43,18 @@ class Kinematics:
 
     @property
     def excited_from(self) -> int:
-        """The first sample at which the force has begun."""
-        return int(np.argmax(np.abs(self.force_n) > 1e-3 * np.abs(self.force_n).max()))
+        """The first sample at which the force has begun; 0 of a record without a quiet start.
+
+        The force has begun where it exceeds six standard deviations of its channel's first quarter second (1.4826 times
+        the median size, which a few samples of force do not move), and a thousandth of its peak. The start is quiet if
+        six such standard deviations are less than the force's root mean square.
+        """
+        size = np.abs(self.force_n)
+        first = size[: max(1, round(QUIET_S * self.sample_rate_hz))]
+        noise_n = BEGUN * NORMAL_BY_MEDIAN * float(np.median(first))
+        if noise_n >= np.sqrt(np.mean(size**2)):
+            return 0
+        return int(np.argmax(size > max(noise_n, 1e-3 * float(size.max()))))
 
     def row(self, station: Station) -> int | None:
         return self.stations.index(station) if station in self.stations else None

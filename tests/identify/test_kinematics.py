@@ -172,6 +172,15 @@ def test_the_force_begins_where_it_begins():
     assert kinematics(recorded(sensor("displacement"), quiet_s=1.5)).excited_from == round(1.5 * RATE_HZ)
 
 
+@pytest.mark.parametrize(("quiet_s", "noise_n"), [(1.5, 0.0), (1.5, 2e-3), (1.5, 0.05), (0.2, 0.05), (0.0, 0.05)])
+def test_noise_of_the_force_channel_is_no_force(quiet_s, noise_n):
+    rng = np.random.default_rng(3)
+    motion = kinematics(recorded(sensor("displacement"), quiet_s=quiet_s))
+    noisy = replace(motion, force_n=motion.force_n * rng.standard_normal(motion.force_n.size))
+    noisy = replace(noisy, force_n=noisy.force_n + noise_n * rng.standard_normal(noisy.force_n.size))
+    assert round(quiet_s * RATE_HZ) <= noisy.excited_from <= round(quiet_s * RATE_HZ) + 8 * (quiet_s > 0)
+
+
 @pytest.mark.parametrize("quiet_s", [1.0, 0.0])
 def test_noise_is_heard_before_the_force_or_else_described(quiet_s):
     density = 2e-3
