@@ -66,7 +66,7 @@ def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Con
 
 def _check_known(rig: Rig) -> None:
     """Raises RigError if the description holds something that the linear model of the identification leaves out."""
-    for what in ("masses", "springs", "clamps", "loads", "base_motion", "force_sensor"):
+    for what in ("masses", "springs", "clamps", "loads", "base_motion", "force_sensor", "dampers", "tones"):
         if getattr(rig, what) not in ((), None, ForceSensor()):
             raise RigError(
                 f"rig.json of {rig.name!r} has {what}, which the identification does not know; it takes beams, "

@@ -82,7 +82,10 @@ class PointMass(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 
 class PointSpring(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A spring from a body to the base: the force k w + k3 w^3 against the displacement, k_r w' against the slope."""
+    """A spring from a body to the base: the force k w + k3 w^3 against the displacement, k_r w' against the slope.
+
+    k and k3 may be negative: a spring that believed stiffness is less by, and one that softens.
+    """
 
     station: Station
     stiffness_n_per_m: float = 0.0
@@ -90,8 +93,21 @@ class PointSpring(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     rotational_n_m_per_rad: float = 0.0
 
     def __post_init__(self) -> None:
-        for field in ("stiffness_n_per_m", "cubic_n_per_m3", "rotational_n_m_per_rad"):
-            _check_number("point spring", field, getattr(self, field))
+        for field in ("stiffness_n_per_m", "cubic_n_per_m3"):
+            _check_finite("point spring", field, getattr(self, field))
+        _check_number("point spring", "rotational_n_m_per_rad", self.rotational_n_m_per_rad)
+
+
+class PointDamper(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A damper from a body to the base: the force c v + F tanh(v / v0) against the velocity, v0 = 0.02 m/s."""
+
+    station: Station
+    damping_n_s_per_m: float = 0.0
+    friction_n: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in ("damping_n_s_per_m", "friction_n"):
+            _check_number("point damper", field, getattr(self, field))
 
 
 class Clamp(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -111,8 +127,25 @@ class StaticLoad(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     force_n: float
 
     def __post_init__(self) -> None:
-        if not np.isfinite(self.force_n):
-            raise RigError(f"static load: force_n is {self.force_n}; give a finite value")
+        _check_finite("static load", "force_n", self.force_n)
+
+
+class Tone(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """An unmeasured harmonic force on a body, a cos(2 pi f t) + b sin(2 pi f t), with t from the record's beginning.
+
+    It sets in from rest over the first half second.
+    """
+
+    station: Station
+    frequency_hz: float
+    cosine_n: float = 0.0
+    sine_n: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in ("cosine_n", "sine_n"):
+            _check_finite("tone", field, getattr(self, field))
+        if not 0 < self.frequency_hz < np.inf:
+            raise RigError(f"tone: frequency_hz is {self.frequency_hz}; give a finite value above zero")
 
 
 class BaseMotion(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -132,7 +165,10 @@ class BaseMotion(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class ForceSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How the measured force relates to the true one, which is the measured force of lag_s ago divided by gain."""
+    """How the measured force relates to the true one, which is the measured force of lag_s ago divided by gain.
+
+    A negative lag is a force channel that comes late.
+    """
 
     gain: float = 1.0
     lag_s: float = 0.0
@@ -140,8 +176,8 @@ class ForceSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     def __post_init__(self) -> None:
         if not _is_gain(self.gain):
             raise RigError(f"force sensor: gain is {self.gain}; give a finite value other than zero")
-        if not 0 <= self.lag_s <= LONGEST_DELAY_S:
-            raise RigError(f"force sensor: lag_s is {self.lag_s}; give a finite value, zero to 1 s")
+        if not abs(self.lag_s) <= LONGEST_DELAY_S:
+            raise RigError(f"force sensor: lag_s is {self.lag_s}; give a finite value, -1 to 1 s")
 
 
 class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -162,6 +198,8 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     loads: tuple[StaticLoad, ...] = ()
     base_motion: BaseMotion | None = None
     force_sensor: ForceSensor = ForceSensor()
+    dampers: tuple[PointDamper, ...] = ()
+    tones: tuple[Tone, ...] = ()
     tolerances: Tolerances | None = None
     """How exactly all this is believed, where the owner says so."""
 
@@ -183,9 +221,15 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         for contact in self.contacts:
             for station in contact_stations(contact):
                 self._check_station(f"contact {contact.name!r}", station)
-        for kind, attached in (("mass", self.masses), ("spring", self.springs), ("load", self.loads)):
+        for kind, attached in (
+            ("point mass", self.masses),
+            ("point spring", self.springs),
+            ("point load", self.loads),
+            ("point damper", self.dampers),
+            ("tone", self.tones),
+        ):
             for one in attached:
-                self._check_station(f"a point {kind}", one.station)
+                self._check_station(f"a {kind}", one.station)
         for clamp in self.clamps:
             if getattr(self.body(clamp.body), "ends", None) != "clamped-free":
                 raise RigError(f"a clamp holds {clamp.body!r}, which is no clamped beam; name one that is")
@@ -213,6 +257,11 @@ def _check_carried(body: Body) -> None:
     """Raises RigError if it is not known how a moving base carries the body."""
     if isinstance(body, Structure):
         body.translation()
+
+
+def _check_finite(what: str, field: str, value: float) -> None:
+    if not np.isfinite(value):
+        raise RigError(f"{what}: {field} is {value}; give a finite value")
 
 
 def _check_number(what: str, field: str, value: float) -> None:

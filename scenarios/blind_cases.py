@@ -157,9 +157,11 @@ def effect_drawn(name: str, rig: Rig, between: tuple[float, float], rng: np.rand
         elif field == "low_hz":
             low_hz = float(3 * 20 ** rng.uniform())
             given.update(low_hz=low_hz, high_hz=float(low_hz * rng.uniform(1.2, 1.6)))
+        elif parameter.neutral is None and field != "high_hz":
+            given[field] = float(rng.uniform(parameter.low, parameter.high))
         elif field != "high_hz":
             default = getattr(kind(), field)
-            given[field], strength = _magnitude(field, parameter, default, strength, rng)
+            given[field], strength = _magnitude(parameter, default, strength, rng)
     for field in kind.__struct_fields__:
         if field == "seed":
             given[field] = int(rng.integers(1, 2**31))
@@ -168,10 +170,8 @@ def effect_drawn(name: str, rig: Rig, between: tuple[float, float], rng: np.rand
     return kind(**given), strength
 
 
-def _magnitude(
-    field: str, parameter: Parameter, default: float, strength: float, rng: np.random.Generator
-) -> tuple[float, float]:
-    neutral = 1.0 if field == "factor" else 0.0
+def _magnitude(parameter: Parameter, default: float, strength: float, rng: np.random.Generator) -> tuple[float, float]:
+    neutral = parameter.neutral or 0.0
     span = default - neutral
     values = [neutral + sign * strength * span for sign in (1, -1)]
     inside = [v for v in values if parameter.low <= v <= parameter.high]

@@ -118,7 +118,7 @@ def _cause(explanation: Explanation, probability: float, floor: Floor) -> Cause:
             value = float(explanation.fitted.values[at])
             parameters[f"{part.kind.name}.{name}"] = Value(value, float(spread[at]) * spurious, about.unit)
             at += 1
-        places |= {f"{part.kind.name}.{field}": place for field, place in part.place.items()}
+        places |= {f"{part.kind.name}.{field}": place or "all" for field, place in part.place.items()}
     return Cause(explanation.effects, probability, parameters, places, explanation.remainder.size)
 
 

@@ -4,41 +4,48 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
+import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from rig.beam import Beam
+from identify.gap.spectra import Record
 from rig.description import Rig
-from rig.effect import Effect, Parameter, parameters_of
+from rig.effect import Effect, Parameter, Place, Scale
 from rig.effects import effects
 from rig.errors import RigError
 
 PLACES = 6
 """A parameter that says where, rather than how much, is tried at so many values of its range."""
 SMALL = 0.05
-"""Steps for derivatives, as a share of what the effect's default adds."""
+"""Steps for derivatives, as a share of what the typical effect adds."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One effect at one place. neutral is what its first parameter, the strength, is without the effect.
+    """One effect at one place: `typical` there, with the ranges of its parameters, the strength first.
 
-    The further parameters say where or at which frequency; `starts` are the values of theirs that are tried.
+    Where all parameters that have a neutral value are at it, the effect is nothing. The others say where or at which
+    frequency; `starts` are the values of theirs that are tried.
     """
 
     kind: type[Effect]
-    place: Mapping[str, str]
+    place: Place
     parameters: Mapping[str, Parameter]
-    neutral: float
+    typical: Effect
 
     @property
     def name(self) -> str:
-        return ":".join([self.kind.name, *self.place.values()])
+        return ":".join([self.kind.name, *(target or "all" for target in self.place.values())])
+
+    @property
+    def neutral(self) -> float:
+        """What the strength is without the effect."""
+        return next(p.neutral for p in self.parameters.values() if p.neutral is not None)
 
     @property
     def default(self) -> Float[np.ndarray, " parameters"]:
-        made = self.kind()
-        return np.array([getattr(made, p) for p in self.parameters])
+        """The parameters of the typical effect."""
+        return np.array([getattr(self.typical, p) for p in self.parameters])
 
     @property
     def bounds(self) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, " parameters"]]:
@@ -47,55 +54,64 @@ class Candidate:
 
     @property
     def steps(self) -> Float[np.ndarray, " parameters"]:
-        """Small changes: of the strength a share of the default's, of the others of their range."""
+        """Small changes: of a strength a share of the typical effect's, of the others of their range."""
         low, high = self.bounds
-        steps = SMALL * (high - low)
-        steps[0] = SMALL * (self.default[0] - self.neutral)
-        return steps
+        adds = [
+            high[i] - low[i] if p.neutral is None else self.default[i] - p.neutral
+            for i, p in enumerate(self.parameters.values())
+        ]
+        adds = [a or self.default[0] - self.neutral for a in adds]
+        return SMALL * np.array(adds)
 
     @property
     def starts(self) -> list[Float[np.ndarray, " parameters"]]:
         """The neutral strength at every place that is tried."""
-        grids = [np.array([self.neutral])]
-        for parameter in list(self.parameters.values())[1:]:
+        grids = []
+        for parameter in self.parameters.values():
             ends = (parameter.low, parameter.high)
             logarithmic = parameter.low > 0 and parameter.high > 20 * parameter.low
-            spaced = np.geomspace(*ends, PLACES + 2)[1:-1] if logarithmic else np.linspace(*ends, PLACES)
-            grids.append(spaced)
+            if parameter.neutral is not None:
+                grids.append(np.array([parameter.neutral]))
+            else:
+                grids.append(np.geomspace(*ends, PLACES + 2)[1:-1] if logarithmic else np.linspace(*ends, PLACES))
         return [np.array(values) for values in product(*grids)]
 
     def effect(self, values: Float[np.ndarray, " parameters"]) -> Effect:
-        numbers = {name: float(v) for name, v in zip(self.parameters, values, strict=True)}
-        return self.kind(**numbers, **self.place)
+        """The typical effect with other numbers."""
+        return msgspec.structs.replace(
+            self.typical, **{name: float(v) for name, v in zip(self.parameters, values, strict=True)}
+        )
 
     def applied(self, rig: Rig, values: Float[np.ndarray, " parameters"]) -> Rig:
         """The rig with the effect; the rig itself where the effect is nothing (some cannot be nothing exactly)."""
-        return rig if values[0] == self.neutral else self.effect(values).applied_to(rig)
+        strengths = [(v, p.neutral) for v, p in zip(values, self.parameters.values(), strict=True)]
+        nothing = all(neutral is None or v == neutral for v, neutral in strengths)
+        return rig if nothing else self.effect(values).applied_to(rig)
 
 
-def candidates(rig: Rig, sensors: Sequence[str], zero_known: bool) -> list[Candidate]:
+def scale_of(record: Record, rig: Rig) -> Scale:
+    """What the ranges of effects are stated in: the rig, and the record's force (root mean square) and duration."""
+    force_n = record.in_time(record.force)
+    return Scale(rig, float(np.sqrt(np.mean(force_n**2))), record.samples / record.sample_rate_hz)
+
+
+def candidates(scale: Scale, sensors: Sequence[str], zero_known: bool) -> list[Candidate]:
     """Every effect that the rig can have, at every place and sensor that a record sees.
 
-    Effects that only the zero of a relative displacement shows are left out where it is not known.
+    Effects that only the zero of a relative displacement shows are left out where it is not known, and those that
+    change nothing.
     """
-    targets = {
-        "contact": [c.name for c in rig.contacts],
-        "body": [b.name for b in rig.bodies],
-        "beam": [b.name for b in rig.bodies if isinstance(b, Beam)],
-        "sensor": list(sensors),
-    }
     found = []
     for kind in effects().values():
-        parameters = parameters_of(kind)
-        if not parameters or (kind.needs_zero and not zero_known):
+        if kind.needs_zero and not zero_known:
             continue
-        where = [t for t in targets if t in kind.__struct_fields__]
-        for chosen in product(*(targets[t] for t in where)):
-            neutral = 1.0 if next(iter(parameters)) == "factor" else 0.0
-            candidate = Candidate(kind, dict(zip(where, chosen, strict=True)), parameters, neutral)
+        for place in kind.placements(scale.rig, sensors):
+            there = scale.at(place)
+            candidate = Candidate(kind, place, kind.parameters(there), kind.typical(there))
             try:
-                candidate.applied(rig, candidate.default)
+                changed = candidate.applied(scale.rig, candidate.default)
             except RigError:
                 continue  # it makes no sense here
-            found.append(candidate)
+            if changed != scale.rig:
+                found.append(candidate)
     return found

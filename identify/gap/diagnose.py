@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from identify.gap.candidates import Candidate, candidates
+from identify.gap.candidates import Candidate, candidates, scale_of
 from identify.gap.fit import Fit, fit
 from identify.gap.floor import MARGIN, Floor, Floors, Remainder, remainder
 from identify.gap.residual import Base, Residual, base_of
@@ -75,7 +75,7 @@ def diagnosed(
     rig = fit_record.rig
     floor, other_floor = floors.of(fit_record), floors.of(validation)
     base, at = settled(fit_record, rig, levels=floor.contacts)
-    known = candidates(rig, [s.name for s in fit_record.sensors], fit_record.zero_known)
+    known = candidates(scale_of(fit_record, rig), [s.name for s in fit_record.sensors], fit_record.zero_known)
     first_look = remainder(base, at, floor)
     progress(0.05)
     judge, judged = settled(validation, rig, levels=other_floor.contacts)
@@ -133,7 +133,7 @@ def applied(rig: Rig, parts: Sequence[Candidate], values: Float[np.ndarray, " pa
 
 def worthwhile(base: Base, at: Residual, known: Sequence[Candidate], floor: Floor) -> list[Found]:
     """Effects that gain clearly more than on any null recording, most first."""
-    steady = [c for c in known if c.kind.name != "base_motion"]
+    steady = [c for c in known if not c.kind.stochastic]
     found = search(base, at, steady, floor.gains)
     if base.rig.base_motion is None:
         found += [f for c in known if c not in steady and (f := shaken(base, at, c))]
@@ -156,7 +156,7 @@ def _together(base: Base, parts: tuple[Candidate, ...], first: Fit, second: Foun
     values = np.concatenate([first.values, second.fitted.values])
     steps = np.concatenate([c.steps for c in parts])
     low, high = (np.concatenate(ends) for ends in zip(*(c.bounds for c in parts), strict=True))
-    if any(c.kind.name == "base_motion" for c in parts):
+    if any(c.kind.stochastic for c in parts):
         covariance = np.zeros((values.size, values.size))
         covariance[: first.values.size, : first.values.size] = first.covariance
         covariance[first.values.size :, first.values.size :] = second.fitted.covariance

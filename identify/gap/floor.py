@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from scipy.signal.windows import hann
 from scipy.stats import t as student
 
-from identify.gap.candidates import candidates
+from identify.gap.candidates import candidates, scale_of
 from identify.gap.residual import Base, Residual
 from identify.gap.search import looks, settled
 from identify.gap.shaking import shaken
@@ -268,9 +268,9 @@ def _mark(rig: Rig) -> str:
 
 def null_gains(base: Base, at: Residual) -> dict[str, float]:
     """What each effect gains on a recording that has none, by its name."""
-    known = candidates(base.rig, [s.name for s in base.record.sensors], base.record.zero_known)
+    known = candidates(scale_of(base.record, base.rig), [s.name for s in base.record.sensors], base.record.zero_known)
     gains: dict[str, float] = {}
-    steady = [c for c in known if c.kind.name != "base_motion"]
+    steady = [c for c in known if not c.kind.stochastic]
     for look in looks(base, at, steady, bounded=False):
         gains[look.candidate.kind.name] = max(gains.get(look.candidate.kind.name, 0.0), look.gain)
     for candidate in known:

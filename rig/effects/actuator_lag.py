@@ -13,7 +13,7 @@ class ActuatorLag(Effect, frozen=True):
 
     name: ClassVar[str] = "actuator_lag"
     separated_by: ClassVar[str] = "shake a known free mass with the same force sensor"
-    lag_s: Annotated[float, Parameter("s", 0.0, 3e-3)] = 5e-4
+    lag_s: Annotated[float, Parameter("s", 0.0, 3e-3, 0.0)] = 5e-4
 
     def applied_to(self, rig: Rig) -> Rig:
         sensor = rig.force_sensor

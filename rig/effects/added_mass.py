@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar
 from msgspec.structs import replace
 
 from rig.description import PointMass, Rig
-from rig.effect import Effect, Parameter
+from rig.effect import Effect, Parameter, Scale
 
 
 class AddedMass(Effect, frozen=True):
@@ -13,9 +13,18 @@ class AddedMass(Effect, frozen=True):
 
     name: ClassVar[str] = "added_mass"
     separated_by: ClassVar[str] = "weigh the part, or fix a known mass elsewhere and compare"
-    mass_kg: Annotated[float, Parameter("kg", 0.0, 1.0)] = 0.2
+    mass_kg: Annotated[float, Parameter("kg", 0.0, 1.0, 0.0)] = 0.2
     relative_position: Annotated[float, Parameter("1", 0.0, 1.0)] = 1.0
     body: str | None = None
+
+    @classmethod
+    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+        """Up to half of the body's mass."""
+        return cls.along(scale, mass_kg=(0.0, 0.5 * scale.mass_kg()))
+
+    @classmethod
+    def typical(cls, scale: Scale) -> Effect:
+        return cls.placed(scale, mass_kg=0.05 * scale.mass_kg(), relative_position=1.0)
 
     def applied_to(self, rig: Rig) -> Rig:
         station = self.station(rig, self.body, self.relative_position)

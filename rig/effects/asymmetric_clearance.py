@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar
 from msgspec.structs import replace
 
 from rig.description import Rig
-from rig.effect import Effect, Parameter
+from rig.effect import Effect, Parameter, Scale
 
 
 class AsymmetricClearance(Effect, frozen=True):
@@ -14,8 +14,18 @@ class AsymmetricClearance(Effect, frozen=True):
     name: ClassVar[str] = "asymmetric_clearance"
     separated_by: ClassVar[str] = "measure the relative displacement itself, with its zero"
     needs_zero: ClassVar[bool] = True
-    shift_m: Annotated[float, Parameter("m", -4e-3, 4e-3)] = 5e-4
+    shift_m: Annotated[float, Parameter("m", -4e-3, 4e-3, 0.0)] = 5e-4
     contact: str | None = None
+
+    @classmethod
+    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+        """Up to four fifths of the smaller clearance, either way."""
+        most_m = 0.8 * scale.clearance_m()
+        return cls.ranged(shift_m=(-most_m, most_m))
+
+    @classmethod
+    def typical(cls, scale: Scale) -> Effect:
+        return cls.placed(scale, shift_m=0.1 * scale.clearance_m())
 
     def applied_to(self, rig: Rig) -> Rig:
         return self.with_laws(

@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar
 from msgspec.structs import replace
 
 from rig.description import BaseMotion, Rig
-from rig.effect import Effect, Parameter
+from rig.effect import Effect, Parameter, Scale
 from rig.errors import RigError
 
 
@@ -14,10 +14,28 @@ class ShakingBase(Effect, frozen=True):
 
     name: ClassVar[str] = "base_motion"
     separated_by: ClassVar[str] = "record without force, or put an accelerometer on the base"
-    acceleration_rms_m_per_s2: Annotated[float, Parameter("m/s^2", 0.0, 5.0)] = 0.5
+    stochastic: ClassVar[bool] = True
+    acceleration_rms_m_per_s2: Annotated[float, Parameter("m/s^2", 0.0, 5.0, 0.0)] = 0.5
     low_hz: Annotated[float, Parameter("Hz", 0.5, 200.0)] = 8.0
     high_hz: Annotated[float, Parameter("Hz", 0.5, 200.0)] = 12.0
     seed: int = 1
+
+    @classmethod
+    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+        """Up to twice what the exciting force gives the lightest body, at the frequencies that a record tells."""
+        most = 2 * scale.force_rms_n / min(scale.at({"body": b.name}).mass_kg() for b in scale.rig.bodies)
+        return cls.ranged(acceleration_rms_m_per_s2=(0.0, most), low_hz=scale.band_hz, high_hz=scale.band_hz)
+
+    @classmethod
+    def typical(cls, scale: Scale) -> Effect:
+        least_kg = min(scale.at({"body": b.name}).mass_kg() for b in scale.rig.bodies)
+        low_hz, high_hz = scale.band_hz
+        middle_hz = (low_hz * high_hz) ** 0.5
+        return cls(
+            acceleration_rms_m_per_s2=0.1 * scale.force_rms_n / least_kg,
+            low_hz=0.8 * middle_hz,
+            high_hz=1.2 * middle_hz,
+        )
 
     def applied_to(self, rig: Rig) -> Rig:
         if rig.base_motion is not None:

@@ -16,7 +16,7 @@ class ClampCompliance(Effect, frozen=True):
     separated_by: ClassVar[str] = (
         "measure close to the clamp, where a clamp that gives moves and a softer beam does not"
     )
-    compliance: Annotated[float, Parameter("1", 0.002, 0.3)] = 0.03
+    compliance: Annotated[float, Parameter("1", 0.002, 0.3, 0.0)] = 0.03
     beam: str | None = None
 
     def applied_to(self, rig: Rig) -> Rig:

@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar
 from msgspec.structs import replace
 
 from rig.description import Rig
-from rig.effect import Effect, Parameter
+from rig.effect import Effect, Parameter, Scale
 
 
 class ClearanceWear(Effect, frozen=True):
@@ -13,8 +13,17 @@ class ClearanceWear(Effect, frozen=True):
 
     name: ClassVar[str] = "clearance_wear"
     separated_by: ClassVar[str] = "record for longer: wear goes on, an error of the clearance does not"
-    growth_per_minute: Annotated[float, Parameter("1/min", 0.0, 0.5)] = 0.1
+    growth_per_minute: Annotated[float, Parameter("1/min", 0.0, 0.5, 0.0)] = 0.1
     contact: str | None = None
+
+    @classmethod
+    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+        """Up to a doubled clearance at the record's end."""
+        return cls.ranged(growth_per_minute=(0.0, 60 / scale.duration_s))
+
+    @classmethod
+    def typical(cls, scale: Scale) -> Effect:
+        return cls.placed(scale, growth_per_minute=6 / scale.duration_s)
 
     def applied_to(self, rig: Rig) -> Rig:
         return self.with_laws(

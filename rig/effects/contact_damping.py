@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar
 from msgspec.structs import replace
 
 from rig.description import Rig
-from rig.effect import Effect, Parameter
+from rig.effect import Effect, Parameter, Scale
 
 
 class ContactDamping(Effect, frozen=True):
@@ -13,8 +13,19 @@ class ContactDamping(Effect, frozen=True):
 
     name: ClassVar[str] = "contact_damping"
     separated_by: ClassVar[str] = "excite more strongly, so that the stops are struck faster"
-    damping_n_s_per_m: Annotated[float, Parameter("N s/m", 0.0, 200.0)] = 20.0
+    damping_n_s_per_m: Annotated[float, Parameter("N s/m", 0.0, 200.0, 0.0)] = 20.0
     contact: str | None = None
+
+    @classmethod
+    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+        """Up to critical: twice the root of the contact's stiffness and the lighter body's mass."""
+        most = 2 * (scale.contact_stiffness_n_per_m() * scale.contact_mass_kg()) ** 0.5
+        return cls.ranged(damping_n_s_per_m=(0.0, most))
+
+    @classmethod
+    def typical(cls, scale: Scale) -> Effect:
+        critical = 2 * (scale.contact_stiffness_n_per_m() * scale.contact_mass_kg()) ** 0.5
+        return cls.placed(scale, damping_n_s_per_m=0.02 * critical)
 
     def applied_to(self, rig: Rig) -> Rig:
         return self.with_laws(

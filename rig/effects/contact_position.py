@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from rig.beam import Beam
 from rig.description import Contact, Rig, Station
-from rig.effect import Effect, Parameter
+from rig.effect import Effect, Parameter, Scale
 
 
 class ContactPosition(Effect, frozen=True):
@@ -14,7 +14,17 @@ class ContactPosition(Effect, frozen=True):
 
     name: ClassVar[str] = "contact_position"
     separated_by: ClassVar[str] = "measure where the parts touch"
-    shift_m: Annotated[float, Parameter("m", -0.05, 0.05)] = 0.01
+    shift_m: Annotated[float, Parameter("m", -0.05, 0.05, 0.0)] = 0.01
+
+    @classmethod
+    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+        """Up to a tenth of the shortest beam, either way."""
+        most_m = 0.1 * _shortest_m(scale.rig)
+        return cls.ranged(shift_m=(-most_m, most_m))
+
+    @classmethod
+    def typical(cls, scale: Scale) -> Effect:
+        return cls.placed(scale, shift_m=0.01 * _shortest_m(scale.rig))
 
     def applied_to(self, rig: Rig) -> Rig:
         self.beams_of(rig, None)
@@ -35,3 +45,7 @@ class ContactPosition(Effect, frozen=True):
                 rig, f"beam at {station.position_m} m of {station.body!r} that a contact could move along"
             )
         return Station(station.body, station.position_m + shift_m)
+
+
+def _shortest_m(rig: Rig) -> float:
+    return min((b.length_m for b in rig.bodies if isinstance(b, Beam)), default=0.0)

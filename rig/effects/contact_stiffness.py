@@ -13,7 +13,7 @@ class ContactStiffness(Effect, frozen=True):
 
     name: ClassVar[str] = "contact_stiffness"
     separated_by: ClassVar[str] = "excite more strongly, so that the stops are pressed deeper"
-    factor: Annotated[float, Parameter("1", 0.3, 3.0)] = 1.3
+    factor: Annotated[float, Parameter("1", 0.1, 10.0, 1.0)] = 1.3
     contact: str | None = None
 
     def applied_to(self, rig: Rig) -> Rig:

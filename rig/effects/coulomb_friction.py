@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar
 from msgspec.structs import replace
 
 from rig.description import Rig
-from rig.effect import Effect, Parameter
+from rig.effect import Effect, Parameter, Scale
 
 
 class CoulombFriction(Effect, frozen=True):
@@ -13,8 +13,17 @@ class CoulombFriction(Effect, frozen=True):
 
     name: ClassVar[str] = "coulomb_friction"
     separated_by: ClassVar[str] = "record at a low level that opens no contact"
-    force_n: Annotated[float, Parameter("N", 0.0, 5.0)] = 2.0
+    force_n: Annotated[float, Parameter("N", 0.0, 5.0, 0.0)] = 2.0
     contact: str | None = None
+
+    @classmethod
+    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+        """Up to twice the root mean square of the exciting force."""
+        return cls.ranged(force_n=(0.0, 2 * scale.force_rms_n))
+
+    @classmethod
+    def typical(cls, scale: Scale) -> Effect:
+        return cls.placed(scale, force_n=0.1 * scale.force_rms_n)
 
     def applied_to(self, rig: Rig) -> Rig:
         return self.with_laws(rig, self.contact, lambda law: replace(law, friction_n=law.friction_n + self.force_n))

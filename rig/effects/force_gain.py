@@ -13,7 +13,7 @@ class ForceGain(Effect, frozen=True):
 
     name: ClassVar[str] = "force_gain"
     separated_by: ClassVar[str] = "shake a known free mass with the same force sensor"
-    factor: Annotated[float, Parameter("1", 0.8, 1.2)] = 1.05
+    factor: Annotated[float, Parameter("1", 0.2, 5.0, 1.0)] = 1.05
 
     def applied_to(self, rig: Rig) -> Rig:
         sensor = rig.force_sensor

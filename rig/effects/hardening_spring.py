@@ -1,22 +1,40 @@
-"""A restoring force that grows with the cube of the displacement."""
+"""A spring to the ground that hardens or softens."""
 
 from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
 from rig.description import PointSpring, Rig
-from rig.effect import Effect, Parameter
+from rig.effect import Effect, Parameter, Scale
 
 
 class HardeningSpring(Effect, frozen=True):
-    """A restoring force in the cube of the displacement holds a body to the ground, like a support that stretches."""
+    """A force in the cube of the displacement holds a body to the ground; where it is negative, the support softens."""
 
     name: ClassVar[str] = "hardening_spring"
     separated_by: ClassVar[str] = "record at two levels: a hardening spring grows with the cube"
-    cubic_n_per_m3: Annotated[float, Parameter("N/m^3", 0.0, 1e8)] = 1e6
+    cubic_n_per_m3: Annotated[float, Parameter("N/m^3", -1e8, 1e8, 0.0)] = 1e6
     relative_position: Annotated[float, Parameter("1", 0.0, 1.0)] = 1.0
     body: str | None = None
+
+    @classmethod
+    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+        """Up to the exciting force's root mean square where the body moves about as far as it does.
+
+        Downwards, of a body that is held, only as far as its stiffness at such a displacement stays positive.
+        """
+        moved_m, most = scale.displacement_m(), _most_n_per_m3(scale)
+        least = min(most, scale.stiffness_n_per_m() / (3 * moved_m**2)) if scale.held() else most
+        return cls.along(scale, cubic_n_per_m3=(-least, most))
+
+    @classmethod
+    def typical(cls, scale: Scale) -> Effect:
+        return cls.placed(scale, cubic_n_per_m3=0.01 * _most_n_per_m3(scale))
 
     def applied_to(self, rig: Rig) -> Rig:
         station = self.station(rig, self.body, self.relative_position)
         return replace(rig, springs=(*rig.springs, PointSpring(station=station, cubic_n_per_m3=self.cubic_n_per_m3)))
+
+
+def _most_n_per_m3(scale: Scale) -> float:
+    return scale.force_rms_n / scale.displacement_m() ** 3

@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar
 from msgspec.structs import replace
 
 from rig.description import Rig
-from rig.effect import Effect, Parameter
+from rig.effect import Effect, Parameter, Scale
 
 
 class NonlinearContact(Effect, frozen=True):
@@ -13,10 +13,25 @@ class NonlinearContact(Effect, frozen=True):
 
     name: ClassVar[str] = "nonlinear_contact"
     separated_by: ClassVar[str] = "excite more strongly, so that the stops are pressed deeper"
-    cubic_n_per_m3: Annotated[float, Parameter("N/m^3", 0.0, 3e11)] = 3e10
+    cubic_n_per_m3: Annotated[float, Parameter("N/m^3", 0.0, 3e11, 0.0)] = 3e10
     contact: str | None = None
+
+    @classmethod
+    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+        """Up to a stop whose force is doubled where it equals three times the exciting force's root mean square."""
+        return cls.ranged(cubic_n_per_m3=(0.0, _doubling_n_per_m3(scale)))
+
+    @classmethod
+    def typical(cls, scale: Scale) -> Effect:
+        return cls.placed(scale, cubic_n_per_m3=0.05 * _doubling_n_per_m3(scale))
 
     def applied_to(self, rig: Rig) -> Rig:
         return self.with_laws(
             rig, self.contact, lambda law: replace(law, cubic_n_per_m3=law.cubic_n_per_m3 + self.cubic_n_per_m3)
         )
+
+
+def _doubling_n_per_m3(scale: Scale) -> float:
+    """k / depth^2, at the depth to which three times the exciting force's root mean square presses the stop."""
+    stiffness = scale.contact_stiffness_n_per_m()
+    return stiffness**3 / (3 * scale.force_rms_n) ** 2

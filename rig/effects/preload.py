@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar
 from msgspec.structs import replace
 
 from rig.description import Rig, StaticLoad
-from rig.effect import Effect, Parameter
+from rig.effect import Effect, Parameter, Scale
 
 
 class Preload(Effect, frozen=True):
@@ -13,9 +13,19 @@ class Preload(Effect, frozen=True):
 
     name: ClassVar[str] = "preload"
     separated_by: ClassVar[str] = "measure a static displacement, or turn the rig over"
-    force_n: Annotated[float, Parameter("N", -20.0, 20.0)] = 2.0
+    force_n: Annotated[float, Parameter("N", -20.0, 20.0, 0.0)] = 2.0
     relative_position: Annotated[float, Parameter("1", 0.0, 1.0)] = 0.5
     body: str | None = None
+
+    @classmethod
+    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+        """Up to twice the root mean square of the exciting force, either way."""
+        most_n = 2 * scale.force_rms_n
+        return cls.along(scale, force_n=(-most_n, most_n))
+
+    @classmethod
+    def typical(cls, scale: Scale) -> Effect:
+        return cls.placed(scale, force_n=0.1 * scale.force_rms_n)
 
     def applied_to(self, rig: Rig) -> Rig:
         station = self.station(rig, self.body, self.relative_position)

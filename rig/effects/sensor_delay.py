@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar
 from msgspec.structs import replace
 
 from rig.description import Rig
-from rig.effect import Effect, Parameter
+from rig.effect import Effect, Parameter, Scale
 
 
 class SensorDelay(Effect, frozen=True):
@@ -13,8 +13,14 @@ class SensorDelay(Effect, frozen=True):
 
     name: ClassVar[str] = "sensor_delay"
     separated_by: ClassVar[str] = "exchange the sensor's channel with another and record again"
-    delay_s: Annotated[float, Parameter("s", -2e-3, 2e-3)] = 5e-4
+    delay_s: Annotated[float, Parameter("s", -2e-3, 2e-3, 0.0)] = 5e-4
     sensor: str | None = None
+
+    @classmethod
+    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+        """Up to 2 ms, or five samples, either way."""
+        most_s = max(2e-3, 5 / scale.rig.sample_rate_hz)
+        return cls.ranged(delay_s=(-most_s, most_s))
 
     def applied_to(self, rig: Rig) -> Rig:
         return self.with_sensor(rig, self.sensor, lambda sensor: replace(sensor, delay_s=sensor.delay_s + self.delay_s))

@@ -13,7 +13,7 @@ class SensorGain(Effect, frozen=True):
 
     name: ClassVar[str] = "sensor_gain"
     separated_by: ClassVar[str] = "exchange the sensor with another and record again"
-    factor: Annotated[float, Parameter("1", 0.8, 1.2)] = 1.05
+    factor: Annotated[float, Parameter("1", 0.2, 5.0, 1.0)] = 1.05
     sensor: str | None = None
 
     def applied_to(self, rig: Rig) -> Rig:

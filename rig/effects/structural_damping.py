@@ -13,7 +13,7 @@ class StructuralDamping(Effect, frozen=True):
 
     name: ClassVar[str] = "structural_damping"
     separated_by: ClassVar[str] = "record a free decay at a low level that opens no contact"
-    factor: Annotated[float, Parameter("1", 0.1, 15.0)] = 3.0
+    factor: Annotated[float, Parameter("1", 0.1, 15.0, 1.0)] = 3.0
     body: str | None = None
 
     def applied_to(self, rig: Rig) -> Rig:

@@ -15,7 +15,7 @@ class YoungsModulus(Effect, frozen=True):
     separated_by: ClassVar[str] = (
         "fix a known mass to the beam's end: a softer beam and a giving clamp shift modes differently"
     )
-    factor: Annotated[float, Parameter("1", 0.8, 1.2)] = 0.95
+    factor: Annotated[float, Parameter("1", 0.5, 2.0, 1.0)] = 0.95
     beam: str | None = None
 
     def applied_to(self, rig: Rig) -> Rig:

@@ -65,13 +65,12 @@ def test_magnitudes_follow_from_the_strength(name):
     for _ in range(40):
         effect, strength = effect_drawn(name, rig, (0.25, 2.5), rng)
         assert 0.25 <= strength <= 2.5 + 1e-12
-        places = ("relative_position", "low_hz", "high_hz")
         for field, parameter in parameters_of(kind).items():
             value = getattr(effect, field)
             assert parameter.low <= value <= parameter.high
-            if field not in places:
-                neutral = 1.0 if field == "factor" else 0.0
-                assert abs(value - neutral) == pytest.approx(strength * abs(getattr(kind(), field) - neutral))
+            if parameter.neutral is not None:
+                span = getattr(kind(), field) - parameter.neutral
+                assert abs(value - parameter.neutral) == pytest.approx(strength * abs(span))
         assert effect_named(described(effect, name)) == effect
         effect.applied_to(rig)
 

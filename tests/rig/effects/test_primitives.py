@@ -7,10 +7,12 @@ from rig.description import (
     BaseMotion,
     Clamp,
     ForceSensor,
+    PointDamper,
     PointMass,
     PointSpring,
     StaticLoad,
     Station,
+    Tone,
     from_json,
     to_json,
 )
@@ -48,7 +50,10 @@ OFF = Station("barrel", 1.5)
             "base motion: seed is -1; give zero or above",
         ),
         (ForceSensor, {"gain": 0.0}, "force sensor: gain is 0.0; give a finite value other than zero"),
-        (ForceSensor, {"lag_s": -1e-3}, "force sensor: lag_s is -0.001; give a finite value, zero to 1 s"),
+        (ForceSensor, {"lag_s": -2.0}, "force sensor: lag_s is -2.0; give a finite value, -1 to 1 s"),
+        (PointDamper, {"station": TIP, "friction_n": -1.0}, "point damper: friction_n is -1.0; give a finite value"),
+        (Tone, {"station": TIP, "frequency_hz": 0.0}, "tone: frequency_hz is 0.0; give a finite value above zero"),
+        (Tone, {"station": TIP, "frequency_hz": 9.0, "sine_n": float("nan")}, "tone: sine_n is nan; give a finite"),
     ],
 )
 def test_a_primitive_that_cannot_be_is_refused(kind, values, sentence):
@@ -66,6 +71,8 @@ def test_a_primitive_that_cannot_be_is_refused(kind, values, sentence):
         ),
         ({"springs": (PointSpring(station=OFF),)}, "a point spring stands at 1.5 m"),
         ({"loads": (StaticLoad(station=OFF, force_n=1.0),)}, "a point load stands at 1.5 m"),
+        ({"dampers": (PointDamper(station=OFF),)}, "a point damper stands at 1.5 m"),
+        ({"tones": (Tone(station=OFF, frequency_hz=9.0),)}, "a tone stands at 1.5 m"),
         (
             {"clamps": (Clamp(body="barrel", rotational_n_m_per_rad=1.0),)},
             "a clamp holds 'barrel', which is no clamped beam",
@@ -86,10 +93,12 @@ def test_all_of_them_survive_json():
     machine = msgspec.structs.replace(
         MACHINE,
         masses=(PointMass(station=TIP, mass_kg=0.1),),
-        springs=(PointSpring(station=TIP, stiffness_n_per_m=1.0, cubic_n_per_m3=2.0, rotational_n_m_per_rad=3.0),),
+        springs=(PointSpring(station=TIP, stiffness_n_per_m=1.0, cubic_n_per_m3=-2.0, rotational_n_m_per_rad=3.0),),
         clamps=(Clamp(body="cradle", rotational_n_m_per_rad=4.0),),
         loads=(StaticLoad(station=TIP, force_n=-5.0),),
         base_motion=BaseMotion(acceleration_rms_m_per_s2=6.0, low_hz=7.0, high_hz=8.0, seed=9),
-        force_sensor=ForceSensor(gain=-1.0, lag_s=1e-3),
+        force_sensor=ForceSensor(gain=-1.0, lag_s=-1e-3),
+        dampers=(PointDamper(station=TIP, damping_n_s_per_m=1.0, friction_n=2.0),),
+        tones=(Tone(station=TIP, frequency_hz=50.0, cosine_n=-1.0, sine_n=2.0),),
     )
     assert from_json(to_json(machine), "text") == machine
