@@ -10,7 +10,7 @@ from scipy.optimize import lsq_linear
 from scipy.sparse.linalg import SuperLU
 
 from identify.gap.nuisance import LIMIT, residual_scale
-from identify.gap.residual import Base, Residual, residual_of
+from identify.gap.residual import Base, Residual, linear_of, residual_of, same_but_laws
 from rig.description import Rig
 from rig.errors import RigError
 
@@ -63,26 +63,30 @@ class Normal:
 
 
 def derivative(base: Base, moved: Rig, at: Residual) -> Column:
-    """What another rig takes off the linear and the contact residuals.
+    """What another rig, which differs by little, takes off the linear and the contact residuals.
 
-    The contact forces are projected out with the weights of the rig at hand (Kaufman, BIT 15, 1975), as for the nuisance parameters:
-    a parameter that is the like of a doubt then has the like of its column.
+    Another law is evaluated. Another linear model changes the contact forces and the relative displacements, of which
+    the law at hand takes its slope. The contact forces are projected out with the weights of the rig at hand (Kaufman,
+    BIT 15, 1975), as for the nuisance parameters: a parameter that is the like of one of them then has its column.
     """
-    there = residual_of(base, moved, at.nuisance, tuple(c.unknowns for c in at.contacts), like=at)
-    linear = at.linear - there.linear
-    contacts = [a.residual - b.residual for a, b in zip(at.contacts, there.contacts, strict=True)]
-    if there.model is at.model:
-        return linear, contacts
-    old, new, record = at.model, there.model, base.record
+    record, old = base.record, at.model
+    if same_but_laws(at.rig, moved):
+        there = residual_of(base, moved, at.nuisance, tuple(c.unknowns for c in at.contacts), like=at)
+        contacts = [a.residual - b.residual for a, b in zip(at.contacts, there.contacts, strict=True)]
+        return at.linear - there.linear, contacts
+    new = linear_of(base, moved)
     sensors = len(record.sensors)
     change = old.residual - new.residual
     inputs = np.concatenate([old.contact_n - new.contact_n, change[sensors:]])
     less = change[:sensors] + (old.unknown @ inputs.T[:, :, None])[:, :, 0].T
     left, less_n = old.projected(less * old.spread)
-    held_n = old.holding_n - new.holding_n
-    for j, (seen, force_n) in enumerate(zip(base.seen, record.in_time(less_n) + held_n[:, None], strict=True)):
-        beyond = force_n - (at.laid[j].force_n - there.laid[j].force_n)
-        contacts[j][: seen.weights.size] += seen.weights * beyond
+    less_force = record.in_time(less_n) + (old.holding_n - new.holding_n)[:, None]
+    less_eta = record.in_time(old.eta_m - new.eta_m)
+    contacts = []
+    for contact, seen, force_n, eta_m in zip(at.contacts, base.seen, less_force, less_eta, strict=True):
+        column = np.zeros(contact.residual.size)
+        column[: seen.weights.size] = seen.weights * (force_n - contact.by_law * eta_m)
+        contacts.append(column)
     return residual_scale(record) * record.in_time(left), contacts
 
 

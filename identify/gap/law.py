@@ -144,9 +144,14 @@ class Contact:
         return (self.within.stiffness_n_per_m + 3 * self.within.cubic_n_per_m3 * self.depth_m**2) * (self.depth_m != 0)
 
     @cached_property
+    def by_law(self) -> Float[np.ndarray, " times"]:
+        """The law's derivative by the relative displacement, N/m."""
+        return _coarsely(self.tangent_n_per_m, self.laid.finer)
+
+    @cached_property
     def by_eta(self) -> Float[np.ndarray, " times"]:
         """The law's derivative by slow changes of the relative displacement, N/m."""
-        return _coarsely(self.tangent_n_per_m, self.laid.finer) + self.laid.spring_n_per_m
+        return self.by_law + self.laid.spring_n_per_m
 
     @cached_property
     def columns(self) -> csr_matrix:

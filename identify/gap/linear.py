@@ -70,6 +70,17 @@ class Linear:
         """The residual and the contact forces that something delivered beside what is known makes."""
         return _split(self.unknown, self.solve, change / self.spread, len(self.rig.contacts))
 
+    def projected_many(
+        self, changes: Complex[np.ndarray, "many sensors lines"]
+    ) -> tuple[Complex[np.ndarray, "many rows lines"], Complex[np.ndarray, "many contacts lines"]]:
+        """`projected` of many at once."""
+        contacts = len(self.rig.contacts)
+        weighted = np.ascontiguousarray((changes / self.spread).transpose(2, 1, 0))
+        inputs = self.solve @ weighted
+        left = weighted - self.unknown @ inputs
+        rows = np.concatenate([left, inputs[:, contacts:]], axis=1).transpose(2, 1, 0)
+        return np.ascontiguousarray(rows), np.ascontiguousarray(inputs[:, :contacts].transpose(2, 1, 0))
+
     def open_n(self, record: Record) -> Float[np.ndarray, " contacts"]:
         """Standard deviation over time of each contact force, by the errors of the accelerations."""
         contacts = len(self.rig.contacts)

@@ -21,6 +21,9 @@ LIMIT = 6.0
 BEYOND = 1.3
 """Modes up to this multiple of the highest frequency have parameters of their own."""
 
+TOGETHER = 24
+"""So many columns are projected at a time: more would not be faster, and take memory."""
+
 Kind = Literal["gain", "position", "delay", "high-pass", "force gain", "mass", "frequency", "damping"]
 
 
@@ -66,23 +69,26 @@ def columns_of(record: Record, model: Linear) -> Columns:
     changes = [*_of_sensors(record, model), *_of_force(record, model)]
     for response, motion in zip(model.responses, _measured(record, model), strict=True):
         changes += [*_of_positions(record, model, response, motion), *_of_modes(record, model, response, motion)]
-    residual, forces, eta = [], [], []
-    scale = residual_scale(record)
-    for change in changes:
-        by_springs = 0.0 if change.displaced is None else bent(record, model, change.displaced)
-        left, force = model.projected(change.delivered + by_springs)
-        residual.append(scale * record.in_time(left))
-        forces.append(record.in_time(force))
-        moved = change.displaced
-        eta.append(np.zeros_like(forces[-1]) if moved is None else record.in_time(_at_contacts(record, model, moved)))
     rows, times = model.residual.shape[0], record.taken.stop - record.taken.start
     contacts = len(model.rig.contacts)
-    return Columns(
-        tuple(c.parameter for c in changes),
-        np.array(residual).reshape(len(changes), rows, times),
-        np.array(forces).reshape(len(changes), contacts, times),
-        np.array(eta).reshape(len(changes), contacts, times),
-    )
+    residual = np.empty((len(changes), rows, times))
+    forces, eta = np.empty((len(changes), contacts, times)), np.zeros((len(changes), contacts, times))
+    for first in range(0, len(changes), TOGETHER):
+        some = slice(first, min(first + TOGETHER, len(changes)))
+        left, force = model.projected_many(np.stack([_delivered(record, model, c) for c in changes[some]]))
+        residual[some] = residual_scale(record) * record.in_time(left)
+        forces[some] = record.in_time(force)
+    for i, change in enumerate(changes):
+        if change.displaced is not None:
+            eta[i] = record.in_time(_at_contacts(record, model, change.displaced))
+    return Columns(tuple(c.parameter for c in changes), residual, forces, eta)
+
+
+def _delivered(record: Record, model: Linear, change: _Change) -> Complex[np.ndarray, "sensors lines"]:
+    """With what the springs do whose displacement is not the measured one."""
+    if change.displaced is None or not any(s.cubic_n_per_m3 for s in model.rig.springs):
+        return change.delivered
+    return change.delivered + bent(record, model, change.displaced)
 
 
 def _of_sensors(record: Record, model: Linear) -> Iterator[_Change]:

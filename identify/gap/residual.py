@@ -104,6 +104,14 @@ def rescaled(base: Base, at: Residual) -> Base:
     return base_of(base.record, base.rig, at, scales)
 
 
+def linear_of(base: Base, rig: Rig) -> Linear:
+    """The linear model of a rig, with the nuisance parameters in it that the base has in its own."""
+    record = base.record
+    if base.about.any():
+        rig, _ = apply_nuisance(rig, base.columns.parameters, base.about, record.tolerances)
+    return linear_model(record, rig, base.scales.discrepancy)
+
+
 def residual_of(
     base: Base,
     rig: Rig,
@@ -120,8 +128,7 @@ def residual_of(
     if like is not None and same_but_laws(like.rig, rig):
         model, laid, bare = like.model, like.laid, like.bare
     else:
-        there = apply_nuisance(rig, parameters, base.about, record.tolerances)[0] if base.about.any() else rig
-        model = linear_model(record, there, base.scales.discrepancy)
+        model = linear_of(base, rig)
         laid = laid_out(record, model)
         bare = residual_scale(record) * record.in_time(model.residual)
     if unknowns is None:

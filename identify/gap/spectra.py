@@ -23,7 +23,7 @@ RING_S = 12.0
 """Silence behind the record in which the beams ring down before the transform wraps round."""
 LEFT_OUT_S = 4.5
 """At the record's end, where the taper, and integration, falsify every residual."""
-REACH = 2.5
+REACH = 1.6
 """The diagnosis looks up to this multiple of the force's highest frequency."""
 SHORTEST_S = 10.0
 QUIET_S = 0.25

@@ -7,11 +7,9 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal.windows import hann
 
 from identify.gap.candidates import Candidate
-from identify.gap.doubts import residual_scale
-from identify.gap.fit import Fit
+from identify.gap.nuisance import residual_scale
 from identify.gap.linear import linear_model
-from identify.gap.residual import MODEL_ERROR, Base, Residual, base_of
-from identify.gap.search import Found, fitted_rig
+from identify.gap.residual import Base, Residual
 from identify.gap.spectra import SMOOTHED_HZ
 from rig.description import BaseMotion
 
@@ -21,8 +19,11 @@ LEVELS = 10.0 ** np.arange(-9, 3, 0.5)
 """Spectral densities that are tried, (m/s^2)^2/Hz."""
 
 
-def shaken(base: Base, at: Residual, candidate: Candidate) -> Found | None:
-    """The best base motion, by its likelihood over all bands and levels; None where the residual has none of it.
+def fit_base_excitation(
+    base: Base, at: Residual, candidate: Candidate
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]] | None:
+    """The best base motion (level, lower and upper end of its band) with standard errors, by its likelihood over all
+    bands and levels; None where the residual has none of it.
 
     With y the residual, p the pattern of a base motion of unit density, both of unit noise, a density S lowers the
     cost of a line by 2 (|p'y|^2/s (1 - 1/(1 + S s)) - log(1 + S s)), s = |p|^2; the best interval of lines is that
@@ -34,7 +35,7 @@ def shaken(base: Base, at: Residual, candidate: Candidate) -> Found | None:
     hz = record.omega / (2 * np.pi)
     low, high = float(hz[1]), float(hz[-1])
     everywhere = BaseMotion(acceleration_rms_m_per_s2=float(np.sqrt(high - low)), low_hz=low, high_hz=high)
-    model = linear_model(record, changed(base.rig, base_motion=everywhere), MODEL_ERROR)
+    model = linear_model(record, changed(base.rig, base_motion=everywhere), base.scales.discrepancy)
     contacts = len(base.rig.contacts)
     free = model.unknown[:, :, :contacts]
     pattern = model.unknown[:, :, contacts]
@@ -63,12 +64,10 @@ def shaken(base: Base, at: Residual, candidate: Candidate) -> Found | None:
     edges = hz[band.start], hz[band.stop]
     rms = float(np.sqrt(power[-1] * (hz[2] - hz[1])))
     values = np.array([np.clip(rms, 0, bounds["acceleration_rms_m_per_s2"].high), *edges])
-    about = base_of(record, candidate.applied(base.rig, values), base.seen, at)
-    fitted = fitted_rig(about, at)
     lines = max(1.0, (band.stop - band.start) * record.samples / record.length)
     resolution = record.sample_rate_hz / record.samples
     spread = np.array([rms / np.sqrt(2 * lines), resolution, resolution])
-    return Found(candidate, Fit(values, np.diag(spread**2), fitted.residual), at.cost - fitted.cost)
+    return values, spread
 
 
 def _lines(base: Base, at: Residual) -> Complex[np.ndarray, "sensors lines"]:

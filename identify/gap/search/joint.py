@@ -1,0 +1,306 @@
+"""The search over the library, jointly: single effects, and pairs that do not depend on which of the two came first."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import chain
+
+import numpy as np
+from jaxtyping import Float
+
+from identify.gap.candidates import Candidate
+from identify.gap.fit import fit
+from identify.gap.likelihood import Misfit, Reference, misfit
+from identify.gap.nuisance import LIMIT
+from identify.gap.residual import Base, Residual, base_of, rescaled, residual_of, same_but_laws
+from identify.gap.search.base_excitation import fit_base_excitation
+from identify.gap.search.nominal import fitted, singly_bent
+from identify.gap.search.screening import Screened, grid_screening, score_screening
+from rig.description import Rig
+from rig.errors import RigError
+
+BY_SCORE, BY_GRID, FRESH = 5, 3, 3
+"""So many candidates of each screening are fitted for a few steps."""
+SHORT = 3
+"""Steps of a first fit."""
+KEPT, RIVAL = 3, 0.5
+"""So many of those are fitted to the end, if they gained this share of what the best one did."""
+FIRSTS, SECONDS = 2, 2
+"""So many single effects are followed by a search for another, of which so many are fitted together with it."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Effects in the rig, with their parameters fitted on a record one after the other; none: the believed rig."""
+
+    parts: tuple[Candidate, ...]
+    values: Float[np.ndarray, " parameters"]
+    covariance: Float[np.ndarray, "parameters parameters"]
+    base: Base
+    residual: Residual
+    misfit: Misfit
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        return tuple(p.kind.name for p in self.parts)
+
+    @property
+    def key(self) -> frozenset[str]:
+        return frozenset(p.name for p in self.parts)
+
+    def split(self) -> list[Float[np.ndarray, " parameters"]]:
+        """The values of each part."""
+        ends = np.cumsum([len(p.parameters) for p in self.parts])
+        return np.split(self.values, ends[:-1])
+
+    def applied_to(self, rig: Rig) -> Rig:
+        return applied(rig, self.parts, self.values)
+
+
+def applied(rig: Rig, parts: Sequence[Candidate], values: Float[np.ndarray, " parameters"]) -> Rig:
+    """The rig with several effects, whose parameters stand one after the other."""
+    at = 0
+    for part in parts:
+        count = len(part.parameters)
+        rig = part.applied(rig, values[at : at + count])
+        at += count
+    return rig
+
+
+@dataclass(frozen=True)
+class Search:
+    """What a search on one record shares: its base and residual under the believed rig, and the reference variances."""
+
+    reference: Reference
+    base: Base
+    at: Residual
+    known: tuple[Candidate, ...]
+
+    def nothing(self) -> Hypothesis:
+        none = np.zeros(0)
+        left = misfit(self.base.record, self.reference, self.base, self.at)
+        return Hypothesis((), none, np.zeros((0, 0)), self.base, self.at, left)
+
+
+def search(begun: Search, progress: Callable[[float], None]) -> list[Hypothesis]:
+    """Single effects and pairs that explain most, the likeliest on this record first, and the believed rig alone.
+
+    Every effect is screened, those that promise most are fitted for a few steps, the best of them to the end. Behind
+    each of the best the library is screened again; a pair is fitted together, and what it found second is in turn
+    taken for the first.
+    """
+    nothing = begun.nothing()
+    singles = _singles(begun, nothing)
+    progress(0.5)
+    if singles and not _leaves_something(singles[0]):
+        return sorted([nothing, *singles], key=_cost)
+    pairs: dict[frozenset[str], Hypothesis] = {}
+    followed: set[frozenset[str]] = set()
+    queue = singles[:FIRSTS]
+    while queue:
+        first = queue.pop(0)
+        if first.key in followed or not _leaves_something(first):
+            continue
+        followed.add(first.key)
+        for pair in _seconds(begun, first):
+            if pair.key not in pairs or _cost(pair) < _cost(pairs[pair.key]):
+                pairs[pair.key] = pair
+        progress(0.5 + 0.2 * len(followed))
+        if pairs and len(followed) == FIRSTS:
+            best = min(pairs.values(), key=_cost)
+            other = _alone(begun, best, first)
+            if other is not None and len(followed) < FIRSTS + 1:
+                queue.append(other)
+    return sorted([nothing, *singles, *pairs.values()], key=_cost)
+
+
+def _cost(one: Hypothesis) -> float:
+    return one.misfit.minus_two_log
+
+
+def _leaves_something(one: Hypothesis) -> bool:
+    """Whether more is left than one more parameter could be worth: a unit of -2 ln p for each of the library's names."""
+    left = one.misfit
+    bands = left.per_band * np.sum(np.log(np.maximum((1 + left.bands) / 2, 1.0)))
+    contacts = left.per_contact * np.sum(np.log(np.maximum((1 + left.contacts) / 2, 1.0)))
+    return bool(bands + contacts > WORTH)
+
+
+WORTH = 10.0
+
+
+def _singles(begun: Search, nothing: Hypothesis) -> list[Hypothesis]:
+    base, at = begun.base, _straightened(begun.at)
+    fresh = residual_of(base, base.rig, at.nuisance)
+    steady = [c for c in begun.known if not c.kind.stochastic]
+    laws = [c for c in steady if same_but_laws(base.rig, c.applied(base.rig, c.default))]
+    screened = chain(
+        [(s, at) for s in score_screening(base, at, steady)[:BY_SCORE]],
+        [(s, fresh) for s in score_screening(base, fresh, laws)[:FRESH]],
+        [(s, None) for s in grid_screening(base, steady)[:BY_GRID]],
+    )
+    found: dict[str, Hypothesis] = {}
+    for one, start in screened:
+        if one.gain <= 0:
+            continue
+        try:
+            tried = _fitted(begun, (one.candidate,), one.values, start, SHORT)
+        except RigError:
+            continue
+        if one.candidate.name not in found or _cost(tried) < _cost(found[one.candidate.name]):
+            found[one.candidate.name] = tried
+    for candidate in begun.known:
+        if candidate.kind.stochastic and (shaken := _stochastic(begun, nothing, candidate)):
+            found[candidate.name] = shaken
+    best = sorted(found.values(), key=_cost)
+    best = [one for one in best[:KEPT] if _cost(nothing) - _cost(one) > RIVAL * (_cost(nothing) - _cost(best[0]))]
+    return sorted((_refined(begun, one) for one in best), key=_cost)
+
+
+def _seconds(begun: Search, first: Hypothesis) -> list[Hypothesis]:
+    """Pairs of a first effect with what the library holds best for what it leaves; no effect pairs with itself."""
+    rig = first.applied_to(begun.base.rig)
+    base = base_of(begun.base.record, rig, first.residual, first.base.scales)
+    at = fitted(base, first.residual).residual
+    others = [c for c in begun.known if c.kind.name not in first.effects and _joins(c, rig)]
+    screened = score_screening(base, at, [c for c in others if not c.kind.stochastic])
+    pairs = []
+    for one in screened[:SECONDS]:
+        if one.gain > 0:
+            pairs.append(_together(begun, first, one, at))
+    for candidate in others:
+        if candidate.kind.stochastic:
+            inner = Search(begun.reference, base, at, ())
+            if shaken := _stochastic(inner, inner.nothing(), candidate):
+                values = np.concatenate([first.values, shaken.values])
+                covariance = _block(first.covariance, shaken.covariance)
+                parts = (*first.parts, candidate)
+                pairs.append(Hypothesis(parts, values, covariance, shaken.base, shaken.residual, shaken.misfit))
+    return pairs
+
+
+def _together(begun: Search, first: Hypothesis, second: Screened, start: Residual) -> Hypothesis:
+    """Both fitted, from where the first stands; a stochastic first effect keeps its values."""
+    parts = (*first.parts, second.candidate)
+    values = np.concatenate([first.values, second.values])
+    return _refined(begun, _fitted(begun, parts, values, _straightened(start), SHORT, first.base))
+
+
+def _alone(begun: Search, pair: Hypothesis, first: Hypothesis) -> Hypothesis | None:
+    """The part of a pair that was found second, fitted by itself."""
+    others = [(p, v) for p, v in zip(pair.parts, pair.split(), strict=True) if p.name not in first.key]
+    if len(others) != 1 or others[0][0].kind.stochastic:
+        return None
+    (part, values) = others[0]
+    return _refined(begun, _fitted(begun, (part,), values, _straightened(begun.at), SHORT))
+
+
+def _fitted(
+    begun: Search,
+    parts: tuple[Candidate, ...],
+    values: Float[np.ndarray, " parameters"],
+    start: Residual | None,
+    steps: int,
+    like: Base | None = None,
+) -> Hypothesis:
+    """Gauss-Newton for a few steps, at the scales of the base given, or of the believed rig's."""
+    build, own = _builder(begun, parts, values)
+    about = like or begun.base
+    if start is None:
+        about = base_of(about.record, build(own), None, about.scales, about.seen)
+    done = fit(about, build, own, _steps(parts), _bounds(parts), start, steps) if own.size else fitted(about, start)
+    return _hypothesis(begun, parts, values, about, done.values, done.covariance, done.residual)
+
+
+def _refined(begun: Search, one: Hypothesis) -> Hypothesis:
+    """Fitted to the end, with scales and linearisation renewed about where the parameters have come to."""
+    for _ in range(2 + singly_bent(begun.base.rig)):
+        build, own = _builder(begun, one.parts, one.values)
+        base = rescaled(one.base, one.residual)
+        about = base_of(base.record, build(own), one.residual, base.scales)
+        done = fit(about, build, own, _steps(one.parts), _bounds(one.parts), one.residual) if own.size else None
+        if done is None:
+            return one
+        better = _hypothesis(begun, one.parts, one.values, about, done.values, done.covariance, done.residual)
+        gained = _cost(one) - _cost(better)
+        one = better if gained > 0 else one
+        if gained < 1.0:
+            break
+    return one
+
+
+def _builder(
+    begun: Search, parts: tuple[Candidate, ...], values: Float[np.ndarray, " parameters"]
+) -> tuple[Callable[[Float[np.ndarray, " own"]], Rig], Float[np.ndarray, " own"]]:
+    """The rig as a function of the parameters that a fit over time finds, and their values."""
+    return partial(applied, begun.base.rig, parts), values
+
+
+def _steps(parts: tuple[Candidate, ...]) -> Float[np.ndarray, " parameters"]:
+    return np.concatenate([p.steps for p in parts])
+
+
+def _bounds(parts: tuple[Candidate, ...]) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, " parameters"]]:
+    low, high = (np.concatenate(ends) for ends in zip(*(p.bounds for p in parts), strict=True))
+    return low, high
+
+
+def _hypothesis(
+    begun: Search,
+    parts: tuple[Candidate, ...],
+    _: Float[np.ndarray, " parameters"],
+    base: Base,
+    values: Float[np.ndarray, " parameters"],
+    covariance: Float[np.ndarray, "parameters parameters"],
+    residual: Residual,
+) -> Hypothesis:
+    left = misfit(base.record, begun.reference, base, residual)
+    return Hypothesis(parts, values, covariance, base, residual, left)
+
+
+def _stochastic(begun: Search, nothing: Hypothesis, candidate: Candidate) -> Hypothesis | None:
+    """An effect of which only the spectrum is known: its values are not fitted over time."""
+    found = fit_base_excitation(nothing.base, nothing.residual, candidate)
+    if found is None:
+        return None
+    values, spread = found
+    try:
+        base = base_of(begun.base.record, candidate.applied(begun.base.rig, values), nothing.residual, nothing.base.scales)
+    except RigError:
+        return None
+    at = fitted(base, nothing.residual).residual
+    base = rescaled(base, at)
+    at = fitted(base, at).residual
+    left = misfit(base.record, begun.reference, base, at)
+    return Hypothesis((candidate,), values, np.diag(spread**2), base, at, left)
+
+
+def _straightened(at: Residual) -> Residual:
+    """Where to start with an effect: nuisance parameters that were bent to do without it are straight again.
+
+    They stay as they are where none is at its limit.
+    """
+    from dataclasses import replace
+
+    if np.max(np.abs(at.pulls), initial=0.0) < LIMIT - 1e-6:
+        return at
+    straight = tuple(replace(c, unknowns=np.append(c.unknowns[:-3], np.zeros(3))) for c in at.contacts)
+    return replace(at, nuisance=np.zeros_like(at.nuisance), contacts=straight)
+
+
+def _joins(candidate: Candidate, rig: Rig) -> bool:
+    try:
+        candidate.applied(rig, candidate.default)
+    except RigError:
+        return False
+    return True
+
+
+def _block(
+    one: Float[np.ndarray, "m m"], other: Float[np.ndarray, "n n"]
+) -> Float[np.ndarray, "both both"]:
+    size = len(one) + len(other)
+    found = np.zeros((size, size))
+    found[: len(one), : len(one)] = one
+    found[len(one) :, len(one) :] = other
+    return found
