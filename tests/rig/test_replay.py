@@ -10,7 +10,7 @@ from scipy.signal import upfirdn
 from scipy.signal.windows import kaiser
 
 from rig import replay
-from rig.description import BaseMotion, StaticLoad, Station
+from rig.description import BaseMotion, StaticLoad, Station, stations_of
 from rig.excitation import force_history
 from rig.motion import joined
 from rig.plants import modal
@@ -59,6 +59,11 @@ def test_a_recording_is_the_motion_of_every_step_filtered_row_by_row(rig, monkey
             sensor = rig.sensors[k]
             expected = sensor.gain * sampled(motion.sensed[k], sensor.delay_s, STEP_S, row.size)
             np.testing.assert_allclose(row, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+    stations = stations_of(rig)
+    for sensor, row in zip(rig.sensors, motion.sensed, strict=True):
+        if sensor.quantity == "displacement":
+            at_station = motion.displacement_m[stations.index(sensor.station)]
+            np.testing.assert_allclose(at_station, row, rtol=0, atol=1e-12 * np.abs(row).max())
     truth = {"displacement": motion.displacement_m, "relative_displacement": motion.eta_m}
     for name, rows in {**truth, "contact_force": motion.contact_force_n}.items():
         found = np.concatenate([p.truth[name] for p in parts], axis=1)
