@@ -24,7 +24,7 @@ class Course(Protocol):
 
 @runtime_checkable
 class Rows(Protocol):
-    """Signals, a row each, of which those rows and samples are had that are asked for; an array is one."""
+    """Signals, one a row, computed for the slice that is asked for; an array is one."""
 
     def __len__(self) -> int: ...
 
@@ -33,7 +33,7 @@ class Rows(Protocol):
 
 @dataclass(frozen=True)
 class Projected:
-    """The rows shapes q(t) + carried(t), computed for the samples that are asked for."""
+    """The rows w(t) = shapes q(t) + carried(t), computed for the slice that is asked for."""
 
     shapes: Float[np.ndarray, "rows modes"]
     coordinates: Float[np.ndarray, "samples modes"]
@@ -54,8 +54,8 @@ class Motion:
 
     sensed has one row per sensor of the rig, in the sensor's quantity, before any instrument; displacement one row per
     station of `stations_of(rig)`, both in space, also where the base moves; eta (relative displacement) and
-    contact_force one row per contact. force is the measured one. What only the truth needs is had slice by slice, as
-    `motion.eta_m[:, ::4]`, so that what nobody asks for is not computed; of `joined` blocks all are arrays.
+    contact_force one row per contact. force is the measured one. A plant may compute displacement and eta on
+    demand: ask for a slice, `motion.eta_m[:, ::4]`. After `joined` they are arrays.
     """
 
     start_s: float
@@ -86,7 +86,7 @@ def joined(blocks: Iterator[Motion]) -> Motion:
 
 
 def sensed_alone(blocks: Iterator[Motion]) -> Iterator[Motion]:
-    """The motion with no station and no contact in it, where the truth beside the sensors is not wanted."""
+    """The motion without stations and contacts, for consumers of the sensors alone: nothing else is then computed."""
     for block in blocks:
         none = np.zeros((0, block.force_n.size))
         yield replace(block, displacement_m=none, eta_m=none, contact_force_n=none)

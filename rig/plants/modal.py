@@ -80,7 +80,7 @@ def simulate(rig: Rig, force_n: Course, step_s: float, progress: Progress, modes
         now = slice(first, min(first + BLOCK, len(force_n)))
         applied, bends = _applied(rig, force_n, base, step_s, now)
         contact_n, bent_n = np.empty((2, len(model.across), now.stop - first))
-        states = np.empty((now.stop - first + 1, last.size))  # of its own: what is asked of the motion may come late
+        states = np.empty((now.stop - first + 1, last.size))  # a new array a block: Motion computes from it on demand
         states[0] = last
         advance(states, held, contact_n, bent_n, applied, bends, *constants, within, first, step_s)
         moved, last = states[1:], states[-1]

@@ -8,12 +8,14 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.signal import upfirdn
 from scipy.signal.windows import kaiser
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from rig import replay
 from rig.description import BaseMotion, StaticLoad, Station, stations_of
 from rig.excitation import force_history
 from rig.motion import joined
 from rig.plants import modal
+from rig.record import record
 from rig.reference import BarrelCradle
 from rig.sensors import digitised, needed_duration_s
 
@@ -106,3 +108,35 @@ def test_a_replay_asks_for_no_truth():
     force_n = force_history(SETTINGS.force(), 1.1, 1 / RATE_HZ)
     made, expected = (replay.replayed(RIG, RIG, force_n, p, STEP_S, 1) for p in (plant, modal.simulate))
     np.testing.assert_array_equal(made.signals["displacement"].values, expected.signals["displacement"].values)
+
+
+def recorded(folder, plant):
+    record(
+        RIG,
+        SETTINGS.force(),
+        plant=plant,
+        duration_s=1.1,
+        step_s=STEP_S,
+        path=folder / "recording.mcap",
+        progress=lambda _: None,
+    )
+
+
+def replayed(_folder, plant):
+    replay.replayed(RIG, RIG, force_history(SETTINGS.force(), 1.1, 1 / RATE_HZ), plant, STEP_S, 1)
+
+
+@pytest.mark.parametrize("made", [recorded, replayed])
+def test_products_of_small_matrices_keep_to_one_thread(made, tmp_path):
+    """More threads do not make them faster, and spend their time waiting."""
+    seen = []
+
+    def plant(*given):
+        for block in modal.simulate(*given):
+            seen.append({library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"})
+            yield block
+
+    with threadpool_limits(2):
+        made(tmp_path, plant)
+    assert seen
+    assert all(threads == {1} for threads in seen)
