@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from rig.description import Rig
 from rig.errors import RigError
@@ -66,6 +67,7 @@ def record(
     written = 0
     with (
         np.errstate(over="ignore", divide="ignore", invalid="ignore"),  # what becomes of it is refused below
+        threadpool_limits(1),  # the matrices are small
         _interrupted_between_blocks() as check_interrupt,
         writing(path, rig, channel_groups(rig), provenance) as recording,
         writing(truth_path(path), actual, truth_groups(actual), provenance) as truth,

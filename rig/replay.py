@@ -8,9 +8,10 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
+from threadpoolctl import threadpool_limits
 
 from rig.description import Rig
-from rig.motion import Plant, Progress
+from rig.motion import Plant, Progress, sensed_alone
 from rig.recording import Recording, Signals, channel_groups
 from rig.sensors import digitised, needed_duration_s, quantities_of
 
@@ -32,7 +33,9 @@ def replayed(
     rate, samples = believed.sample_rate_hz, force_n.size
     time_s = np.arange(round(needed_duration_s(actual, samples / rate) / step_s)) * step_s
     fine = CubicSpline(np.arange(samples) / rate, force_n)(np.minimum(time_s, (samples - 1) / rate))
-    blocks = list(digitised(actual, plant(actual, fine, step_s, progress), np.random.default_rng([seed, 1])))
+    with threadpool_limits(1):  # the matrices are small
+        motion = sensed_alone(plant(actual, fine, step_s, progress))
+        blocks = list(digitised(actual, motion, np.random.default_rng([seed, 1])))
     groups = channel_groups(believed)
     signals = {"force": Signals(groups["force"], 0.0, force_n[None])}
     for quantity in quantities_of(believed):

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.signal import upfirdn
 from scipy.signal.windows import kaiser
 
+from rig.decimation import Decimator, decimated, decimator
 from rig.description import Quantity, Rig, Sensor
 from rig.errors import RigError
-from rig.motion import Motion
+from rig.motion import Motion, Rows
 
 HALF_WIDTH = 16
 """Half the anti-aliasing filter's length, in samples of the recording."""
@@ -49,53 +49,68 @@ def digitised(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> I
 
     Raises RigError unless the plant's rate is a multiple of the sampling rate.
     """
-    taps: list[Float[np.ndarray, " taps"]] = []
     streams = rng.spawn(len(rig.sensors))
-    queue = np.zeros((0, 0))
-    reach = 0
+    chain: list[tuple[list[int], Decimator]] = []
+    held, begun = np.zeros((0, 0)), 0
+    truth: dict[str, Float[np.ndarray, "rows samples"]] = {}
     for block in blocks:
-        if not taps:
-            factor = _factor(rig, block.step_s)
-            reach = (HALF_WIDTH + _longest_delay(rig)) * factor
-            delays = [0.0, *(s.delay_s for s in rig.sensors)]
-            taps = [_taps(factor, reach, delay * rig.sample_rate_hz) for delay in delays]
-            queue = np.zeros((1 + len(rig.sensors) + _truth_rows(block), reach))  # at rest before the record
-        queue = np.concatenate([queue, _stacked(block)], axis=1)
-        ready = (queue.shape[1] - 2 * reach - 1) // factor + 1
-        if ready > 0:
-            yield _sampled(rig, block, queue, taps, factor, reach, ready, streams)
-            queue = queue[:, ready * factor :]
+        factor, size = _factor(rig, block.step_s), block.force_n.size
+        reach = (HALF_WIDTH + _longest_delay(rig)) * factor
+        if not chain:
+            chain = _chain(rig, factor, reach)
+            held = np.zeros((1 + len(rig.sensors), reach))  # at rest before the record
+        instants = (slice(None), slice(-begun % factor, None, factor))
+        begun += size
+        fresh = {name: rows[instants] for name, rows in _truth_of(block).items()}
+        truth = {name: np.concatenate([truth[name], rows], axis=1) if truth else rows for name, rows in fresh.items()}
+        width = held.shape[1] + size
+        ready = max(0, (width - 2 * reach - 1) // factor + 1)
+        queue = np.empty((len(held), max(width, *(one.reach(ready) for _, one in chain))))
+        queue[:, : held.shape[1]] = held
+        queue[0, held.shape[1] : width] = block.force_n
+        queue[1:, held.shape[1] : width] = block.sensed
+        queue[:, width:] = 0.0
+        held = queue[:, ready * factor : width]
+        if ready:
+            filtered = _filtered(chain, queue, ready)
+            sensed = {q: _delivered_all(rig, q, filtered[1:], streams) for q in quantities_of(rig)}
+            yield Samples(filtered[0], sensed, {name: rows[:, :ready] for name, rows in truth.items()})
+            truth = {name: rows[:, ready:] for name, rows in truth.items()}
 
 
-def _sampled(
+def _chain(rig: Rig, factor: int, reach: int) -> list[tuple[list[int], Decimator]]:
+    """The filter of every delay, with the rows that it is for: the force, without delay, then the sensors."""
+    delays = [0.0, *(s.delay_s for s in rig.sensors)]
+    chain = []
+    for delay in dict.fromkeys(delays):
+        rows = [k for k, own in enumerate(delays) if own == delay]
+        chain.append((rows, decimator(_taps(factor, reach, delay * rig.sample_rate_hz), factor)))
+    return chain
+
+
+def _filtered(
+    chain: list[tuple[list[int], Decimator]], queue: Float[np.ndarray, "rows steps"], samples: int
+) -> Float[np.ndarray, "rows samples"]:
+    if len(chain) == 1:
+        return decimated(chain[0][1], queue, samples)
+    filtered = np.empty((len(queue), samples))
+    for rows, one in chain:
+        filtered[rows] = decimated(one, queue[rows], samples)
+    return filtered
+
+
+def _delivered_all(
     rig: Rig,
-    block: Motion,
-    queue: Float[np.ndarray, "rows steps"],
-    taps: list[Float[np.ndarray, " taps"]],
-    factor: int,
-    reach: int,
-    ready: int,
+    quantity: Quantity,
+    filtered: Float[np.ndarray, "sensors samples"],
     streams: list[np.random.Generator],
-) -> Samples:
-    first = 2 * reach // factor
-    filtered = [upfirdn(tap, row, down=factor)[first : first + ready] for tap, row in zip(taps, queue, strict=False)]
-    sensed = {
-        quantity: np.stack(
-            [
-                _delivered(sensor, row, rig.sample_rate_hz, stream)
-                for sensor, row, stream in zip(rig.sensors, filtered[1:], streams, strict=True)
-                if sensor.quantity == quantity
-            ]
-        )
-        for quantity in quantities_of(rig)
-    }
-    truth = queue[len(taps) :, reach : reach + ready * factor : factor]
-    ends = np.cumsum([len(block.displacement_m), len(block.eta_m)])
-    displacement, eta, contact_force = np.split(truth, ends)
-    return Samples(
-        force_n=filtered[0],
-        sensed=sensed,
-        truth={"displacement": displacement, "relative_displacement": eta, "contact_force": contact_force},
+) -> Float[np.ndarray, "some samples"]:
+    return np.stack(
+        [
+            _delivered(sensor, row, rig.sample_rate_hz, stream)
+            for sensor, row, stream in zip(rig.sensors, filtered, streams, strict=True)
+            if sensor.quantity == quantity
+        ]
     )
 
 
@@ -140,11 +155,9 @@ def _longest_delay(rig: Rig) -> int:
     return int(np.ceil(max((abs(s.delay_s) for s in rig.sensors), default=0.0) * rig.sample_rate_hz))
 
 
-def _stacked(block: Motion) -> Float[np.ndarray, "rows steps"]:
-    return np.concatenate(
-        [block.force_n[None, :], block.sensed, block.displacement_m, block.eta_m, block.contact_force_n]
-    )
-
-
-def _truth_rows(block: Motion) -> int:
-    return len(block.displacement_m) + len(block.eta_m) + len(block.contact_force_n)
+def _truth_of(block: Motion) -> dict[str, Rows]:
+    return {
+        "displacement": block.displacement_m,
+        "relative_displacement": block.eta_m,
+        "contact_force": block.contact_force_n,
+    }

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 from jaxtyping import Float
@@ -11,7 +12,7 @@ from rig.contact import FRICTION_SPEED_M_PER_S
 from rig.description import Body, Rig, Station, contact_stations, stations_of
 from rig.errors import RigError
 from rig.modes import Modes, modes_of, modes_wanted, participation
-from rig.motion import Course, Motion, Progress
+from rig.motion import Course, Motion, Progress, Projected
 from rig.plants.loading import base_motion, connections, equilibrium, true_force
 
 BLOCK = 1 << 13
@@ -70,8 +71,8 @@ def simulate(rig: Rig, force_n: Course, step_s: float, progress: Progress, modes
     )
     constants = (propagate, driven, model.across, pushed, *_reach(model, pushed, step_s), model.laws)
     within = within_a_step(step_s)
-    states = np.zeros((min(BLOCK, len(force_n)) + 1, 2 * model.omega.size))
-    states[0, : model.omega.size] = model.at_rest
+    shapes = np.array([model.rows[s] for s in stations_of(rig)]).reshape(-1, model.omega.size)
+    last = np.append(model.at_rest, np.zeros(model.omega.size))
     none = np.zeros(len(model.across))
     held = np.stack([model.holding_n, model.across @ model.at_rest, none, none])
     course_n, course_bent_n = np.tile(model.holding_n[:, None], 4), np.zeros((len(model.across), 1))
@@ -79,9 +80,11 @@ def simulate(rig: Rig, force_n: Course, step_s: float, progress: Progress, modes
         now = slice(first, min(first + BLOCK, len(force_n)))
         applied, bends = _applied(rig, force_n, base, step_s, now)
         contact_n, bent_n = np.empty((2, len(model.across), now.stop - first))
+        states = np.empty((now.stop - first + 1, last.size))  # a new array a block: Motion computes from it on demand
+        states[0] = last
         advance(states, held, contact_n, bent_n, applied, bends, *constants, within, first, step_s)
-        moved = states[1 : now.stop - first + 1]
-        if not np.all(np.isfinite(moved[-1])):  # what is not finite stays so
+        moved, last = states[1:], states[-1]
+        if not np.all(np.isfinite(last)):  # what is not finite stays so
             raise RigError(
                 f"the modal plant diverged near {first * step_s:.3f} s at step {step_s} s; use a smaller step"
             )
@@ -89,20 +92,19 @@ def simulate(rig: Rig, force_n: Course, step_s: float, progress: Progress, modes
         course_n = np.concatenate([course_n[:, -4:], contact_n], axis=1)
         course_bent_n = np.concatenate([course_bent_n[:, -1:], bent_n], axis=1)
         heard_n = _without_alias(course_n, course_bent_n)
-        sensed, displacement, eta = _observed(rig, model, moved, applied[:, 1:], heard_n)
+        sensed = _observed(rig, model, moved, applied[:, 1:], heard_n)
         if base:
             sensed += np.array([base[s.quantity][now] for s in rig.sensors]).reshape(sensed.shape)
-            displacement += base["displacement"][now]
+        coordinates = moved[:, : model.omega.size]
         yield Motion(
             start_s=first * step_s,
             step_s=step_s,
             force_n=force_n[now],
             sensed=sensed,
-            displacement_m=displacement,
-            eta_m=eta,
+            displacement_m=Projected(shapes, coordinates, base["displacement"][now] if base else None),
+            eta_m=Projected(model.across[: len(rig.contacts)], coordinates),
             contact_force_n=contact_n[: len(rig.contacts)],
         )
-        states[0] = moved[-1]
 
 
 def _observed(
@@ -111,28 +113,25 @@ def _observed(
     states: Float[np.ndarray, "samples states"],
     applied: Float[np.ndarray, "inputs samples"],
     contact_n: Float[np.ndarray, "all samples"],
-) -> tuple[
-    Float[np.ndarray, "sensors samples"], Float[np.ndarray, "stations samples"], Float[np.ndarray, "contacts samples"]
-]:
-    """What the sensors, the stations and the contacts see of the modes, relative to the base."""
-    size, places = model.omega.size, stations_of(rig)
-    shapes = np.array([model.rows[s] for s in places]).reshape(-1, size)
-    # one product over the modes for all that is asked of the displacement
-    moved = np.concatenate([shapes, model.across[: len(rig.contacts)]]) @ states[:, :size].T
+) -> Float[np.ndarray, "sensors samples"]:
+    """What the sensors see of the modes, relative to the base."""
+    size = model.omega.size
     sensed = np.empty((len(rig.sensors), len(states)))
-    for quantity in {s.quantity for s in rig.sensors}:
-        which = [k for k, s in enumerate(rig.sensors) if s.quantity == quantity]
-        at = [places.index(rig.sensors[k].station) for k in which]
-        rows = shapes[at]
+    first = 0
+    for quantity, alike in groupby(rig.sensors, lambda s: s.quantity):
+        rows = np.array([model.rows[s.station] for s in alike])
+        into = sensed[first : first + len(rows)]
+        first += len(rows)
         if quantity == "displacement":
-            sensed[which] = moved[at]
+            np.matmul(rows, states[:, :size].T, out=into)
         elif quantity == "velocity":
-            sensed[which] = rows @ states[:, size:].T
+            np.matmul(rows, states[:, size:].T, out=into)
         else:
             own = np.concatenate([-(model.omega**2) * rows, -2 * model.zeta * model.omega * rows], axis=1)
             pushed = np.concatenate([rows @ model.gains.T, -rows @ model.across.T], axis=1)
-            sensed[which] = own @ states.T + pushed @ np.concatenate([applied, contact_n])
-    return sensed, moved[: len(places)], moved[len(places) :]
+            np.matmul(own, states.T, out=into)
+            into += pushed @ np.concatenate([applied, contact_n])
+    return sensed
 
 
 def _without_alias(
