@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.gap.candidates import Candidate
+from identify.gap.grounded import needs_every_line
 from identify.gap.linear import linear_model
 from identify.gap.residual import MODEL_ERROR, Base, same_but_laws
 from identify.gap.spectra import Record
@@ -14,7 +15,7 @@ from rig.description import Rig
 from rig.errors import RigError
 
 STRENGTHS = (0.3, 0.6, 1.2, 2.4)
-"""Multiples of what an effect's default adds."""
+"""Multiples of what a typical effect adds."""
 THINNED = 8
 """Every so-many-th line tells enough of where a minimum lies."""
 
@@ -35,7 +36,12 @@ def linear_starts(base: Base, candidates: Sequence[Candidate]) -> list[Start]:
     found = []
     for candidate in candidates:
         changed = candidate.applied(base.rig, candidate.default)
-        if same_but_laws(base.rig, changed) or _nonlinear(changed) or changed.loads != base.rig.loads:
+        if (
+            same_but_laws(base.rig, changed)
+            or changed.base_motion is not None
+            or needs_every_line(changed)
+            or changed.loads != base.rig.loads
+        ):
             continue
         costs = []
         for values in _tried(candidate):
@@ -54,21 +60,12 @@ def _tried(candidate: Candidate) -> Iterable[Float[np.ndarray, " parameters"]]:
 
 
 def _strengths(candidate: Candidate, place: Float[np.ndarray, " parameters"]) -> list[Float[np.ndarray, " parameters"]]:
-    """The default's strength times a few factors, of both signs, within the bounds."""
-    low, high = candidate.bounds
-    adds = candidate.default[0] - candidate.neutral
     found = []
-    for factor in (*STRENGTHS, *(-s for s in STRENGTHS)):
-        strength = candidate.neutral + factor * adds
-        if low[0] <= strength <= high[0]:
-            values = place.copy()
-            values[0] = strength
-            found.append(values)
+    for strength in candidate.strengths(STRENGTHS):
+        values = place.copy()
+        values[0] = strength
+        found.append(values)
     return found
-
-
-def _nonlinear(rig: Rig) -> bool:
-    return rig.base_motion is not None or any(s.cubic_n_per_m3 for s in rig.springs)
 
 
 def _thinned(record: Record) -> Record:
