@@ -5,6 +5,7 @@ from typing import Literal
 
 import msgspec
 import numpy as np
+from jaxtyping import Float
 
 from rig.beam import Beam
 from rig.contact import DeadZone
@@ -17,6 +18,8 @@ Quantity = Literal["displacement", "velocity", "acceleration"]
 Body = Beam | Oscillator | Structure
 UNITS: dict[str, str] = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N"}
 LONGEST_DELAY_S = 1.0
+RISE_S = 0.5
+"""Over which base motions and tones set in, so that a simulation begins at rest."""
 
 
 def _is_gain(value: float) -> bool:
@@ -146,6 +149,11 @@ class Tone(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
             _check_finite("tone", field, getattr(self, field))
         if not 0 < self.frequency_hz < np.inf:
             raise RigError(f"tone: frequency_hz is {self.frequency_hz}; give a finite value above zero")
+
+    def force_n(self, time_s: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
+        s, angle = np.clip(time_s / RISE_S, 0, 1), 2 * np.pi * self.frequency_hz * time_s
+        rise = s**3 * (10 - 15 * s + 6 * s**2)
+        return np.asarray(rise * (self.cosine_n * np.cos(angle) + self.sine_n * np.sin(angle)))
 
 
 class BaseMotion(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -103,6 +103,7 @@ def modes_of(rig: Rig, body: Body) -> Modes:
     nodes_m = np.linspace(0, body.length_m, ELEMENTS + 1)
     mass, stiffness = matrices(rig, body, nodes_m)
     held = held_coordinates(rig, body)
+    _check_stable(rig, body, stiffness[held:, held:])
     floating = _floating(body, nodes_m, stiffness)
     natural_hz, free = _solved(body, stiffness[held:, held:], mass[held:, held:], floating)
     vectors = np.concatenate([np.zeros((held, free.shape[1])), free])
@@ -130,6 +131,7 @@ def coupled(rig: Rig, body: Structure) -> CoupledModes:
     rigid = body.rigid_modes
     floating = rigid - int(np.linalg.matrix_rank(attached[:rigid, :rigid])) if rigid else 0
     stiffness = np.diag((2 * np.pi * body.frequencies_hz(count)) ** 2) + attached
+    _check_stable(rig, body, stiffness)
     return CoupledModes(body, *_solved(body, stiffness, mass, floating))
 
 
@@ -151,10 +153,21 @@ def _solved(
     return np.sqrt(squares) / (2 * np.pi), vectors
 
 
+def _check_stable(rig: Rig, body: Body, stiffness: Float[np.ndarray, "n n"]) -> None:
+    """Raises RigError if springs of negative stiffness leave a body none in some direction."""
+    if any(s.stiffness_n_per_m < 0 for s in rig.springs if s.station.body == body.name):
+        least, most = np.linalg.eigvalsh(stiffness)[[0, -1]]
+        if least < -1e-14 * abs(most) or most <= 0:
+            raise RigError(
+                f"the springs of negative stiffness on {body.name!r} are more than what holds it; make them weaker"
+            )
+
+
 def with_attachments(rig: Rig, body: Oscillator) -> Oscillator:
     """A single mass with its point masses and linear springs; it keeps its damping ratio."""
     mass_kg = body.mass_kg + sum(m.mass_kg for m in rig.masses if m.station.body == body.name)
     added = sum(s.stiffness_n_per_m for s in rig.springs if s.station.body == body.name)
+    _check_stable(rig, body, np.full((1, 1), body.stiffness_n_per_m + added))
     frequency_hz = float(np.sqrt((body.stiffness_n_per_m + added) / mass_kg)) / (2 * np.pi)
     return msgspec.structs.replace(body, mass_kg=mass_kg, frequency_hz=frequency_hz)
 

@@ -16,6 +16,8 @@ from rig.errors import RigError
 
 PLACES = 6
 """A parameter that says where, rather than how much, is tried at so many values of its range."""
+WHOLE = 8
+"""A ratio is tried at so many values over its whole range."""
 SMALL = 0.05
 """Steps for derivatives, as a share of what the typical effect adds."""
 
@@ -75,6 +77,15 @@ class Candidate:
             else:
                 grids.append(np.geomspace(*ends, PLACES + 2)[1:-1] if logarithmic else np.linspace(*ends, PLACES))
         return [np.array(values) for values in product(*grids)]
+
+    def strengths(self, multiples: Sequence[float]) -> list[float]:
+        """Strengths to try: multiples of what the typical effect adds, of both signs, and of ratios the whole range."""
+        low, high = (float(ends[0]) for ends in self.bounds)
+        adds = float(self.default[0]) - self.neutral
+        tried = [self.neutral + sign * m * adds for sign in (1, -1) for m in multiples]
+        if self.neutral == 1 and low > 0 and high > 4 * low:
+            tried += list(np.geomspace(low, high, WHOLE))
+        return [float(t) for t in tried if low <= t <= high]
 
     def effect(self, values: Float[np.ndarray, " parameters"]) -> Effect:
         """The typical effect with other numbers."""

@@ -9,6 +9,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 from scipy.sparse.linalg import SuperLU
 
+from identify.gap.law import added_n_per_m
 from identify.gap.nuisance import LIMIT, residual_scale
 from identify.gap.residual import Base, Residual, linear_of, residual_of, same_but_laws
 from rig.description import Rig
@@ -83,9 +84,12 @@ def derivative(base: Base, moved: Rig, at: Residual) -> Column:
     less_force = record.in_time(less_n) + (old.holding_n - new.holding_n)[:, None]
     less_eta = record.in_time(old.eta_m - new.eta_m)
     contacts = []
-    for contact, seen, force_n, eta_m in zip(at.contacts, base.seen, less_force, less_eta, strict=True):
+    for j, (contact, seen) in enumerate(zip(at.contacts, base.seen, strict=True)):
+        stiffer = added_n_per_m(moved, j) - added_n_per_m(at.rig, j)
+        slow = seen.curve.value @ contact.unknowns[: seen.curve.knots] if stiffer else 0.0
         column = np.zeros(contact.residual.size)
-        column[: seen.weights.size] = seen.weights * (force_n - contact.by_law * eta_m)
+        less_n = less_force[j] - contact.by_law * less_eta[j] + stiffer * slow
+        column[: seen.weights.size] = seen.weights * less_n
         contacts.append(column)
     return residual_scale(record) * record.in_time(left), contacts
 

@@ -18,7 +18,9 @@ from identify.gap.spectra import Record
 from identify.joint import Observed, regressed
 from identify.spectra import decimated
 from rig.contact import DeadZone, damping_share
+from rig.description import Rig
 from rig.errors import RigError
+from rig.oscillator import Oscillator
 
 WALL = 100.0
 """Beyond `LIMIT` standard deviations these weigh so many times more: something else is wrong."""
@@ -95,8 +97,18 @@ def laid_out(record: Record, model: Linear) -> tuple[Laid, ...]:
     eta, rate = record.finely(model.eta_m), record.finely(model.eta_m, 1)
     time_s = record.taken.start / record.rate_hz + np.arange(eta.shape[1]) / (record.rate_hz * finer)
     forces = record.in_time(model.contact_n) + model.holding_n[:, None]
-    springs = [0.0 if d is None else d.spring_n_per_m for d in record.drifts]
+    springs = [
+        0.0 if d is None else d.spring_n_per_m + added_n_per_m(model.rig, j) for j, d in enumerate(record.drifts)
+    ]
     return tuple(Laid(f, e, r, time_s, finer, s) for f, e, r, s in zip(forces, eta, rate, springs, strict=True))
+
+
+def added_n_per_m(rig: Rig, contact: int) -> float:
+    """The linear springs to the ground that a single mass under a contact has beside its own."""
+    body = rig.contacts[contact].at.body
+    if not isinstance(rig.body(body), Oscillator):
+        return 0.0
+    return sum(s.stiffness_n_per_m for s in rig.springs if s.station.body == body)
 
 
 def start_of(laid: Laid, seen: Seen, rate_hz: float) -> Float[np.ndarray, " unknowns"]:
@@ -141,7 +153,7 @@ class Contact:
 
     @cached_property
     def tangent_n_per_m(self) -> Float[np.ndarray, " fine"]:
-        return (self.within.stiffness_n_per_m + 3 * self.within.cubic_n_per_m3 * self.depth_m**2) * (self.depth_m != 0)
+        return self.within.tangent_n_per_m(self.depth_m)
 
     @cached_property
     def by_law(self) -> Float[np.ndarray, " times"]:
@@ -160,7 +172,7 @@ class Contact:
         by_clearance, by_stiffness, _ = self.seen.trusted
         fine = [
             -self.tangent_n_per_m * np.sign(self.depth_m) * by_clearance * self.law.clearance_m,
-            self.depth_m * by_stiffness * self.law.stiffness_n_per_m,
+            by_stiffness * self.law.spring_n(self.depth_m),
             self.damped_n,
         ]
         by_law = np.stack([decimated(row, self.laid.finer) for row in fine], axis=1)

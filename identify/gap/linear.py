@@ -2,10 +2,11 @@
 
 At every line the accelerations of all sensors are, by the rig's description,
 
-    A = G_F F - G_K k3 w^3 - G_C f + G_B a_base + error
+    A = G_F F + G_T T - G_K (k3 w^3 + c v + F_c tanh(v / v0)) - G_C f + G_B a_base + error
 
-with the accelerances G at the sensors of the force F, cubic springs, contact forces f, and a base that shakes
-unmeasured. Static loads accelerate nothing: the contacts hold them. The f are found by least squares, without a contact
+with the accelerances G at the sensors of the force F, of tones T, of cubic springs and dampers to the ground (by the
+measured motion w, v at their places), of contact forces f, and of a base that shakes unmeasured. Static loads
+accelerate nothing: the contacts hold them. The f are found by least squares, without a contact
 law; so is a_base, held by its spectrum. What they leave, in standard deviations of the error, is the linear residual:
 sensors less contacts tell it.
 """
@@ -16,28 +17,14 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Complex, Float
 
+from identify.gap.grounded import ground_force_changes, ground_forces
+from identify.gap.response import Response, times, weights_of
 from identify.gap.spectra import Record
 from identify.kinematics import CORNER_HZ, integrated
 from identify.modal import receptance
-from rig.description import Body, PointSpring, Rig, Station
-from rig.modes import Modes, modes_of, participation
+from rig.description import Body, Rig, Station
+from rig.modes import modes_of, participation
 from rig.oscillator import Oscillator
-
-
-@dataclass(frozen=True)
-class Response:
-    """One body's modes, and their accelerations per modal force."""
-
-    body: Body
-    modes: Modes
-    count: int
-    accelerance: Complex[np.ndarray, "modes lines"]
-
-    def shapes(self, stations: list[Station | None]) -> Float[np.ndarray, "stations modes"]:
-        """Zero at stations of other bodies and at the ground."""
-        own = np.array([s is not None and s.body == self.body.name for s in stations], dtype=float)
-        places = [s.position_m if s is not None and here else 0.0 for s, here in zip(stations, own, strict=True)]
-        return np.asarray(self.modes.shapes(np.array(places), self.count) * own[:, None])
 
 
 @dataclass(frozen=True)
@@ -105,17 +92,17 @@ def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray
     displacements = record.displaced / chain
     responses = tuple(_response(record, rig, body) for body in rig.bodies)
     places: list[Station | None] = [s.station for s in sensors]
-    cubic = [s for s in rig.springs if s.cubic_n_per_m3]
+    held = ground_forces(record, rig, responses, places, displacements)
     forces = [record.force * np.exp(-1j * omega * rig.force_sensor.lag_s) / rig.force_sensor.gain]
-    for spring, moved in zip(cubic, _at_springs(responses, places, cubic, displacements), strict=True):
-        forces.append(-spring.cubic_n_per_m3 * _product(record, moved, moved, moved))
-    pushed: list[Station | None] = [rig.force_at, *(s.station for s in cubic)]
-    drives = [_times(r.shapes(pushed).T, np.stack(forces)) for r in responses]
+    forces += [record.spectrum(tone.force_n(record.sample_times_s)) for tone in rig.tones]
+    forces += [force_n for _, force_n in held]
+    pushed: list[Station | None] = [rig.force_at, *(tone.station for tone in rig.tones), *(at for at, _ in held)]
+    drives = [times(r.shapes(pushed).T, np.stack(forces)) for r in responses]
     ends: list[list[Station | None]] = [[c.at for c in rig.contacts], [c.against for c in rig.contacts]]
     across = [r.shapes(ends[0]) - r.shapes(ends[1]) for r in responses]
     at = [r.shapes(places) for r in responses]
     driven = [r.accelerance * d for r, d in zip(responses, drives, strict=True)]
-    known = _times(np.concatenate(at, axis=1), np.concatenate(driven))
+    known = times(np.concatenate(at, axis=1), np.concatenate(driven))
     spread = np.sqrt(record.noise + model_error**2 * record.power)
     spread = np.maximum(spread, 1e-9 * spread.max())
     sensed = (chain / spread).T
@@ -125,19 +112,19 @@ def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray
             [unknown, _base(record, rig, responses, at).T[:, :, None] * sensed[:, :, None]], axis=2
         )
     exciting = [r.accelerance * r.shapes([rig.force_at]).T for r in responses]
-    per_newton = _times(np.concatenate(at, axis=1), np.concatenate(exciting))
+    per_newton = times(np.concatenate(at, axis=1), np.concatenate(exciting))
     if record.force_noise:
         heard = np.sqrt(record.force_noise) / rig.force_sensor.gain * per_newton
         unknown = np.concatenate([unknown, heard.T[:, :, None] * sensed[:, :, None]], axis=2)
     contacts = len(rig.contacts)
     solve, log_determinant = _least_squares(unknown, contacts)
     residual, contact_n = _split(unknown, solve, record.delivered / spread - known * sensed.T, contacts)
-    modal = tuple(d - r.accelerance * _times(c.T, contact_n) for r, d, c in zip(responses, driven, across, strict=True))
+    modal = tuple(d - r.accelerance * times(c.T, contact_n) for r, d, c in zip(responses, driven, across, strict=True))
     eta = np.zeros((contacts, omega.size), dtype=complex)
     high_passed = integrated(omega, -2, CORNER_HZ)
     for response, own, over, motion in zip(responses, at, across, modal, strict=True):
-        weights = _weights(response, places, ends[0]) - _weights(response, places, ends[1])
-        eta += _times(weights, displacements) + _times(over - weights @ own, motion) * high_passed
+        weights = weights_of(response, places, ends[0]) - weights_of(response, places, ends[1])
+        eta += times(weights, displacements) + times(over - weights @ own, motion) * high_passed
     holding_n = _holding(rig, responses, across)
     return Linear(
         rig=rig,
@@ -182,33 +169,13 @@ def _accelerance(
     return found
 
 
-def _weights(
-    response: Response, places: list[Station | None], stations: list[Station | None]
-) -> Float[np.ndarray, "stations sensors"]:
-    """From the body's sensors to other places on it, by as many of its modes as it has sensors."""
-    rows = [i for i, place in enumerate(places) if place is not None and place.body == response.body.name]
-    weights = np.zeros((len(stations), len(places)))
-    if rows:
-        modes = min(len(rows), response.count)
-        inverse = np.linalg.pinv(response.shapes([places[i] for i in rows])[:, :modes])
-        weights[:, rows] = response.shapes(stations)[:, :modes] @ inverse
-    return weights
-
-
-def _times(
-    real: Float[np.ndarray, "rows inner"], spectra: Complex[np.ndarray, "inner lines"]
-) -> Complex[np.ndarray, "rows lines"]:
-    """The product, without taking the real factor as complex: twice as fast."""
-    return np.asarray((real @ np.ascontiguousarray(spectra).view(float)).view(complex))
-
-
 def _accelerances(
     responses: tuple[Response, ...],
     at: list[Float[np.ndarray, "sensors modes"]],
     across: list[Float[np.ndarray, "contacts modes"]],
 ) -> Complex[np.ndarray, "lines sensors contacts"]:
     products = [(s[:, None, :] * c[None]).reshape(-1, s.shape[1]) for s, c in zip(at, across, strict=True)]
-    found = _times(np.concatenate(products, axis=1), np.concatenate([r.accelerance for r in responses]))
+    found = times(np.concatenate(products, axis=1), np.concatenate([r.accelerance for r in responses]))
     return found.T.reshape(found.shape[1], len(at[0]), len(across[0]))
 
 
@@ -230,35 +197,15 @@ def _holding(
 def bent(
     record: Record, model: Linear, displaced: Complex[np.ndarray, "sensors lines"]
 ) -> Complex[np.ndarray, "sensors lines"]:
-    """What the sensors give beside, as the cubic springs are displaced less than the sensors say."""
-    cubic = [s for s in model.rig.springs if s.cubic_n_per_m3]
+    """What the sensors give beside, as springs and dampers to the ground are displaced less than the sensors say."""
     found = np.zeros(displaced.shape, dtype=complex)
     places: list[Station | None] = [s.station for s in record.sensors]
-    moved = _at_springs(model.responses, places, cubic, record.displaced / model.chain)
-    for spring, own, change in zip(cubic, moved, _at_springs(model.responses, places, cubic, displaced), strict=True):
-        less_n = 3 * spring.cubic_n_per_m3 * _product(record, own, own, change)
+    less = ground_force_changes(record, model.rig, model.responses, places, record.displaced / model.chain, displaced)
+    for station, force_n in less:
         for r in model.responses:
-            shape = r.shapes([spring.station])[0]
-            found += model.chain * _times(r.shapes(places) * shape, r.accelerance * less_n)
+            shape = r.shapes([station])[0]
+            found -= model.chain * times(r.shapes(places) * shape, r.accelerance * force_n)
     return found
-
-
-def _at_springs(
-    responses: tuple[Response, ...],
-    places: list[Station | None],
-    springs: list[PointSpring],
-    displacements: Complex[np.ndarray, "sensors lines"],
-) -> Complex[np.ndarray, "springs lines"]:
-    """The displacements at springs, from those of the sensors."""
-    stations: list[Station | None] = [s.station for s in springs]
-    return _times(np.sum([_weights(r, places, stations) for r in responses], axis=0), displacements)
-
-
-def _product(record: Record, *three: Complex[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:
-    """Of three displacements over time, without alias."""
-    length = record.length // record.factor
-    fine = np.prod([3 * np.fft.irfft(d / record.factor, 3 * length) for d in three], axis=0)
-    return np.asarray(np.fft.rfft(fine)[: three[0].size] * record.factor / 3)
 
 
 def _base(

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Complex, Float
 from msgspec.structs import replace
 
-from identify.gap.linear import Linear, Response, bent
+from identify.gap.linear import Linear, bent
+from identify.gap.response import Response
 from identify.gap.spectra import Record
 from identify.kinematics import CORNER_HZ, integrated
 from identify.modal import receptance
@@ -86,7 +87,7 @@ def columns_of(record: Record, model: Linear) -> Columns:
 
 def _delivered(record: Record, model: Linear, change: _Change) -> Complex[np.ndarray, "sensors lines"]:
     """With what the springs do whose displacement is not the measured one."""
-    if change.displaced is None or not any(s.cubic_n_per_m3 for s in model.rig.springs):
+    if change.displaced is None or not (model.rig.springs or model.rig.dampers):
         return change.delivered
     return change.delivered + bent(record, model, change.displaced)
 

@@ -44,6 +44,7 @@ class Record:
     still in it; displaced the same as a displacement, high-passed where it had to be integrated. noise is the variance
     of each of its lines by the sensor's noise alone, power its smoothed size; force_noise that of the force's lines. eta_beyond is each relative displacement
     as measured on the lines from `high_hz` on, drifts what is known of its slow part (None where nothing is lost).
+    window is what samples were multiplied by.
     excited_s is when the force begins, tolerances how exactly the rig is believed.
     """
 
@@ -54,6 +55,7 @@ class Record:
     length: int
     samples: int
     factor: int
+    window: Float[np.ndarray, " samples"]
     omega: Float[np.ndarray, " lines"]
     force: Complex[np.ndarray, " lines"]
     delivered: Complex[np.ndarray, "sensors lines"]
@@ -76,6 +78,16 @@ class Record:
     def time_s(self) -> Float[np.ndarray, " times"]:
         """Of the residuals' samples."""
         return np.arange(self.taken.start, self.taken.stop) / self.rate_hz
+
+    @property
+    def sample_times_s(self) -> Float[np.ndarray, " samples"]:
+        """Of the recording's samples, from its beginning."""
+        return np.arange(self.samples) / self.sample_rate_hz
+
+    def spectrum(self, course: Float[np.ndarray, " samples"]) -> Complex[np.ndarray, " lines"]:
+        """Of a course over the recording's samples, windowed as they were."""
+        lines = np.round(self.omega * self.length / (2 * np.pi * self.sample_rate_hz)).astype(int)
+        return np.asarray(np.fft.rfft(course * self.window, self.length)[lines])
 
     def finely(
         self, eta: Complex[np.ndarray, "contacts lines"], derivative: int = 0
@@ -156,6 +168,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         length=length,
         samples=samples,
         factor=factor,
+        window=shape,
         omega=omega,
         force=spectrum(recording.force_n)[:lines],
         delivered=delivered,

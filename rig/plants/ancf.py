@@ -23,7 +23,7 @@ from rig.plants.connectors import (
     add_grounded,
     modulus_change,
 )
-from rig.plants.loading import base_motion, connections, true_force
+from rig.plants.loading import base_motion, check_softening, connections, softening_limits_m, true_force
 from rig.plants.mesh import Mesh, by_node, coordinates_at_rest, inertia, mesh_positions, static_load, station_row
 from rig.structure import Structure
 
@@ -63,7 +63,10 @@ def simulate(
     container = exu.SystemContainer()
     try:
         mbs = container.AddSystem()
-        meshes, connectors, load = build(exu, mbs, rig, float(applied_n[0]), elements, extra)
+        meshes, connectors, loads = build(exu, mbs, rig, float(applied_n[0]), elements, extra)
+        time_s = np.arange(len(force_n)) * step_s
+        courses_n = [applied_n, *(tone.force_n(time_s) for tone in rig.tones)]
+        limits_m = softening_limits_m(rig)
         kinds = ["displacement", *sorted({s.quantity for s in rig.sensors} - {"displacement"})]
         readers = {kind: _read_nodes(exu, mbs, meshes, kind) for kind in kinds}
         force_readers = [
@@ -79,7 +82,8 @@ def simulate(
 
         def apply_force(system: Any, time_s: float) -> bool:
             sample = round(time_s / step_s)
-            system.SetLoadParameter(load, "load", float(applied_n[sample]))
+            for load, course_n in zip(loads, courses_n, strict=True):
+                system.SetLoadParameter(load, "load", float(course_n[sample]))
             if base and set_base:
                 set_base(float(base["acceleration"][sample]))
             for change in changes:
@@ -91,7 +95,8 @@ def simulate(
         if rig.loads:
             mbs.systemData.SetODE2Coordinates(coordinates_at_rest(rig, meshes), exu.ConfigurationType.Initial)
         settings = _settings(exu, step_s)
-        rows = {s: station_row(meshes, s) for s in {*stations_of(rig), *(sensor.station for sensor in rig.sensors)}}
+        places = {*stations_of(rig), *(sensor.station for sensor in rig.sensors), *(c.at for c in connections(rig))}
+        rows = {s: station_row(meshes, s) for s in places}
         for first in range(0, len(force_n) - 1, BLOCK_STEPS):
             last = min(first + BLOCK_STEPS, len(force_n) - 1)
             _advance(exu, mbs, settings, first, last, step_s)
@@ -102,6 +107,8 @@ def simulate(
                     f"the ancf plant diverged before {last * step_s:.3f} s at step {step_s} s; use a smaller step"
                 )
             displaced = {s: row @ moved["displacement"] for s, row in rows.items()}
+            between = [displaced[c.at] - (displaced[c.against] if c.against else 0) for c in connections(rig)]
+            check_softening(limits_m, _stack(between, moved["displacement"].shape[1]))
             count = moved["displacement"].shape[1]
             now = slice(last + 1 - count, last + 1)
             carried = {kind: base[kind][now] if base else 0.0 for kind in kinds}
@@ -111,9 +118,7 @@ def simulate(
                 force_n=force_n[now],
                 sensed=_stack([rows[s.station] @ moved[s.quantity] + carried[s.quantity] for s in rig.sensors], count),
                 displacement_m=_stack([displaced[s] + carried["displacement"] for s in stations_of(rig)], count),
-                eta_m=_stack(
-                    [displaced[c.at] - (displaced[c.against] if c.against else 0) for c in rig.contacts], count
-                ),
+                eta_m=_stack(between[: len(rig.contacts)], count),
                 contact_force_n=_stack([mbs.GetSensorStoredData(s)[keep, 1] for s in force_readers], count),
             )
             progress(last / (len(force_n) - 1))
@@ -123,10 +128,11 @@ def simulate(
 
 def build(
     exu: Any, mbs: Any, rig: Rig, first_force_n: float, elements: int, extra: tuple[Extra, ...] = ()
-) -> tuple[list[Mesh], list[int], int]:
-    """Bodies, damping, contacts and the load; returns the meshes, the connectors and the load's number.
+) -> tuple[list[Mesh], list[int], list[int]]:
+    """Bodies, damping, contacts and loads; returns the meshes, the connectors and the loads' numbers.
 
-    The connectors are those of the contacts, then those of the cubic springs and of the extra forces.
+    The connectors are those of the contacts, then those of cubic springs, dampers and the extra forces. The loads are
+    the exciting force and the tones.
     """
     grounded = [e for e in extra if isinstance(e, GroundedForce)]
     sections = [e for e in extra if isinstance(e, Section)]
@@ -154,8 +160,9 @@ def build(
 
     connectors = [add_contact(exu, mbs, marker(c.against), marker(c.at), c.law) for c in connections(rig)]
     connectors += [add_grounded(exu, mbs, ground, marker(g.station), g) for g in grounded]
-    load = mbs.AddLoad(_item("LoadCoordinate")(markerNumber=marker(rig.force_at), load=first_force_n))
-    return meshes, connectors, int(load)
+    pushed = [(rig.force_at, first_force_n), *((tone.station, 0.0) for tone in rig.tones)]
+    loads = [int(mbs.AddLoad(_item("LoadCoordinate")(markerNumber=marker(at), load=n))) for at, n in pushed]
+    return meshes, connectors, loads
 
 
 def _add_body(mbs: Any, rig: Rig, body: Body, ground: int, elements: int, sections: list[Section]) -> Mesh:

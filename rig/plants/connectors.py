@@ -52,17 +52,22 @@ def add_contact(exu: Any, mbs: Any, against: int, at: int, law: DeadZone) -> int
 
     @no_type_check  # recorded symbolically from the plain function
     def dead_zone(_system, t, _number, eta, rate, stiffness, damping, _offset):
-        def beyond(depth, size):
+        def beyond(depth, size, ratio):
             share = symbolic.IfThenElse(size < DAMPING_DEPTH_M, size / DAMPING_DEPTH_M, symbolic.Real(1.0))
-            elastic = (
-                (stiffness + law.cubic_n_per_m3 * depth * depth) * depth if law.cubic_n_per_m3 else stiffness * depth
-            )
+            secant = ratio * stiffness
+            if law.exponent != 1.0:
+                secant = secant * symbolic.pow(size / law.reference_depth_m, law.exponent - 1.0)
+            elastic = (secant + law.cubic_n_per_m3 * depth * depth) * depth if law.cubic_n_per_m3 else secant * depth
             return elastic + damping * rate * share
 
         worn = law.wear_m_per_s * t
         below, above = eta + (law.lower_clearance_m + worn), eta - (law.upper_clearance_m + worn)
-        inside = symbolic.IfThenElse(below < 0.0, beyond(below, -1.0 * below), symbolic.Real(0.0))
-        force = symbolic.IfThenElse(above > 0.0, beyond(above, above), inside)
+        inside = symbolic.IfThenElse(
+            below < 0.0, beyond(below, -1.0 * below, law.lower_stiffness_ratio), symbolic.Real(0.0)
+        )
+        force = symbolic.IfThenElse(above > 0.0, beyond(above, above, 1.0), inside)
+        if law.open_damping_n_s_per_m:
+            force = force + law.open_damping_n_s_per_m * rate
         if law.friction_n:
             force = force + law.friction_n * symbolic.tanh(rate / FRICTION_SPEED_M_PER_S)
         return force

@@ -1,30 +1,34 @@
-"""What acts on a rig beside its measured force: the true force, base motion, cubic springs, static loads."""
+"""What acts on a rig beside its measured force: true force, base motion, cubic springs, dampers, static loads."""
 
 import numpy as np
 from jaxtyping import Complex, Float
 from scipy.interpolate import CubicSpline
 
 from rig.contact import DeadZone
-from rig.description import Contact, Rig
+from rig.description import RISE_S, Contact, Rig, Station
 from rig.errors import RigError
 from rig.excitation import noise_spectrum
+from rig.modes import modes_of
 from rig.motion import Course
 
-BASE_RISE_S = 0.5
 SPLINED = 64
 """So many samples to either side decide a spline's value to the last digit."""
 _ORDERS = ("displacement", "velocity", "acceleration")
 
 
 def true_force(rig: Rig, measured_n: Course, step_s: float, now: slice = slice(None)) -> Float[np.ndarray, " some"]:
-    """The force on the rig, given the measured one at multiples of the step: F(t) = measured(t - lag) / gain."""
+    """The force on the rig, given the measured one at multiples of the step: F(t) = measured(t - lag) / gain.
+
+    Before its first sample and behind its last the measured force is taken to stay as it is there.
+    """
     sensor = rig.force_sensor
     if not sensor.lag_s:
         return measured_n[now] / sensor.gain
     first, stop, _ = now.indices(len(measured_n))
     shifted = np.arange(first, stop) - sensor.lag_s / step_s
-    known = np.arange(max(0, int(shifted[0]) - SPLINED), min(len(measured_n), int(shifted[-1]) + SPLINED))
-    between = CubicSpline(known, measured_n[known[0] : known[-1] + 1])(np.maximum(shifted, 0.0))
+    inside = np.clip(shifted, 0, len(measured_n) - 1)
+    known = np.arange(max(0, int(inside[0]) - SPLINED), min(len(measured_n), int(inside[-1]) + SPLINED))
+    between = CubicSpline(known, measured_n[known[0] : known[-1] + 1])(inside)
     return np.where(shifted < 0, measured_n[:1], between) / sensor.gain
 
 
@@ -44,31 +48,64 @@ def base_motion(rig: Rig, samples: int, step_s: float) -> dict[str, Float[np.nda
     displacement = np.divide(velocity, 1j * omega, out=np.zeros_like(spectrum), where=omega > 0)
     d, v, a = (_in_time(part, samples) for part in (displacement, velocity, spectrum))
     scale = base.acceleration_rms_m_per_s2 / np.sqrt(np.mean(a**2))
-    s = np.clip(np.arange(samples) * step_s / BASE_RISE_S, 0, 1)
+    s = np.clip(np.arange(samples) * step_s / RISE_S, 0, 1)
     rise, slope, bend = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2, 60 * s * (1 - s) * (1 - 2 * s)
-    slope, bend = slope / BASE_RISE_S, bend / BASE_RISE_S**2
+    slope, bend = slope / RISE_S, bend / RISE_S**2
     moved = (rise * d, slope * d + rise * v, bend * d + 2 * slope * v + rise * a)
     return {order: scale * row for order, row in zip(_ORDERS, moved, strict=True)}
 
 
 def connections(rig: Rig) -> tuple[Contact, ...]:
-    """The contacts, then the cubic springs: a spring k3 w^3 to the ground is a dead zone without clearance."""
-    cubic = (s for s in rig.springs if s.cubic_n_per_m3)
-    springs = (
-        Contact(
-            name=f"spring {i}",
-            at=spring.station,
-            against=None,
-            law=DeadZone(
-                lower_clearance_m=0.0,
-                upper_clearance_m=0.0,
-                stiffness_n_per_m=0.0,
-                cubic_n_per_m3=spring.cubic_n_per_m3,
-            ),
-        )
-        for i, spring in enumerate(cubic)
+    """The contacts, then cubic springs and dampers, each a dead zone to the ground without clearance and stiffness."""
+
+    def grounded(name: str, station: Station, **law: float) -> Contact:
+        zone = DeadZone(lower_clearance_m=0.0, upper_clearance_m=0.0, stiffness_n_per_m=0.0, **law)
+        return Contact(name=name, at=station, against=None, law=zone)
+
+    springs = (s for s in rig.springs if s.cubic_n_per_m3)
+    return (
+        *rig.contacts,
+        *(grounded(f"spring {i}", s.station, cubic_n_per_m3=s.cubic_n_per_m3) for i, s in enumerate(springs)),
+        *(
+            grounded(f"damper {i}", d.station, open_damping_n_s_per_m=d.damping_n_s_per_m, friction_n=d.friction_n)
+            for i, d in enumerate(rig.dampers)
+        ),
     )
-    return (*rig.contacts, *springs)
+
+
+def softening_limits_m(rig: Rig) -> Float[np.ndarray, " connections"]:
+    """How far each of the `connections` may move: where a softening spring takes all of its body's stiffness.
+
+    With the static stiffness k of the body at the spring, 1 / sum phi^2 / omega^2 over its modes, that is at
+    sqrt(k / -k3): beyond, nothing but a contact pulls back. Infinite for all else, and where only contacts hold a body.
+    """
+    limits = []
+    for connection in connections(rig):
+        cubic = connection.law.cubic_n_per_m3
+        limits.append(np.inf if cubic >= 0 else np.sqrt(_static_stiffness(rig, connection.at) / -cubic) or np.inf)
+    return np.array(limits)
+
+
+def check_softening(
+    limits_m: Float[np.ndarray, " connections"], eta_m: Float[np.ndarray, "connections samples"]
+) -> None:
+    """Raises RigError if a softening spring has moved beyond its limit."""
+    for limit, moved in zip(limits_m, eta_m, strict=True):
+        if np.isfinite(limit) and np.abs(moved).max() > limit:
+            raise RigError(
+                f"a softening spring has let go: the body moved by {np.abs(moved).max():.3g} m, and beyond {limit:.3g} "
+                "m nothing pulls it back; let it soften less, or excite less"
+            )
+
+
+def _static_stiffness(rig: Rig, station: Station) -> float:
+    """Zero of a body that floats."""
+    body = rig.body(station.body)
+    modes, count = modes_of(rig, body), body.most_modes
+    omega = 2 * np.pi * modes.frequencies_hz(count)
+    if not np.all(omega > 0):
+        return 0.0
+    return float(1 / np.sum((modes.shapes(np.array([station.position_m]), count)[0] / omega) ** 2))
 
 
 def equilibrium(
@@ -86,20 +123,18 @@ def equilibrium(
     q = np.zeros(load.size)
     if not load.any():
         return q
-    k, cubic = np.array([[law.stiffness_n_per_m, law.cubic_n_per_m3] for law in laws]).reshape(-1, 2).T
 
-    def depths(at: Float[np.ndarray, " modes"]) -> Float[np.ndarray, " connections"]:
-        return np.array([law.penetration_m(np.array([eta]))[0] for law, eta in zip(laws, across @ at, strict=True)])
+    def depths(at: Float[np.ndarray, " modes"]) -> list[tuple[DeadZone, Float[np.ndarray, " one"]]]:
+        return [(law, law.penetration_m(np.array([eta]))) for law, eta in zip(laws, across @ at, strict=True)]
 
     def energy(at: Float[np.ndarray, " modes"]) -> float:
-        depth = depths(at)
-        return float(squares @ at**2 / 2 + np.sum(k * depth**2 / 2 + cubic * depth**4 / 4) - load @ at)
+        stored = sum(float(law.energy_j(depth)[0]) for law, depth in depths(at))
+        return float(squares @ at**2 / 2 + stored - load @ at)
 
     def slopes(at: Float[np.ndarray, " modes"]) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"]]:
-        depth = depths(at)
-        tangent = (k + 3 * cubic * depth**2) * (depth != 0)
-        force = squares * at + (k * depth + cubic * depth**3) @ across - load
-        return force, np.diag(squares) + (across.T * tangent) @ across
+        forces = np.array([law.elastic_n(depth)[0] for law, depth in depths(at)])
+        tangent = np.array([law.tangent_n_per_m(depth)[0] for law, depth in depths(at)])
+        return squares * at + forces @ across - load, np.diag(squares) + (across.T * tangent) @ across
 
     for hold in 100.0 * 0.7 ** np.arange(60):  # stiffness that ties every mode to where it was before
         anchor = q

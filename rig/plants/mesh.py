@@ -38,7 +38,7 @@ def mesh_positions(rig: Rig, beam: Beam, elements: int) -> Float[np.ndarray, " n
     """About `elements` elements a beam, with a node wherever something acts on it or is attached to it."""
     acted_on = [s for c in rig.contacts for s in contact_stations(c)]
     acted_on += [rig.force_at, *(m.station for m in rig.masses), *(s.station for s in rig.springs)]
-    acted_on += [load.station for load in rig.loads]
+    acted_on += [*(x.station for x in rig.loads), *(x.station for x in rig.dampers), *(x.station for x in rig.tones)]
     corners = np.unique([0.0, beam.length_m, *(s.position_m for s in acted_on if s.body == beam.name)])
     largest = beam.length_m / elements * (1 + 1e-9)
     pieces = [np.linspace(a, b, int(np.ceil((b - a) / largest)) + 1)[:-1] for a, b in pairwise(corners)]

@@ -13,34 +13,32 @@ from rig.description import Body, Rig, Station, contact_stations, stations_of
 from rig.errors import RigError
 from rig.modes import Modes, modes_of, modes_wanted, participation
 from rig.motion import Course, Motion, Progress, Projected
-from rig.plants.loading import base_motion, connections, equilibrium, true_force
+from rig.plants.loading import (
+    base_motion,
+    check_softening,
+    connections,
+    equilibrium,
+    softening_limits_m,
+    true_force,
+)
 
 BLOCK = 1 << 13
 BENT = 8
 """So many samples to either side decide how a force bends within a step, and more."""
-LAW = (  # the columns of the compiled loop's table
-    "lower_clearance_m",
-    "upper_clearance_m",
-    "stiffness_n_per_m",
-    "damping_n_s_per_m",
-    "cubic_n_per_m3",
-    "friction_n",
-    "wear_m_per_s",
-)
 
 
 @dataclass(frozen=True)
 class _Model:
     """Modes of all bodies, the shapes at every station, what acts on them, and where they rest.
 
-    gains are the modal forces per unit of each known force: the exciting force, static loads, the base.
+    gains are the modal forces per unit of each known force: the exciting force, static loads, the base, tones.
     """
 
     omega: Float[np.ndarray, " modes"]
     zeta: Float[np.ndarray, " modes"]
     rows: dict[Station, Float[np.ndarray, " modes"]]
     across: Float[np.ndarray, "contacts modes"]
-    laws: Float[np.ndarray, "contacts 7"]
+    laws: Float[np.ndarray, "contacts columns"]
     gains: Float[np.ndarray, "inputs modes"]
     at_rest: Float[np.ndarray, " modes"]
     holding_n: Float[np.ndarray, " contacts"]
@@ -51,18 +49,19 @@ def simulate(rig: Rig, force_n: Course, step_s: float, progress: Progress, modes
 
     The modes are those of the bodies with what is attached to them, in a frame that moves with the base. Every mode
     obeys q'' + 2 zeta omega q' + omega^2 q = p with the modal force p = phi(x_F) F + p_static - g a_base -
-    sum_j b_j f_j(eta_j, eta_j', t), eta_j = b_j . q, over contacts and cubic springs.
+    sum_j b_j f_j(eta_j, eta_j', t), eta_j = b_j . q, over contacts, cubic springs and dampers; tones join F.
 
     Over a step each force is a straight line between its ends plus a parabola that vanishes there, and every mode is
     advanced exactly. The parabola gives the force its true mean: for F and a_base that of a smooth curve through the
     samples; for a contact that of its law along the cubic eta(t) that fits eta and eta' at both ends, so that a stop
     met within a step costs no accuracy. The contact forces are found by fixed-point iteration.
 
-    Yields blocks of at most 2^13 samples. Raises RigError if a contact is too stiff for the step or the result is not
-    finite.
+    Yields blocks of at most 2^13 samples. Raises RigError if a contact is too stiff for the step, a softening
+    spring lets go, or the result is not finite.
     """
     from rig.plants.stepping import advance, within_a_step
 
+    limits_m = softening_limits_m(rig)
     base = base_motion(rig, len(force_n), step_s)
     model = _model(rig, bool(base), modes)
     propagate, response = _propagator(model.omega, model.zeta, step_s)
@@ -88,6 +87,7 @@ def simulate(rig: Rig, force_n: Course, step_s: float, progress: Progress, modes
             raise RigError(
                 f"the modal plant diverged near {first * step_s:.3f} s at step {step_s} s; use a smaller step"
             )
+        check_softening(limits_m, model.across @ moved[:, : model.omega.size].T)
         progress(now.stop / len(force_n))
         course_n = np.concatenate([course_n[:, -4:], contact_n], axis=1)
         course_bent_n = np.concatenate([course_bent_n[:, -1:], bent_n], axis=1)
@@ -150,11 +150,14 @@ def _without_alias(
 
 def _model(rig: Rig, moving_base: bool, modes: int) -> _Model:
     """The rig with what acts on it."""
+    from rig.plants.stepping import LAW
+
     bodies = [(b, modes_of(rig, b), modes_wanted(b, modes)) for b in rig.bodies]
     omega = 2 * np.pi * np.concatenate([shapes.frequencies_hz(n) for _, shapes, n in bodies])
     zeta = np.concatenate([shapes.damping_ratios(n) for _, shapes, n in bodies])
     contacts, laws = connections(rig), tuple(c.law for c in connections(rig))
     wanted = {*stations_of(rig), rig.force_at, *(load.station for load in rig.loads)}
+    wanted |= {tone.station for tone in rig.tones}
     wanted |= {station for c in contacts for station in contact_stations(c)}
     rows = {station: _shape_row(bodies, station) for station in wanted}
     across = np.array([rows[c.at] - (rows[c.against] if c.against else 0) for c in contacts])
@@ -167,6 +170,7 @@ def _model(rig: Rig, moving_base: bool, modes: int) -> _Model:
         gains.append(static)
     if moving_base:
         gains.append(-np.concatenate([participation(rig, body, shapes, n) for body, shapes, n in bodies]))
+    gains += [rows[tone.station] for tone in rig.tones]
     return _Model(
         omega=omega,
         zeta=zeta,
@@ -193,6 +197,8 @@ def _applied(
         rows.append(np.ones(rows[0].size))
     if base:
         rows.append(np.append(np.zeros(rest), base["acceleration"][around]))
+    time_s = np.arange(around.start - rest, around.stop) * step_s
+    rows += [tone.force_n(time_s) for tone in rig.tones]
     inputs = np.array(rows)
     begin = now.start - around.start - 1 + rest
     some = slice(begin, begin + now.stop - now.start + 1)
@@ -206,15 +212,18 @@ def _reach(
 
     Raises RigError if a force would change itself by half or more.
     """
+    from rig.plants.stepping import DAMPING, FRICTION, LOWER_STIFFNESS, OPEN, STIFFNESS
+
     parts = pushed[1:].reshape(2, len(model.across), 2, model.omega.size)
     reach = np.ascontiguousarray(np.einsum("ji,fkxi->fxjk", model.across, parts))
-    slope = model.laws[:, 3] + model.laws[:, 5] / FRICTION_SPEED_M_PER_S
-    loop = np.abs(reach[0, 0]) @ model.laws[:, 2] + np.abs(reach[0, 1]) @ slope
+    stiffness = np.maximum(model.laws[:, STIFFNESS], model.laws[:, LOWER_STIFFNESS])
+    slope = model.laws[:, DAMPING] + model.laws[:, OPEN] + model.laws[:, FRICTION] / FRICTION_SPEED_M_PER_S
+    loop = np.abs(reach[0, 0]) @ stiffness + np.abs(reach[0, 1]) @ slope
     if np.any(loop > 0.5):
         raise RigError(
             f"a contact is too stiff for the step of {step_s} s (loop gain {loop.max():.2g}); use a smaller step"
         )
-    own = -np.diag(reach[0, 0]) * model.laws[:, 2] - np.diag(reach[0, 1]) * slope
+    own = -np.diag(reach[0, 0]) * stiffness - np.diag(reach[0, 1]) * slope
     return reach, 1 / (1 + own)
 
 

@@ -11,6 +11,21 @@ from rig.contact import DAMPING_DEPTH_M, FRICTION_SPEED_M_PER_S
 TOLERANCE_N = 1e-9
 REFRESH = 1e-4
 """How much the end forces must change, of the largest, for their bends within the step to be looked at again."""
+LAW = (
+    "lower_clearance_m",
+    "upper_clearance_m",
+    "stiffness_n_per_m",
+    "lower_stiffness_n_per_m",
+    "damping_n_s_per_m",
+    "cubic_n_per_m3",
+    "friction_n",
+    "wear_m_per_s",
+    "exponent",
+    "reference_depth_m",
+    "open_damping_n_s_per_m",
+)
+"""The columns of the table `laws`, of a `DeadZone` each; in this order they are numbered below."""
+LOWER, UPPER, STIFFNESS, LOWER_STIFFNESS, DAMPING, CUBIC, FRICTION, WEAR, EXPONENT, REFERENCE, OPEN = range(len(LAW))
 FORCE, ETA, RATE, BEND = range(4)
 """The rows of `held` and of what becomes of it: force, eta and eta' of every contact, and the bend of the force."""
 _compiled = numba.njit(cache=True, inline="always", fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
@@ -27,14 +42,25 @@ def within_a_step(step_s: float) -> Float[np.ndarray, "10 16"]:
 
 @_compiled
 @no_type_check  # numba compiles the plain functions only
+def _struck(laws, j, eta, rate, time_s):
+    """The contact law but for its friction, see rig.contact."""
+    worn = laws[j, WEAR] * time_s
+    depth = max(eta - laws[j, UPPER] - worn, 0.0) + min(eta + laws[j, LOWER] + worn, 0.0)
+    size = abs(depth)
+    stiffness = laws[j, LOWER_STIFFNESS] if depth < 0.0 else laws[j, STIFFNESS]
+    for _ in range(laws[j, EXPONENT] != 1.0):  # under an if, the compiler would evaluate it for every contact
+        stiffness *= (size / laws[j, REFERENCE]) ** (laws[j, EXPONENT] - 1.0)
+    damping = laws[j, DAMPING] * min(1.0, size / DAMPING_DEPTH_M) + laws[j, OPEN]
+    return (stiffness + laws[j, CUBIC] * depth * depth) * depth + damping * rate
+
+
+@_compiled
+@no_type_check
 def _force(laws, j, eta, rate, time_s):
     """The contact law, see rig.contact."""
-    worn = laws[j, 6] * time_s
-    depth = max(eta - laws[j, 1] - worn, 0.0) + min(eta + laws[j, 0] + worn, 0.0)
-    share = min(1.0, abs(depth) / DAMPING_DEPTH_M)
-    force = (laws[j, 2] + laws[j, 4] * depth * depth) * depth + laws[j, 3] * rate * share
-    for _ in range(laws[j, 5] != 0.0):  # under an if, the compiler would evaluate it for every contact
-        force += laws[j, 5] * np.tanh(rate / FRICTION_SPEED_M_PER_S)
+    force = _struck(laws, j, eta, rate, time_s)
+    for _ in range(laws[j, FRICTION] != 0.0):
+        force += laws[j, FRICTION] * np.tanh(rate / FRICTION_SPEED_M_PER_S)
     return force
 
 
@@ -43,28 +69,23 @@ def _force(laws, j, eta, rate, time_s):
 def _touches(laws, j, held, eta1, rate1, time_s, step_s):
     """Whether there may be a force between two moments: the cubic between them stays within this of its ends."""
     apart = 0.15 * step_s * (abs(held[RATE, j]) + abs(rate1))
-    worn = laws[j, 6] * (time_s - step_s)
-    above = max(held[ETA, j], eta1) + apart > laws[j, 1] + worn
-    below = min(held[ETA, j], eta1) - apart < -laws[j, 0] - worn
-    return above or below or laws[j, 5] != 0.0
+    worn = laws[j, WEAR] * (time_s - step_s)
+    above = max(held[ETA, j], eta1) + apart > laws[j, UPPER] + worn
+    below = min(held[ETA, j], eta1) - apart < -laws[j, LOWER] - worn
+    return above or below or laws[j, FRICTION] != 0.0 or laws[j, OPEN] != 0.0
 
 
 @_compiled
 @no_type_check
 def _bend(laws, j, old, new, time_s, step_s, within):
     """The mean of the force over the step that ends at a time, less that of the straight line between its ends."""
-    lower, upper, friction = laws[j, 0], laws[j, 1], laws[j, 5]
-    stiffness, damping, cubic = laws[j, 2], laws[j, 3], laws[j, 4]
     eta0, rate0, eta1, rate1 = old[ETA, j], old[RATE, j], new[ETA, j], new[RATE, j]
-    begin_s = time_s - step_s
+    begin_s, friction = time_s - step_s, laws[j, FRICTION]
     mean = 0.0
     for m in range(within.shape[1]):
         eta = within[2, m] * eta0 + within[3, m] * rate0 + within[4, m] * eta1 + within[5, m] * rate1
         rate = within[6, m] * eta0 + within[7, m] * rate0 + within[8, m] * eta1 + within[9, m] * rate1
-        worn = laws[j, 6] * (begin_s + within[0, m] * step_s)
-        depth = max(eta - upper - worn, 0.0) + min(eta + lower + worn, 0.0)
-        share = min(1.0, abs(depth) / DAMPING_DEPTH_M)
-        mean += within[1, m] * ((stiffness + cubic * depth * depth) * depth + damping * rate * share)
+        mean += within[1, m] * _struck(laws, j, eta, rate, begin_s + within[0, m] * step_s)
     if friction != 0.0:
         for m in range(within.shape[1]):
             rate = within[6, m] * eta0 + within[7, m] * rate0 + within[8, m] * eta1 + within[9, m] * rate1

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from identify.gap.candidates import Candidate
 from identify.gap.fit import derivative, reduced
+from identify.gap.grounded import needs_every_line
 from identify.gap.linear import linear_model
 from identify.gap.nuisance import LIMIT
 from identify.gap.residual import Base, Residual, same_but_laws
@@ -77,7 +78,8 @@ def grid_screening(base: Base, candidates: Sequence[Candidate]) -> list[Screened
     found = []
     for candidate in candidates:
         changed = candidate.applied(base.rig, candidate.default)
-        if same_but_laws(base.rig, changed) or _from_motion(changed) or changed.loads != base.rig.loads:
+        linear = not same_but_laws(base.rig, changed) and changed.loads == base.rig.loads
+        if not linear or candidate.kind.stochastic or needs_every_line(changed):
             continue
         costs = []
         for values in _grid(candidate):
@@ -92,20 +94,12 @@ def grid_screening(base: Base, candidates: Sequence[Candidate]) -> list[Screened
 
 
 def _grid(candidate: Candidate) -> Iterator[Float[np.ndarray, " parameters"]]:
-    """The typical strength times a few factors, of both signs, within the bounds, at every place."""
-    low, high = candidate.bounds
-    adds = candidate.default[0] - candidate.neutral
+    """Strengths within the bounds, at every place."""
     for place in candidate.starts:
-        for factor in (*STRENGTHS, *(-s for s in STRENGTHS)):
+        for strength in candidate.strengths(STRENGTHS):
             values = place.copy()
-            values[0] = candidate.neutral + factor * adds
-            if low[0] <= values[0] <= high[0]:
-                yield values
-
-
-def _from_motion(rig: Rig) -> bool:
-    """Whether what acts on the rig is had from the measured motion over time, which thinned lines do not have."""
-    return rig.base_motion is not None or any(s.cubic_n_per_m3 for s in rig.springs) or bool(rig.dampers)
+            values[0] = strength
+            yield values
 
 
 def _thinned(record: Record) -> Record:

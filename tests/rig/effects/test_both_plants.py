@@ -10,7 +10,7 @@ from rig.reference import BarrelCradle, Sdof
 
 SMALL = 0.01
 """Of the reference's clearance and force: with slopes so small the beams of both plants are linear."""
-OF_THE_CHANNELS = {"sensor_gain", "sensor_delay"}
+OF_THE_CHANNELS = {"sensor_gain", "sensor_delay", "common_gain"}
 STRONG = {  # magnitudes that show within a fifth of a second at a hundredth of the amplitude
     "asymmetric_clearance": "shift_m=5e-6",
     "nonlinear_contact": "cubic_n_per_m3=3e14",
@@ -18,7 +18,11 @@ STRONG = {  # magnitudes that show within a fifth of a second at a hundredth of 
     "hardening_spring": "cubic_n_per_m3=1e10",
     "preload": "force_n=0.02",
     "clearance_wear": "growth_per_minute=20",
-    "actuator_lag": "lag_s=1e-3",
+    "hertz_stop": "reference_force_n=0.2",
+    "ground_friction": "force_n=0.02",
+    "ground_damper": "damping_n_s_per_m=10",
+    "tone": "cosine_n=0.5,sine_n=-1,frequency_hz=20",
+    "force_shift": "shift_s=1e-3",
 }
 MACHINES = {
     "barrel_cradle": BarrelCradle(

@@ -8,7 +8,7 @@ import pytest
 
 import rig.effects
 from rig.description import from_json, to_json
-from rig.effect import parameters_of
+from rig.effect import Scale, parameters_of
 from rig.effects import effect_named, effects
 from rig.errors import RigError
 from rig.reference import BarrelCradle, Sdof
@@ -18,10 +18,11 @@ NOT_FOR_ONE_MASS = {"clamp_compliance", "contact_position", "youngs_modulus"}
 RIGS = {"barrel_cradle": BarrelCradle().rig(), "sdof": Sdof().rig()}
 WANTED = {
     "contact": "contact_clearance contact_stiffness contact_damping coulomb_friction nonlinear_contact "
-    "asymmetric_clearance clearance_wear contact_position",
-    "structure": "clamp_compliance added_mass youngs_modulus structural_damping hardening_spring",
-    "loads": "preload base_motion",
-    "instruments": "sensor_gain sensor_delay force_gain actuator_lag",
+    "asymmetric_clearance clearance_wear contact_position hertz_stop one_stop",
+    "structure": "clamp_compliance added_mass youngs_modulus structural_damping hardening_spring linear_spring "
+    "ground_damper ground_friction",
+    "loads": "preload base_motion tone",
+    "instruments": "sensor_gain sensor_delay common_gain force_gain force_shift",
 }
 
 
@@ -71,7 +72,7 @@ def test_an_effect_is_read_from_its_text(name):
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("wind", "no effect 'wind'; there are actuator_lag, added_mass"),
+        ("wind", "no effect 'wind'; there are added_mass, asymmetric"),
         ("preload:weight=1", "effect preload has no parameter 'weight'; it has force_n, relative_position, body"),
         ("preload:force_n", "effect preload: 'force_n' is not PARAMETER=VALUE"),
         ("preload:force_n=much", "effect preload: Expected `float`, got `str` - at `$.force_n`"),
@@ -98,6 +99,12 @@ def test_a_text_that_asks_for_nothing_known_is_refused(text, sentence):
         ("contact_position:shift_m=0.6", "stands at 1.05 m, off 'cradle'; give 0 to 1.0 m"),
         ("base_motion:low_hz=20", "the band 20.0 to 12.0 Hz is empty"),
         ("force_gain:factor=0", "force sensor: gain is 0.0"),
+        ("hertz_stop:exponent=0.9", "exponent is 0.9; give 1 to 3"),
+        ("hertz_stop:reference_force_n=0", "reference_force_n is 0.0; give a value above zero"),
+        ("one_stop:side=left", "one_stop: Invalid enum value 'left'"),
+        ("linear_spring:stiffness_n_per_m=-1,body=barrel", "on 'barrel' are more than what holds it"),
+        ("linear_spring:stiffness_n_per_m=-3000,body=cradle", "on 'cradle' are more than what holds it"),
+        ("tone:frequency_hz=0", "tone: frequency_hz is 0.0"),
     ],
 )
 def test_an_effect_that_the_rig_cannot_have_is_refused(text, sentence):
@@ -116,9 +123,59 @@ def test_an_effect_acts_on_the_place_that_it_names():
     assert cradle.body("cradle") != machine.body("cradle")
 
 
+SCALES = {"barrel_cradle": Scale(RIGS["barrel_cradle"], 14.0, 60.0), "sdof": Scale(RIGS["sdof"], 0.5, 60.0)}
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("which", RIGS)
+def test_ranges_are_stated_for_the_rig_and_hold_what_is_typical(name, which):
+    machine, kind = RIGS[which], effects()[name]
+    places = kind.placements(machine, ["cradle_1", "cradle_2"])
+    if which == "sdof" and name in NOT_FOR_ONE_MASS:
+        return
+    assert places
+    for place in places:
+        scale = SCALES[which].at(place)
+        parameters, typical = kind.parameters(scale), kind.typical(scale)
+        assert next(iter(parameters.values())).neutral is not None
+        assert {field: getattr(typical, field) for field in place} == place
+        for field, about in parameters.items():
+            assert about.low < about.high
+            assert about.low <= getattr(typical, field) <= about.high
+            if about.neutral is not None and name != "clamp_compliance":  # a clamp cannot be quite stiff
+                assert about.low <= about.neutral <= about.high
+        if name == "clamp_compliance" and place["beam"] == "barrel":
+            continue
+        if "sensor" not in name:
+            assert typical.applied_to(machine) != machine
+            for sign in (0, 1):  # the ends of a range can be had
+                ends = {f: (p.low, p.high)[sign] for f, p in parameters.items() if p.neutral is not None}
+                if name != "clamp_compliance":
+                    msgspec.structs.replace(typical, **ends).applied_to(machine)
+
+
+def test_a_larger_machine_has_larger_ranges():
+    heavy = BarrelCradle(length_m=2.0).rig()
+    for name, field in (("added_mass", "mass_kg"), ("contact_position", "shift_m")):
+        kind = effects()[name]
+        small, large = (kind.parameters(Scale(m, 14.0, 60.0))[field].high for m in (RIGS["barrel_cradle"], heavy))
+        assert large == pytest.approx(2 * small)
+    for name in ("preload", "coulomb_friction", "ground_friction"):
+        low, high = (effects()[name].parameters(Scale(heavy, f, 60.0))["force_n"].high for f in (5.0, 10.0))
+        assert high == pytest.approx(2 * low)
+
+
+def test_contacts_are_tried_one_by_one_and_tied():
+    placements = effects()["contact_stiffness"].placements
+    assert [p["contact"] for p in placements(RIGS["barrel_cradle"], [])] == ["contact_1", "contact_2", None]
+    assert [p["contact"] for p in placements(RIGS["sdof"], [])] == ["stop"]
+    sides = effects()["one_stop"].placements(RIGS["sdof"], [])
+    assert sides == [{"contact": "stop", "side": "upper"}, {"contact": "stop", "side": "lower"}]
+
+
 def test_effects_add_up():
     machine = RIGS["barrel_cradle"]
-    for name in ("added_mass", "preload", "hardening_spring", "coulomb_friction", "actuator_lag"):
+    for name in ("added_mass", "preload", "hardening_spring", "coulomb_friction", "force_shift"):
         effect = effects()[name]()
         once, twice = effect.applied_to(machine), effect.applied_to(effect.applied_to(machine))
         assert twice not in (once, machine), name
@@ -178,10 +235,13 @@ def test_the_readme_lists_every_effect_with_its_parameters():
 
 def test_a_rig_without_effects_reads_as_before():
     text = msgspec.json.decode(to_json(RIGS["barrel_cradle"]))
-    for field in ("masses", "springs", "clamps", "loads", "base_motion", "force_sensor"):
+    for field in ("masses", "springs", "clamps", "loads", "base_motion", "force_sensor", "dampers", "tones"):
         del text[field]
     for contact in text["contacts"]:
-        for field in ("cubic_n_per_m3", "friction_n", "wear_m_per_s"):
+        for field in ("cubic_n_per_m3", "friction_n", "wear_m_per_s", "open_damping_n_s_per_m"):
             assert contact["law"].pop(field) == 0
+        for field in ("lower_stiffness_ratio", "exponent"):
+            assert contact["law"].pop(field) == 1
+        del contact["law"]["reference_depth_m"]
     assert from_json(msgspec.json.encode(text), "text") == RIGS["barrel_cradle"]
     assert np.all([about.low < about.high for kind in effects().values() for about in parameters_of(kind).values()])

@@ -6,11 +6,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from rig.description import Sensor, StaticLoad, Station
+from rig.description import RISE_S, Sensor, StaticLoad, Station
 from rig.effects import effect_named
 from rig.errors import RigError
 from rig.excitation import QUIET_S
-from rig.plants.loading import BASE_RISE_S, base_motion, true_force
+from rig.plants.loading import base_motion, true_force
 from rig.reference import BarrelCradle, Sdof
 
 MACHINE = BarrelCradle(stations=4).rig()
@@ -56,7 +56,7 @@ def test_the_base_moves_as_it_is_told():
         slope = np.gradient(base[lower], STEP_S)
         error = np.abs(slope - base[higher])[1:-1].max()
         assert error < 1e-3 * np.abs(base[higher]).max()
-    settled = base["acceleration"][round(BASE_RISE_S / STEP_S) :]
+    settled = base["acceleration"][round(RISE_S / STEP_S) :]
     spectrum = np.abs(np.fft.rfft(settled * np.hanning(settled.size))) ** 2
     frequency_hz = np.fft.rfftfreq(settled.size, STEP_S)
     inside = (frequency_hz > 4.5) & (frequency_hz < 9.5)
@@ -136,7 +136,7 @@ def test_the_true_force_is_the_measured_one_of_a_while_ago_without_its_gain():
     for lag_steps in (3, 2.5):
         lag_s = lag_steps * STEP_S
         machine = effect_named("force_gain:factor=1.1").applied_to(
-            effect_named(f"actuator_lag:lag_s={lag_s}").applied_to(MACHINE)
+            effect_named(f"force_shift:shift_s={lag_s}").applied_to(MACHINE)
         )
         found = true_force(machine, force_n, STEP_S)
         expected = np.where(time_s < lag_s, 0.0, np.sin(2 * np.pi * 40 * (time_s - lag_s)) ** 3) / 1.1

@@ -61,7 +61,7 @@ def test_a_wrong_force_cell_leaves_the_force_and_shrinks_the_motion(recorded, no
 
 def test_a_late_force_leaves_the_force_and_delays_every_motion(recorded, nominal):
     late = 3
-    found = recorded(f"actuator_lag:lag_s={late / LINEAR.sample_rate_hz}")
+    found = recorded(f"force_shift:shift_s={late / LINEAR.sample_rate_hz}")
     np.testing.assert_array_equal(found.force_n, nominal.force_n)
     for quantity in ("displacement", "acceleration"):
         values, before = found.signals[quantity].values, nominal.signals[quantity].values

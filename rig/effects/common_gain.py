@@ -1,0 +1,21 @@
+"""Sensors that are wrong together."""
+
+from typing import Annotated, ClassVar
+
+from msgspec.structs import replace
+
+from rig.description import Rig
+from rig.effect import Effect, Parameter
+
+
+class CommonGain(Effect, frozen=True):
+    """All sensors deliver `factor` times what their calibration says: a common amplifier, or other units."""
+
+    name: ClassVar[str] = "common_gain"
+    separated_by: ClassVar[str] = "measure one motion with a sensor of another chain, or shake a known free mass"
+    factor: Annotated[float, Parameter("1", 0.05, 20.0, 1.0)] = 1.05
+
+    def applied_to(self, rig: Rig) -> Rig:
+        if not rig.sensors:
+            raise self.nowhere(rig, "sensor")
+        return replace(rig, sensors=tuple(replace(s, gain=s.gain * self.factor) for s in rig.sensors))

@@ -1,0 +1,26 @@
+"""A force channel that is early or late."""
+
+from typing import Annotated, ClassVar
+
+from msgspec.structs import replace
+
+from rig.description import Rig
+from rig.effect import Effect, Parameter, Scale
+
+
+class ForceShift(Effect, frozen=True):
+    """The true force follows the measured one `shift_s` later, or (negative) comes that much before it."""
+
+    name: ClassVar[str] = "force_shift"
+    separated_by: ClassVar[str] = "shake a known free mass with the same force sensor"
+    shift_s: Annotated[float, Parameter("s", -5e-3, 5e-3, 0.0)] = 5e-4
+
+    @classmethod
+    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+        """Up to 5 ms, or five samples, either way."""
+        most_s = max(5e-3, 5 / scale.rig.sample_rate_hz)
+        return cls.ranged(shift_s=(-most_s, most_s))
+
+    def applied_to(self, rig: Rig) -> Rig:
+        sensor = rig.force_sensor
+        return replace(rig, force_sensor=replace(sensor, lag_s=sensor.lag_s + self.shift_s))

@@ -1,0 +1,31 @@
+"""Something that rubs."""
+
+from typing import Annotated, ClassVar
+
+from msgspec.structs import replace
+
+from rig.description import PointDamper, Rig
+from rig.effect import Effect, Parameter, Scale
+
+
+class GroundFriction(Effect, frozen=True):
+    """Dry friction of this force between a body and the ground opposes its velocity, at this share of its length."""
+
+    name: ClassVar[str] = "ground_friction"
+    separated_by: ClassVar[str] = "record at two levels: dry friction matters less at the higher one"
+    force_n: Annotated[float, Parameter("N", 0.0, 20.0, 0.0)] = 0.5
+    relative_position: Annotated[float, Parameter("1", 0.0, 1.0)] = 1.0
+    body: str | None = None
+
+    @classmethod
+    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+        """Up to twice the root mean square of the exciting force."""
+        return cls.along(scale, force_n=(0.0, 2 * scale.force_rms_n))
+
+    @classmethod
+    def typical(cls, scale: Scale) -> Effect:
+        return cls.placed(scale, force_n=0.05 * scale.force_rms_n)
+
+    def applied_to(self, rig: Rig) -> Rig:
+        station = self.station(rig, self.body, self.relative_position)
+        return replace(rig, dampers=(*rig.dampers, PointDamper(station=station, friction_n=self.force_n)))

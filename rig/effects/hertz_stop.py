@@ -1,0 +1,38 @@
+"""A stop of another shape."""
+
+from typing import Annotated, ClassVar
+
+from msgspec.structs import replace
+
+from rig.contact import DeadZone
+from rig.description import Rig
+from rig.effect import Effect, Parameter, Scale
+from rig.errors import RigError
+
+
+class HertzStop(Effect, frozen=True):
+    """The force of a stop grows with a power of its depth (1.5: Hertz), and equals k depth at `reference_force_n`."""
+
+    name: ClassVar[str] = "hertz_stop"
+    separated_by: ClassVar[str] = "excite more strongly, so that the stops are pressed deeper"
+    exponent: Annotated[float, Parameter("1", 1.0, 2.0, 1.0)] = 1.5
+    reference_force_n: float = 20.0
+    """At a force of the size that the stop sees, the exponent changes the shape alone, not the mean stiffness."""
+    contact: str | None = None
+
+    @classmethod
+    def typical(cls, scale: Scale) -> Effect:
+        return cls.placed(scale, exponent=1.1, reference_force_n=2 * scale.force_rms_n)
+
+    def applied_to(self, rig: Rig) -> Rig:
+        if not self.reference_force_n > 0:
+            raise RigError(
+                f"effect {self.name}: reference_force_n is {self.reference_force_n}; give a value above zero"
+            )
+        return self.with_laws(rig, self.contact, self._changed)
+
+    def _changed(self, law: DeadZone) -> DeadZone:
+        if not law.stiffness_n_per_m > 0:
+            raise RigError(f"effect {self.name}: a stop without stiffness has no shape; choose another contact")
+        depth_m = self.reference_force_n / law.stiffness_n_per_m
+        return replace(law, exponent=self.exponent, reference_depth_m=depth_m)

@@ -1,0 +1,39 @@
+"""A support that nobody counted, or that is softer than believed."""
+
+from typing import Annotated, ClassVar
+
+from msgspec.structs import replace
+
+from rig.description import PointSpring, Rig
+from rig.effect import Effect, Parameter, Scale
+from rig.modes import modes_of
+
+STABLE = 0.9
+
+
+class LinearSpring(Effect, frozen=True):
+    """A linear spring between a body and the ground is there beside what is believed, or (negative) is missing."""
+
+    name: ClassVar[str] = "linear_spring"
+    separated_by: ClassVar[str] = "fix a known mass to the body: a spring and a mass shift its modes differently"
+    stiffness_n_per_m: Annotated[float, Parameter("N/m", -1e5, 1e5, 0.0)] = 500.0
+    relative_position: Annotated[float, Parameter("1", 0.0, 1.0)] = 1.0
+    body: str | None = None
+
+    @classmethod
+    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+        """From nearly all of the body's stiffness at its softest point missing, if it is held, to five times that."""
+        stiffness = scale.stiffness_n_per_m()
+        return cls.along(scale, stiffness_n_per_m=(-STABLE * stiffness if scale.held() else 0.0, 5 * stiffness))
+
+    @classmethod
+    def typical(cls, scale: Scale) -> Effect:
+        return cls.placed(scale, stiffness_n_per_m=0.05 * scale.stiffness_n_per_m())
+
+    def applied_to(self, rig: Rig) -> Rig:
+        station = self.station(rig, self.body, self.relative_position)
+        spring = PointSpring(station=station, stiffness_n_per_m=self.stiffness_n_per_m)
+        found = replace(rig, springs=(*rig.springs, spring))
+        if self.stiffness_n_per_m < 0:
+            modes_of(found, found.body(station.body))  # refuses what is more than holds the body
+        return found

@@ -1,0 +1,38 @@
+"""A stop unlike its opposite."""
+
+from collections.abc import Sequence
+from typing import Annotated, ClassVar, Literal
+
+from msgspec.structs import replace
+
+from rig.contact import DeadZone
+from rig.description import Rig
+from rig.effect import Effect, Parameter
+
+
+class OneStop(Effect, frozen=True):
+    """One stop of a contact alone, the upper or the lower, is `factor` times as stiff as believed."""
+
+    name: ClassVar[str] = "one_stop"
+    separated_by: ClassVar[str] = "press the parts to either side with a static force and compare"
+    factor: Annotated[float, Parameter("1", 0.1, 10.0, 1.0)] = 1.5
+    contact: str | None = None
+    side: Literal["upper", "lower"] = "upper"
+
+    @classmethod
+    def placements(cls, rig: Rig, sensors: Sequence[str]) -> list[dict[str, str | None]]:
+        """Either side of every contact by itself."""
+        found = super().placements(rig, sensors)
+        return [{**place, "side": side} for place in found if place["contact"] for side in ("upper", "lower")]
+
+    def applied_to(self, rig: Rig) -> Rig:
+        return self.with_laws(rig, self.contact, self._changed)
+
+    def _changed(self, law: DeadZone) -> DeadZone:
+        if self.side == "lower":
+            return replace(law, lower_stiffness_ratio=law.lower_stiffness_ratio * self.factor)
+        return replace(
+            law,
+            stiffness_n_per_m=law.stiffness_n_per_m * self.factor,
+            lower_stiffness_ratio=law.lower_stiffness_ratio / self.factor,
+        )
