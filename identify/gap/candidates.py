@@ -14,7 +14,7 @@ from rig.effect import Effect, Parameter, Place, Scale
 from rig.effects import effects
 from rig.errors import RigError
 
-PLACES = 6
+PLACES = 4
 """A parameter that says where, rather than how much, is tried at so many values of its range."""
 WHOLE = 8
 """A ratio is tried at so many values over its whole range."""
@@ -66,11 +66,18 @@ class Candidate:
         return SMALL * np.array(adds)
 
     @property
-    def starts(self) -> list[Float[np.ndarray, " parameters"]]:
-        """The neutral strength at every place that is tried."""
+    def strong(self) -> list[int]:
+        """Which parameters say how much: they have a neutral value."""
+        return [i for i, p in enumerate(self.parameters.values()) if p.neutral is not None]
+
+    def starts(self, scanned: Sequence[float] = ()) -> list[Float[np.ndarray, " parameters"]]:
+        """The neutral strength at every place that is tried; `scanned` are the values of a scanned parameter."""
         grids = []
-        for parameter in self.parameters.values():
+        for name, parameter in self.parameters.items():
             ends = (parameter.low, parameter.high)
+            if name == self.kind.scanned:
+                grids.append(np.array([v for v in scanned if ends[0] <= v <= ends[1]]))
+                continue
             logarithmic = parameter.low > 0 and parameter.high > 20 * parameter.low
             if parameter.neutral is not None:
                 grids.append(np.array([parameter.neutral]))

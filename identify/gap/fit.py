@@ -10,8 +10,9 @@ from scipy.optimize import lsq_linear
 from scipy.sparse.linalg import SuperLU
 
 from identify.gap.law import added_n_per_m
-from identify.gap.nuisance import LIMIT, residual_scale
-from identify.gap.residual import Base, Residual, linear_of, residual_of, same_but_laws
+from identify.gap.linear import chain_of
+from identify.gap.nuisance import LIMIT, at_contacts, residual_scale
+from identify.gap.residual import Base, Residual, linear_of, residual_of, same_but_laws, same_but_sensors
 from rig.description import Rig
 from rig.errors import RigError
 
@@ -75,6 +76,8 @@ def derivative(base: Base, moved: Rig, at: Residual) -> Column:
         there = residual_of(base, moved, at.nuisance, tuple(c.unknowns for c in at.contacts), like=at)
         contacts = [a.residual - b.residual for a, b in zip(at.contacts, there.contacts, strict=True)]
         return at.linear - there.linear, contacts
+    if same_but_sensors(at.rig, moved):
+        return _by_sensors(base, moved, at)
     new = linear_of(base, moved)
     sensors = len(record.sensors)
     change = old.residual - new.residual
@@ -90,6 +93,22 @@ def derivative(base: Base, moved: Rig, at: Residual) -> Column:
         column = np.zeros(contact.residual.size)
         less_n = less_force[j] - contact.by_law * less_eta[j] + stiffer * slow
         column[: seen.weights.size] = seen.weights * less_n
+        contacts.append(column)
+    return residual_scale(record) * record.in_time(left), contacts
+
+
+def _by_sensors(base: Base, moved: Rig, at: Residual) -> Column:
+    """Other gains and delays: what the sensors would deliver of the same motion."""
+    record, model = base.record, at.model
+    ratio = chain_of(record, moved) / chain_of(record, at.rig) - 1
+    explained = record.delivered - model.residual[: len(record.sensors)] * model.spread
+    left, force = model.projected(ratio * explained)
+    force_n = record.in_time(force)
+    eta_m = record.in_time(at_contacts(record, model, ratio * record.displaced / model.chain))
+    contacts = []
+    for contact, seen, own_n, own_m in zip(at.contacts, base.seen, force_n, eta_m, strict=True):
+        column = np.zeros(contact.residual.size)
+        column[: seen.weights.size] = seen.weights * (own_n - contact.by_law * own_m)
         contacts.append(column)
     return residual_scale(record) * record.in_time(left), contacts
 

@@ -81,17 +81,11 @@ def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray
     model_error is the share of each acceleration that no model of this kind explains. The noise of the measured force
     is a further unknown input, with a prior of its own size.
     """
-    named, omega = {s.name: s for s in rig.sensors}, record.omega
-    sensors = [named[s.name] for s in record.sensors]
-    chain = np.stack(
-        [
-            s.gain * (np.exp(-1j * omega * s.delay_s) if s.delay_s else np.ones(omega.size, dtype=complex))
-            for s in sensors
-        ]
-    )
+    omega, chain = record.omega, chain_of(record, rig)
     displacements = record.displaced / chain
     responses = tuple(_response(record, rig, body) for body in rig.bodies)
-    places: list[Station | None] = [s.station for s in sensors]
+    named = {s.name: s for s in rig.sensors}
+    places: list[Station | None] = [named[s.name].station for s in record.sensors]
     held = ground_forces(record, rig, responses, places, displacements)
     forces = [record.force * np.exp(-1j * omega * rig.force_sensor.lag_s) / rig.force_sensor.gain]
     forces += [record.spectrum(tone.force_n(record.sample_times_s)) for tone in rig.tones]
@@ -140,6 +134,17 @@ def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray
         by_force=per_newton * forces[0],
         holding_n=holding_n,
         log_determinant=log_determinant,
+    )
+
+
+def chain_of(record: Record, rig: Rig) -> Complex[np.ndarray, "sensors lines"]:
+    """What each sensor makes of an acceleration: its gain and delay."""
+    named, omega = {s.name: s for s in rig.sensors}, record.omega
+    return np.stack(
+        [
+            s.gain * (np.exp(-1j * omega * s.delay_s) if s.delay_s else np.ones(omega.size, dtype=complex))
+            for s in (named[sensor.name] for sensor in record.sensors)
+        ]
     )
 
 

@@ -81,7 +81,7 @@ def columns_of(record: Record, model: Linear) -> Columns:
         forces[some] = record.in_time(force)
     for i, change in enumerate(changes):
         if change.displaced is not None:
-            eta[i] = record.in_time(_at_contacts(record, model, change.displaced))
+            eta[i] = record.in_time(at_contacts(record, model, change.displaced))
     return Columns(tuple(c.parameter for c in changes), residual, forces, eta)
 
 
@@ -225,7 +225,7 @@ def residual_scale(record: Record) -> float:
     return float(np.sqrt(record.length * record.samples / (2 * record.omega.size)))
 
 
-def _at_contacts(
+def at_contacts(
     record: Record, model: Linear, displaced: Complex[np.ndarray, "sensors lines"]
 ) -> Complex[np.ndarray, "contacts lines"]:
     """Relative displacements from the sensors at the contacts."""

@@ -143,6 +143,11 @@ def residual_of(
     return Residual(rig, model, laid, bare, linear, contacts, nuisance, parameters, record.strictness)
 
 
+def same_but_sensors(one: Rig, other: Rig) -> bool:
+    """Whether two rigs differ in their sensors' gains and delays at most, and no force is had from what they show."""
+    return replace(one, sensors=other.sensors) == other and not (one.springs or one.dampers)
+
+
 def same_but_laws(one: Rig, other: Rig) -> bool:
     """Whether two rigs differ in their contact laws at most."""
     if one is other:

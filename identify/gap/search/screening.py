@@ -5,21 +5,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.ndimage import median_filter
+from scipy.signal.windows import hann
 
 from identify.gap.candidates import Candidate
-from identify.gap.fit import derivative, reduced
+from identify.gap.fit import Reduced, derivative, reduced
 from identify.gap.grounded import needs_every_line
 from identify.gap.linear import linear_model
 from identify.gap.nuisance import LIMIT
 from identify.gap.residual import Base, Residual, same_but_laws
+from identify.gap.scales import BAND_HZ
 from identify.gap.spectra import Record
 from rig.description import Rig
 from rig.errors import RigError
 
 STRENGTHS = (0.3, 0.6, 1.2, 2.4, 4.8)
 """Multiples of what a typical effect adds: a grid on which no minimum of the linear residual is missed."""
-THINNED = 8
+THINNED = 16
 """Every so-many-th line tells enough of where a minimum lies."""
+PEAKS, STANDS_OUT = 2, 30.0
+"""At most so many lines of a residual are followed, which stand out by this factor: noise reaches it once in 1e9."""
 
 
 @dataclass(frozen=True)
@@ -37,34 +42,63 @@ def score_screening(base: Base, at: Residual, candidates: Sequence[Candidate]) -
     This is Rao's score test of each effect, at every place that it is tried at.
     """
     equations = reduced(base, at)
-    count = len(equations.gradient)
-    free = np.flatnonzero(np.abs(at.nuisance) < LIMIT - 1e-6)
+    peaks_hz = peak_frequencies_hz(base, at) if any(c.kind.scanned for c in candidates) else []
     found = []
     for candidate in candidates:
         best = Screened(candidate, 0.0, candidate.default)
-        low, high = candidate.bounds
-        for start in candidate.starts:
-            moved = start.copy()
-            moved[0] = start[0] + candidate.steps[0]
-            try:
-                column = derivative(base, candidate.applied(base.rig, moved), at)
-            except RigError:
-                continue
-            normal = equations.joined([column])
-            inner = np.linalg.solve(normal.matrix[np.ix_(free, free)], normal.matrix[free, count])
-            curvature = normal.matrix[count, count] - normal.matrix[count, free] @ inner
-            slope = normal.gradient[count] - normal.gradient[free] @ inner
-            if curvature <= 1e-9 * normal.matrix[count, count]:
-                continue
-            strength = np.clip(start[0] + slope / curvature * candidate.steps[0], low[0], high[0])
-            size = (strength - start[0]) / candidate.steps[0]
-            gain = float(2 * slope * size - curvature * size**2)
-            if gain > best.gain:
-                values = start.copy()
-                values[0] = strength
-                best = Screened(candidate, gain, values)
+        for start in candidate.starts(peaks_hz):
+            looked = _looked(base, equations, candidate, start)
+            if looked and looked.gain > best.gain:
+                best = looked
         found.append(best)
     return sorted(found, key=lambda one: -one.gain)
+
+
+def _looked(
+    base: Base, equations: Reduced, candidate: Candidate, start: Float[np.ndarray, " parameters"]
+) -> Screened | None:
+    """What the strengths promise from one start, each within its bounds; None where the record does not see them."""
+    strong, at = candidate.strong, equations.at
+    columns = []
+    for i in strong:
+        moved = start.copy()
+        moved[i] = start[i] + candidate.steps[i]
+        try:
+            columns.append(derivative(base, candidate.applied(base.rig, moved), at))
+        except RigError:
+            return None
+    normal = equations.joined(columns)
+    count = len(equations.gradient)
+    free, own = np.flatnonzero(np.abs(at.nuisance) < LIMIT - 1e-6), slice(count, None)
+    inner = np.linalg.solve(normal.matrix[np.ix_(free, free)], normal.matrix[free, own])
+    curvature = normal.matrix[own, own] - normal.matrix[own][:, free] @ inner
+    slope = normal.gradient[own] - inner.T @ normal.gradient[free]
+    if np.any(np.diag(curvature) <= 1e-9 * np.diag(normal.matrix)[own]):
+        return None
+    steps = candidate.steps[strong]
+    low, high = (ends[strong] for ends in candidate.bounds)
+    size = (np.clip(start[strong] + np.linalg.solve(curvature, slope) * steps, low, high) - start[strong]) / steps
+    values = start.copy()
+    values[strong] = start[strong] + size * steps
+    return Screened(candidate, float(2 * slope @ size - size @ curvature @ size), values)
+
+
+def peak_frequencies_hz(base: Base, at: Residual) -> list[float]:
+    """Where the linear residual has a line: sharper than any mode, and far above what is beside it.
+
+    Its power under a Hann window, all sensors together, against the median of 2 Hz around; at most PEAKS of them.
+    """
+    rows = at.linear[: len(base.record.sensors)]
+    power = np.sum(np.abs(np.fft.rfft(rows * hann(rows.shape[1], sym=False), 4 * rows.shape[1])) ** 2, axis=0)
+    hz = np.fft.rfftfreq(4 * rows.shape[1], 1 / base.record.rate_hz)
+    ratio = power / np.maximum(median_filter(power, max(3, round(BAND_HZ / hz[1]))), 1e-300)
+    found: list[float] = []
+    for i in np.argsort(-ratio):
+        if ratio[i] < STANDS_OUT or len(found) == PEAKS:
+            break
+        if all(abs(hz[i] - other) > BAND_HZ for other in found):
+            found.append(float(hz[i]))
+    return found
 
 
 def grid_screening(base: Base, candidates: Sequence[Candidate]) -> list[Screened]:
@@ -95,7 +129,7 @@ def grid_screening(base: Base, candidates: Sequence[Candidate]) -> list[Screened
 
 def _grid(candidate: Candidate) -> Iterator[Float[np.ndarray, " parameters"]]:
     """Strengths within the bounds, at every place."""
-    for place in candidate.starts:
+    for place in candidate.starts():
         for strength in candidate.strengths(STRENGTHS):
             values = place.copy()
             values[0] = strength
