@@ -21,6 +21,9 @@ from rig.errors import RigError
 
 BY_SCORE, BY_GRID, FRESH = 5, 3, 3
 """So many candidates of each screening are fitted for a few steps."""
+WORTH = 10.0
+"""What no effect gains of -2 ln p is not looked at: the library's size alone makes an effect less likely than none by
+more than that."""
 SHORT = 3
 """Steps of a first fit."""
 KEPT, RIVAL = 3, 0.5
@@ -119,14 +122,13 @@ def _cost(one: Hypothesis) -> float:
 
 
 def _leaves_something(one: Hypothesis) -> bool:
-    """Whether more is left than one more parameter could be worth: a unit of -2 ln p for each of the library's names."""
+    """Whether more is left above noise and tolerated shares than an effect must gain."""
     left = one.misfit
     bands = left.per_band * np.sum(np.log(np.maximum((1 + left.bands) / 2, 1.0)))
     contacts = left.per_contact * np.sum(np.log(np.maximum((1 + left.contacts) / 2, 1.0)))
     return bool(bands + contacts > WORTH)
 
 
-WORTH = 10.0
 
 
 def _singles(begun: Search, nothing: Hypothesis) -> list[Hypothesis]:
@@ -141,7 +143,7 @@ def _singles(begun: Search, nothing: Hypothesis) -> list[Hypothesis]:
     )
     found: dict[str, Hypothesis] = {}
     for one, start in screened:
-        if one.gain <= 0:
+        if one.gain < WORTH * base.record.strictness:
             continue
         try:
             tried = _fitted(begun, (one.candidate,), one.values, start, SHORT)
@@ -153,7 +155,7 @@ def _singles(begun: Search, nothing: Hypothesis) -> list[Hypothesis]:
         if candidate.kind.stochastic and (shaken := _stochastic(begun, nothing, candidate)):
             found[candidate.name] = shaken
     best = sorted(found.values(), key=_cost)
-    best = [one for one in best[:KEPT] if _cost(nothing) - _cost(one) > RIVAL * (_cost(nothing) - _cost(best[0]))]
+    best = [one for one in best[:KEPT] if _cost(nothing) - _cost(one) > WORTH / 2 and _cost(nothing) - _cost(one) > RIVAL * (_cost(nothing) - _cost(best[0]))]
     return sorted((_refined(begun, one) for one in best), key=_cost)
 
 
@@ -166,7 +168,7 @@ def _seconds(begun: Search, first: Hypothesis) -> list[Hypothesis]:
     screened = score_screening(base, at, [c for c in others if not c.kind.stochastic])
     pairs = []
     for one in screened[:SECONDS]:
-        if one.gain > 0:
+        if one.gain > WORTH * base.record.strictness:
             pairs.append(_together(begun, first, one, at))
     for candidate in others:
         if candidate.kind.stochastic:
