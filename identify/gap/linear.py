@@ -75,7 +75,7 @@ class Linear:
         return np.asarray(np.sqrt(2 * variance.sum(axis=0) / (record.length * record.samples)))
 
 
-def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray, " lines"]) -> Linear:
+def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray, "sensors lines"]) -> Linear:
     """The linear residual of a rig that has the record's sensors and contacts, whatever else it has.
 
     model_error is the share of each acceleration that no model of this kind explains. The noise of the measured force

@@ -10,35 +10,43 @@ from scipy.signal.windows import hann
 from identify.gap.spectra import Record
 
 BAND_HZ = 2.0
-"""A discrepancy has one scale in each band: of half the bandwidth of the modes, none of which it divides."""
+"""A discrepancy has one scale in each band of each sensor; some hundred independent values of 30 s tell it."""
 SEGMENT_S = 1.0
 
 
 @dataclass(frozen=True)
 class Scales:
-    """discrepancy: share of each acceleration that no model explains, by line; contacts: the variance of each contact
-    residual, in units of what noise and the tolerated share of the force make of it."""
+    """discrepancy: share of each acceleration that no model explains, by sensor and line; contacts: the variance of each
+    contact residual, in units of what noise and the tolerated share of the force make of it."""
 
-    discrepancy: Float[np.ndarray, " lines"]
+    discrepancy: Float[np.ndarray, "sensors lines"]
     contacts: tuple[float, ...]
 
 
 def prior_scales(record: Record) -> Scales:
     """What the tolerances state."""
-    return Scales(np.full(record.omega.size, record.tolerances.unmodelled), (1.0,) * len(record.rig.contacts))
+    return Scales(np.full(record.noise.shape, record.tolerances.unmodelled), (1.0,) * len(record.rig.contacts))
+
+
+def second_levels(
+    record: Record, residual: Float[np.ndarray, "rows times"]
+) -> Float[np.ndarray, "seconds bands sensors"]:
+    """Mean square of a linear residual by second under a Hann window and in bands of 2 Hz: 1 where all is noise."""
+    rows = residual[: len(record.sensors)]
+    segment = min(round(SEGMENT_S * record.rate_hz), rows.shape[1])
+    count = rows.shape[1] // segment
+    parts = rows[:, : count * segment].reshape(rows.shape[0], count, segment)
+    window = hann(segment, sym=False)
+    power = np.abs(np.fft.rfft(parts * window, axis=2)) ** 2 / np.sum(window**2)
+    per_band = max(1, round(BAND_HZ * segment / record.rate_hz))
+    bands = power.shape[2] // per_band
+    levels = power[:, :, : bands * per_band].reshape(rows.shape[0], count, bands, per_band).mean(axis=3)
+    return np.asarray(levels.transpose(1, 2, 0))
 
 
 def band_levels(record: Record, residual: Float[np.ndarray, "rows times"]) -> Float[np.ndarray, "bands sensors"]:
-    """Mean square of a linear residual in bands of 2 Hz, from seconds under a Hann window: 1 where all is noise."""
-    rows = residual[: len(record.sensors)]
-    segment = round(SEGMENT_S * record.rate_hz)
-    count = max(1, rows.shape[1] // segment)
-    parts = rows[:, : count * segment].reshape(rows.shape[0], -1, min(segment, rows.shape[1]))
-    window = hann(parts.shape[2], sym=False)
-    power = np.mean(np.abs(np.fft.rfft(parts * window, axis=2)) ** 2, axis=1) / np.sum(window**2)
-    per_band = max(1, round(BAND_HZ * parts.shape[2] / record.rate_hz))
-    bands = power.shape[1] // per_band
-    return np.asarray(power[:, : bands * per_band].reshape(rows.shape[0], bands, per_band).mean(axis=2).T)
+    """The same over the whole record."""
+    return np.asarray(second_levels(record, residual).mean(axis=0))
 
 
 def band_of_lines(record: Record, bands: int) -> Float[np.ndarray, " lines"]:
@@ -76,13 +84,12 @@ def estimated_scales(
     levels = band_levels(record, linear)
     bands = len(levels)
     variance = record.noise + used.discrepancy**2 * record.power
-    noisy = by_band(record, record.noise / np.maximum(variance, 1e-300), bands).mean(axis=1)
-    share = by_band(record, used.discrepancy[None] * np.ones((1, record.omega.size)), bands)[:, 0]
-    seen = levels.mean(axis=1)
-    explained = np.maximum(seen - noisy, 0.0) / np.maximum(1.0 - noisy, 1e-6)
+    noisy = by_band(record, record.noise / np.maximum(variance, 1e-300), bands)
+    share = by_band(record, used.discrepancy, bands)
+    explained = np.maximum(levels - noisy, 0.0) / np.maximum(1.0 - noisy, 1e-6)
     found = np.maximum(share * np.sqrt(explained), record.tolerances.unmodelled)
     contacts = tuple(
         float(factor * posterior_level(np.array(level)))
         for factor, level in zip(used.contacts, contact_levels, strict=True)
     )
-    return Scales(found[band_of_lines(record, bands)], contacts)
+    return Scales(np.ascontiguousarray(found[band_of_lines(record, bands)].T), contacts)

@@ -67,18 +67,3 @@ def probabilities(scores: Float[np.ndarray, " hypotheses"]) -> Float[np.ndarray,
     """From log posteriors up to a constant."""
     likely = np.exp(scores - scores.max())
     return np.asarray(likely / likely.sum())
-
-
-def excess(left: Misfit) -> float:
-    """What of -2 ln p lies above noise and tolerated shares: N ln L of the bands and contacts whose level L is above 1.
-
-    Logarithms, so that closing a gap means closing it everywhere: a mean square would be content with its peaks.
-    """
-    bands = left.per_band * np.sum(np.log(np.maximum(left.bands, 1.0)))
-    return float(bands + left.per_contact * np.sum(np.log(np.maximum(left.contacts, 1.0))))
-
-
-def explained_fraction(before: Misfit, after: Misfit) -> float:
-    """1 - excess after / excess before; zero where there was none."""
-    whole = excess(before)
-    return 1 - excess(after) / whole if whole > 0 else 0.0

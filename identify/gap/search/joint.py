@@ -123,10 +123,7 @@ def _cost(one: Hypothesis) -> float:
 
 def _leaves_something(one: Hypothesis) -> bool:
     """Whether more is left above noise and tolerated shares than an effect must gain."""
-    left = one.misfit
-    bands = left.per_band * np.sum(np.log(np.maximum((1 + left.bands) / 2, 1.0)))
-    contacts = left.per_contact * np.sum(np.log(np.maximum((1 + left.contacts) / 2, 1.0)))
-    return bool(bands + contacts > WORTH)
+    return one.misfit.excess > WORTH
 
 
 

@@ -107,7 +107,7 @@ def grid_screening(base: Base, candidates: Sequence[Candidate]) -> list[Screened
     Of effects that change the linear model.
     """
     thin = _thinned(base.record)
-    discrepancy = base.scales.discrepancy[1::THINNED]
+    discrepancy = base.scales.discrepancy[:, 1::THINNED]
     before = _linear_cost(thin, base.rig, discrepancy)
     found = []
     for candidate in candidates:
@@ -145,6 +145,6 @@ def _thinned(record: Record) -> Record:
     )
 
 
-def _linear_cost(thin: Record, rig: Rig, discrepancy: Float[np.ndarray, " lines"]) -> float:
+def _linear_cost(thin: Record, rig: Rig, discrepancy: Float[np.ndarray, "sensors lines"]) -> float:
     model = linear_model(thin, rig, discrepancy)
     return THINNED * float(np.sum(np.abs(model.residual) ** 2))

@@ -1,0 +1,109 @@
+"""A rig as it may really be, within its tolerances."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+from msgspec.structs import replace
+
+from rig.description import Body, Contact, Rig, Sensor, Station, contact_stations
+from rig.modes import modes_of, modes_wanted
+from rig.model.tolerances import Tolerances
+from rig.oscillator import Oscillator
+from rig.structure import Structure, structure_of
+
+MODES = 24
+"""Of a beam: as many as the plant `modal` is given in a replay."""
+PLACES = 41
+"""Of a beam's shapes, beside those where something stands."""
+
+
+def drawn(
+    rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draws"]
+) -> tuple[Rig, list[float]]:
+    """The rig with every value off by its tolerance times the next of the standard normal draws.
+
+    A beam becomes a structure, each of whose modes has a frequency and a damping of its own. Also returns the corner of
+    each sensor's high-pass (Hz), which no rig describes.
+    """
+    draw = iter(normals.tolist())
+    sensors, corners_hz = [], []
+    moved: dict[Station, Station] = {}
+    for sensor in rig.sensors:
+        own = tolerances.of_sensor(sensor.name)
+        if sensor.station not in moved:  # sensors at one station sit on one block
+            length = rig.body(sensor.station.body).length_m
+            place = float(np.clip(sensor.station.position_m + own.position_m * next(draw), 0.0, length))
+            moved[sensor.station] = Station(sensor.station.body, place)
+        gain, delay_s = 1 + own.gain * next(draw), own.delay_s * next(draw)
+        corner_hz = abs(own.high_pass_hz * next(draw))
+        sensors.append(
+            replace(sensor, station=moved[sensor.station], gain=sensor.gain * gain, delay_s=sensor.delay_s + delay_s)
+        )
+        corners_hz.append(corner_hz if sensor.quantity == "acceleration" else 0.0)
+    gain = rig.force_sensor.gain * (1 + tolerances.force_gain * next(draw))
+    contacts = tuple(_contact(contact, tolerances, draw) for contact in rig.contacts)
+    bodies = tuple(_body(rig, body, sensors, tolerances, draw) for body in rig.bodies)
+    taken_up = {b.name for b in bodies if isinstance(b, Structure)} & {b.name for b in rig.bodies}
+    return (
+        replace(
+            rig,
+            bodies=bodies,
+            sensors=tuple(sensors),
+            contacts=contacts,
+            force_sensor=replace(rig.force_sensor, gain=gain),
+            masses=tuple(m for m in rig.masses if m.station.body not in taken_up),
+            springs=tuple(_nonlinear(rig, taken_up)),
+            clamps=(),
+        ),
+        corners_hz,
+    )
+
+
+def _nonlinear(rig: Rig, taken_up: set[str]) -> Iterator[object]:
+    """Springs without what the modes of a body hold already."""
+    for spring in rig.springs:
+        if spring.station.body not in taken_up:
+            yield spring
+        elif spring.cubic_n_per_m3:
+            yield replace(spring, stiffness_n_per_m=0.0, rotational_n_m_per_rad=0.0)
+
+
+def _contact(contact: Contact, tolerances: Tolerances, draw: Iterator[float]) -> Contact:
+    law = contact.law
+    wider = max(0.0, 1 + tolerances.clearance * next(draw))
+    stiffer = max(0.01, 1 + tolerances.stiffness * next(draw))
+    damping = tolerances.contact_damping_s * law.stiffness_n_per_m * abs(next(draw))
+    changed = replace(
+        law,
+        lower_clearance_m=law.lower_clearance_m * wider,
+        upper_clearance_m=law.upper_clearance_m * wider,
+        stiffness_n_per_m=law.stiffness_n_per_m * stiffer,
+        damping_n_s_per_m=law.damping_n_s_per_m + damping,
+    )
+    return replace(contact, law=changed)
+
+
+def _body(rig: Rig, body: Body, sensors: list[Sensor], tolerances: Tolerances, draw: Iterator[float]) -> Body:
+    heavier = 1 + tolerances.mass * next(draw)
+    faster, lossier = tolerances.frequency * next(draw), tolerances.damping * next(draw)
+    if isinstance(body, Oscillator):
+        return replace(
+            body,
+            mass_kg=body.mass_kg * heavier,
+            frequency_hz=body.frequency_hz * (1 + faster),
+            damping_ratio=body.damping_ratio * float(np.exp(lossier)),
+        )
+    modes, count = modes_of(rig, body), modes_wanted(body, MODES)
+    own = [tolerances.of_mode(body.name, m + 1) for m in range(count)]
+    factors = np.array([1 + faster + t.frequency * next(draw) for t in own])
+    losses = np.exp([lossier + t.damping * next(draw) for t in own])
+    frequencies = modes.frequencies_hz(count) * factors
+    order = np.argsort(frequencies)
+    standing = [s.station for s in sensors] + [s.station for s in rig.sensors] + [rig.force_at]
+    standing += [s for c in rig.contacts for s in contact_stations(c)] + [load.station for load in rig.loads]
+    given = body.positions_m if isinstance(body, Structure) else np.linspace(0, body.length_m, PLACES)
+    places = np.unique(np.round([*given, *(s.position_m for s in standing if s.body == body.name)], 9))
+    shapes = modes.shapes(places, count) / np.sqrt(heavier)
+    ratios = np.minimum(modes.damping_ratios(count) * losses, 0.9)
+    return structure_of(body.name, body.length_m, frequencies[order], ratios[order], places, shapes[:, order])
