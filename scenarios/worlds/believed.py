@@ -1,9 +1,10 @@
 """The rig that the owner of a blind case believes in, and the machine that it would be."""
 
+import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from rig.description import Contact, Rig, Sensor, Station
+from rig.description import Body, Contact, Rig, Sensor, Station
 from rig.reference import BarrelCradle
 from scenarios.worlds.laws import Law
 from scenarios.worlds.machine import Accelerometer, Link, Machine, Place, TrueBeam
@@ -46,7 +47,7 @@ def _other(rng: np.random.Generator) -> Rig:
             return replace(rig, bodies=bodies)
 
 
-def _thick(body: object, thickness_m: float) -> object:
+def _thick(body: Body, thickness_m: float) -> Body:
     return replace(body, thickness_m=thickness_m)
 
 
@@ -59,7 +60,7 @@ def _with_barrel(rig: Rig, length_m: float) -> Rig:
     for sensor in rig.sensors:
         station = sensor.station
         if station.body == "barrel" and station not in kept:
-            station = Station("barrel", station.position_m * length_m / old_m)
+            station = Station("barrel", min(station.position_m / old_m, 1.0) * length_m)
         name = f"{station.body}_{round(station.position_m * 1000):04d}mm_acceleration"
         sensors.append(replace(sensor, station=station, name=name))
     return replace(rig, bodies=bodies, sensors=tuple(sensors), force_at=Station("barrel", length_m))
@@ -87,27 +88,20 @@ def _spread_out(rig: Rig, stations: int) -> bool:
 
 def nominal_machine(rig: Rig) -> Machine:
     """The machine that is exactly as believed, of beams with contacts between them."""
-    beams = tuple(
-        TrueBeam(
-            name=b.name,
-            clamped=b.ends == "clamped-free",
-            length_m=b.length_m,
-            width_m=b.width_m,
-            thickness_m=b.thickness_m,
-            youngs_modulus_pa=b.youngs_modulus_pa,
-            density_kg_per_m3=b.density_kg_per_m3,
-            damping_ratio=b.damping_ratio,
-        )
-        for b in rig.bodies
-    )
     return Machine(
-        beams=beams,
+        beams=tuple(_beam(body) for body in rig.bodies),
         contacts=tuple(_link(contact) for contact in rig.contacts),
         force_at=_place(rig.force_at),
         sensors=tuple(
             Accelerometer(name=s.name, at=_place(s.station), noise_density=s.noise_density) for s in rig.sensors
         ),
     )
+
+
+def _beam(body: Body) -> TrueBeam:
+    told = msgspec.to_builtins(body)
+    numbers = ("length_m", "width_m", "thickness_m", "youngs_modulus_pa", "density_kg_per_m3", "damping_ratio")
+    return TrueBeam(name=body.name, clamped=told["ends"] == "clamped-free", **{field: told[field] for field in numbers})
 
 
 def _place(station: Station) -> Place:

@@ -9,6 +9,8 @@ from jaxtyping import Float
 
 ONSET_M = 1e-5
 """Penetration over which the damping of a stop sets in."""
+NONE_M = 1e6
+"""A clearance that nothing crosses: JSON knows no infinity."""
 TURN_M_PER_S = 0.02
 """Speed over which dry friction turns round."""
 compiled = numba.njit(cache=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
@@ -23,11 +25,11 @@ class Law(msgspec.Struct, frozen=True, kw_only=True):
         depth = x + lower + g    for x < -lower - g,   k = stiffness_below
         g(t) = wear t + breath sin(2 pi breath_hz t)
 
-    No stop where the clearances are infinite.
+    No stop where a clearance is that of NONE_M.
     """
 
-    lower_m: float = np.inf
-    upper_m: float = np.inf
+    lower_m: float = NONE_M
+    upper_m: float = NONE_M
     stiffness_below_n_per_m: float = 0.0
     stiffness_above_n_per_m: float = 0.0
     exponent: float = 1.0

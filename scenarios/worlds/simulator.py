@@ -46,7 +46,7 @@ class Block:
     """Samples from start_s on: states (q, q'), forces of the links, accelerations at the sensors (absolute)."""
 
     start_s: float
-    states: Float[np.ndarray, "samples states"]
+    states: Float[np.ndarray, "samples 2 coordinates"]
     link_n: Float[np.ndarray, "samples links"]
     acceleration_m_per_s2: Float[np.ndarray, "sensors samples"]
     closed: Float[np.ndarray, " links"]
@@ -169,15 +169,17 @@ def simulate(
         omega = model.at(now_s + steps / 2 * step_s)
         if model.fall_per_s.any():
             own, begin, end = propagator(omega, model.zeta, step_s)
-        states, link_n = np.empty((steps, 2 * len(omega))), np.empty((steps, len(laws)))
+        states, link_n = np.empty((steps, 2, len(omega))), np.empty((steps, len(laws)))
         closed = np.zeros(len(laws))
         known = np.ascontiguousarray(inputs[first : first + steps + 1])
-        pushes = [x[:, None] * driven for x in (begin, end)]
+        pushes = [driven[:, None] * x for x in (begin, end)]
         found = advance(own, *pushes, model.rows, laws, now_s, step_s, known, state, held, states, link_n, closed)
         if not (found and np.abs(model.sensed @ state[0]).max(initial=0.0) < FARTHEST_M):  # also of what is no number
             raise RigError(f"the machine's motion is lost at {now_s:.2f} s; draw a weaker effect")
         of_state = np.concatenate([-model.sensed * omega**2, -2 * model.sensed * model.zeta * omega], axis=1)
         pushed = model.sensed @ model.gains.T
         pushed[:, -1] += 1.0  # the ground carries the frame
-        acceleration = of_state @ states.T + pushed @ known[:-1].T - (model.sensed @ model.rows.T) @ link_n.T
+        acceleration = (
+            of_state @ states.reshape(steps, -1).T + pushed @ known[:-1].T - (model.sensed @ model.rows.T) @ link_n.T
+        )
         yield Block(now_s, states, link_n, acceleration, closed)
