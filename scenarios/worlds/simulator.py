@@ -123,15 +123,15 @@ def propagator(
 ) -> tuple[Float[np.ndarray, "4 n"], Float[np.ndarray, "2 n"], Float[np.ndarray, "2 n"]]:
     """The exact step of q'' + 2 zeta omega q' + omega^2 q = p0 + (p1 - p0) t / h: from (q, q'), from p0 and from p1.
 
-    By the power series of the solution over s = t / h, with x = omega h, which 40 terms hold to rounding for x < 3::
+    By the power series of the solution over s = t / h, with x = omega h, which 40 terms hold to rounding for x < 5::
 
         q = sum a_n s^n,  (n + 1) (n + 2) a_(n+2) = h^2 p_n - 2 zeta x (n + 1) a_(n+1) - x^2 a_n
 
     Raises RigError for a step that is too long.
     """
     x = omega * step_s
-    if x.max() > 3:
-        raise RigError(f"a mode turns by {x.max():.1f} rad in a step of {step_s} s; give a shorter step, below 3 rad")
+    if x.max() > 5:  # beyond, such a mode's motion would alias into the recording's band
+        raise RigError(f"a mode turns by {x.max():.1f} rad in a step of {step_s} s; give a shorter step, below 5 rad")
 
     def after(q: float, v: float, constant: float, ramp: float) -> Float[np.ndarray, "2 n"]:
         a = [np.full(x.size, q), np.full(x.size, v * step_s)]
