@@ -49,7 +49,7 @@ def make(
     cases: Annotated[int, typer.Option(min=1, help="How many.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Everything is drawn from it.")] = 7000,
     nulls_only: Annotated[bool, typer.Option("--nulls-only", help="Tolerances alone, no effects.")] = False,
-    duration: Annotated[float, typer.Option(min=0.5, help="Length of each record, s.")] = 30.0,
+    duration: Annotated[float, typer.Option(min=1.5, help="Length of each record, s.")] = 30.0,
     dask: Dask = None,
     force: Force = False,
 ) -> None:

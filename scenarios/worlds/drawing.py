@@ -26,6 +26,8 @@ HUNG = 1 / 3
 """The share of the cases with a small mass or a cable as a tolerance."""
 FORCE_NOISE = 5e-4
 """N/sqrt(Hz)"""
+HIGHPASS_HZ = (0.05, 0.3)
+"""The corners of the accelerometers' amplifiers, log-uniform."""
 
 
 class Drawn(msgspec.Struct, frozen=True, kw_only=True):
@@ -51,10 +53,11 @@ def drawn_case(world: World, seed: int, number: int, draw: int = 0, nulls_only: 
     rig = believed_rig(world, of_rig)
     nominal = nominal_machine(rig)
     drawn = perturbed(nominal, world, of_tolerances)
+    rms_n, quiet_s = _levels(world, of_records)
     table = OUTSIDE if kind == "outside" else EFFECTS
     kinds = [table[name] for name in names]
-    effects = tuple(k.drawn(nominal, of_effects, PAIRS_FROM if kind == "pair" else 0.0) for k in kinds)
-    rms_n, quiet_s = _levels(world, of_records)
+    least = PAIRS_FROM if kind == "pair" else 0.0
+    effects = tuple(k.drawn(nominal, rms_n[0], of_effects, least) for k in kinds)
     first, second = (int(s) for s in of_records.integers(1, 2**31, 2))
     return Drawn(
         kind=kind,
@@ -148,7 +151,7 @@ def _sensor(sensor: Accelerometer, length_m: float, wide: bool, rng: np.random.G
         return sensor
     return replace(
         sensor,
-        highpass_hz=float(0.05 * 6 ** rng.uniform()),
+        highpass_hz=float(HIGHPASS_HZ[0] * (HIGHPASS_HZ[1] / HIGHPASS_HZ[0]) ** rng.uniform()),
         lateral_share=float(rng.uniform(-5e-3, 5e-3)),
         noise_density=sensor.noise_density * float(rng.uniform(0.8, 1.25)),
     )

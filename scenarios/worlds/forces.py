@@ -50,7 +50,8 @@ def inputs_of(
     columns = [force * (rms_n / np.sqrt(np.mean(force[excited] ** 2)))]
     begun = rise(time_s + LEAD_S, 0.8 * LEAD_S)
     for tone in machine.tones:
-        columns.append(begun * tone.amplitude_n * np.sin(2 * np.pi * tone.frequency_hz * time_s + tone.phase_rad))
+        turns = 2 * np.pi * tone.frequency_hz * time_s
+        columns.append(begun * (tone.cosine_n * np.cos(turns) + tone.sine_n * np.sin(turns)))
     columns.append(np.ones(steps))
     if machine.shaking is None:
         columns.append(np.zeros(steps))

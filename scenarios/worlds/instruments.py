@@ -11,6 +11,9 @@ from scenarios.worlds.machine import Accelerometer, Machine
 from scenarios.worlds.sampling import Mounting, Sampler
 from scenarios.worlds.simulator import STEP_S, model_of, simulate
 
+TAIL_S = 0.02
+"""Simulated beyond the record's end, for the filter and early channels."""
+
 
 @dataclass(frozen=True)
 class Measured:
@@ -33,7 +36,7 @@ def measured(
     of_force, of_noise = np.random.default_rng(seed).spawn(2)
     delays_s = [machine.cell.delay_s, *(s.delay_s for s in machine.sensors)]
     sampler = Sampler(factor, np.array(delays_s) / STEP_S)
-    steps = round(LEAD_S / STEP_S) + samples * factor + sampler.reach + factor + 1
+    steps = round((LEAD_S + TAIL_S) / STEP_S) + samples * factor  # the same whatever the delays: so is the force
     duration_s = samples / sample_rate_hz
     inputs = inputs_of(machine, rms_n, quiet_s, duration_s, steps, STEP_S, of_force)
     skipped = round(LEAD_S / STEP_S) - sampler.reach

@@ -29,6 +29,8 @@ class Size:
     signs: tuple[int, ...] = (1,)
     factor: bool = False
     neutral: float = 0.0
+    below: float = 1.0
+    """A number with the sign -1 is so much smaller."""
 
     def drawn(self, rng: np.random.Generator, least: float) -> tuple[float, float]:
         """The value and its strength; `least` leaves out so much of the logarithmic range's lower end."""
@@ -36,11 +38,17 @@ class Size:
         sign = int(rng.choice(self.signs))
         if self.factor:
             return (1 + magnitude) ** sign, float(np.log1p(magnitude) / np.log1p(self.default))
+        magnitude *= self.below if sign < 0 else 1.0
         return self.neutral + sign * magnitude, magnitude / self.default
 
 
 Change = Callable[[Machine, EffectTruth], Machine]
-Draw = Callable[[np.random.Generator], dict[str, float]]
+Draw = Callable[[np.random.Generator, float, float], dict[str, float]]
+"""More parameters, from random numbers, the size's value and the level of the force, N rms."""
+
+
+def nothing_more(_rng: np.random.Generator, _value: float, _rms_n: float) -> dict[str, float]:
+    return {}
 
 
 @dataclass(frozen=True)
@@ -55,15 +63,17 @@ class Kind:
     size: Size
     at: str
     change: Change
-    more: Draw = lambda _: {}
+    more: Draw = nothing_more
+    told: bool = True
+    """Whether the size itself is a parameter, and not only what `more` makes of it."""
     sides: tuple[str, ...] = ()
     expected: Callable[[EffectTruth], Expected] | None = None
     library: bool = True
 
-    def drawn(self, machine: Machine, rng: np.random.Generator, least: float = 0.0) -> EffectTruth:
-        """An effect of this kind on the machine, from random numbers alone."""
+    def drawn(self, machine: Machine, rms_n: float, rng: np.random.Generator, least: float = 0.0) -> EffectTruth:
+        """An effect of this kind on a machine that is excited at this level."""
         value, strength = self.size.drawn(rng, least)
-        parameters = {self.size.field: value, **self.more(rng)}
+        parameters = ({self.size.field: value} if self.told else {}) | self.more(rng, value, rms_n)
         place: dict[str, str | float] = {}
         if self.at in ("contact", "contacts"):
             everywhere = self.at == "contact" and rng.uniform() < ALL_CONTACTS

@@ -129,9 +129,13 @@ def _coulomb_friction(machine: Machine, truth: EffectTruth) -> Machine:
 
 
 def _hertz_stop(machine: Machine, truth: EffectTruth) -> Machine:
-    """The believed stiffness is that of a depth of reference_depth_m."""
-    exponent, depth_m = truth.parameters["exponent"], truth.parameters["reference_depth_m"]
-    return with_laws(machine, _contact(truth), lambda law: replace(law, exponent=exponent, reference_depth_m=depth_m))
+    """The stiffness k is the secant's at reference_force_n: f = k d (depth / d)^exponent, k d = reference_force_n."""
+    exponent, force_n = truth.parameters["exponent"], truth.parameters["reference_force_n"]
+    return with_laws(
+        machine,
+        _contact(truth),
+        lambda law: replace(law, exponent=exponent, reference_depth_m=force_n / law.stiffness_above_n_per_m),
+    )
 
 
 def _nonlinear_contact(machine: Machine, truth: EffectTruth) -> Machine:
@@ -159,8 +163,8 @@ def _preload(machine: Machine, truth: EffectTruth) -> Machine:
 
 
 def _tone(machine: Machine, truth: EffectTruth) -> Machine:
-    named = {field: truth.parameters[field] for field in ("amplitude_n", "frequency_hz", "phase_rad")}
-    return replace(machine, tones=(*machine.tones, Tone(at=place_of(truth), **named)))
+    numbers = {field: truth.parameters[field] for field in ("cosine_n", "sine_n", "frequency_hz")}
+    return replace(machine, tones=(*machine.tones, Tone(at=place_of(truth), **numbers)))
 
 
 def _sensor_delay(machine: Machine, truth: EffectTruth) -> Machine:
@@ -190,17 +194,20 @@ def _youngs_modulus(machine: Machine, truth: EffectTruth) -> Machine:
     )
 
 
-def _band(rng: np.random.Generator) -> dict[str, float]:
+def _band(rng: np.random.Generator, _value: float, _rms_n: float) -> dict[str, float]:
     low_hz = float(3 * 20 ** rng.uniform())
     return {"low_hz": low_hz, "high_hz": low_hz * float(rng.uniform(1.2, 1.6))}
 
 
-def _oscillation(rng: np.random.Generator) -> dict[str, float]:
-    return {"frequency_hz": float(rng.uniform(20, 90)), "phase_rad": float(rng.uniform(0, 2 * np.pi))}
+def _oscillation(rng: np.random.Generator, amplitude_n: float, _rms_n: float) -> dict[str, float]:
+    phase = rng.uniform(0, 2 * np.pi)
+    turned = amplitude_n * np.array([np.cos(phase), np.sin(phase)])
+    return {"cosine_n": float(turned[0]), "sine_n": float(turned[1]), "frequency_hz": float(rng.uniform(20, 90))}
 
 
-def _indented(_: np.random.Generator) -> dict[str, float]:
-    return {"reference_depth_m": 5e-4}
+def _working_force(_rng: np.random.Generator, _value: float, rms_n: float) -> dict[str, float]:
+    """A stop's stiffness is measured at the forces it sees: twice the level of the excitation."""
+    return {"reference_force_n": 2 * rms_n}
 
 
 EFFECTS: dict[str, Kind] = {
@@ -222,8 +229,8 @@ EFFECTS: dict[str, Kind] = {
         Kind("force_shift", Size("shift_s", 5e-5, 1.5e-3, 5e-4, BOTH), "", _force_shift),
         Kind("ground_damper", Size("damping_n_s_per_m", 0.3, 10.0, 3.0), "moving", _ground_damper),
         Kind("ground_friction", Size("force_n", 0.1, 6.0, 1.0), "moving", _ground_friction),
-        Kind("hardening_spring", Size("cubic_n_per_m3", 1e5, 3e6, 1e6, BOTH), "moving", _hardening_spring),
-        Kind("hertz_stop", Size("exponent", 0.2, 0.8, 0.5, neutral=1.0), "contact", _hertz_stop, _indented),
+        Kind("hardening_spring", Size("cubic_n_per_m3", 1e5, 3e6, 1e6, BOTH, below=0.1), "moving", _hardening_spring),
+        Kind("hertz_stop", Size("exponent", 0.2, 0.8, 0.5, neutral=1.0), "contact", _hertz_stop, _working_force),
         Kind("linear_spring", Size("stiffness_n_per_m", 30.0, 3e3, 500.0), "moving", _linear_spring),
         Kind("nonlinear_contact", Size("cubic_n_per_m3", 3e9, 9e10, 3e10), "contact", _nonlinear_contact),
         Kind(
@@ -237,7 +244,7 @@ EFFECTS: dict[str, Kind] = {
         Kind("sensor_delay", Size("delay_s", 5e-5, 1.5e-3, 5e-4, BOTH), "sensor", _sensor_delay),
         Kind("sensor_gain", Size("factor", 5e-3, 0.15, 0.05, BOTH, factor=True), "sensor", _sensor_gain),
         Kind("structural_damping", Size("factor", 0.2, 6.0, 2.0, BOTH, factor=True), "beams", _structural_damping),
-        Kind("tone", Size("amplitude_n", 0.03, 3.0, 0.5), "moving", _tone, _oscillation),
+        Kind("tone", Size("amplitude_n", 0.03, 3.0, 0.5), "moving", _tone, _oscillation, told=False),
         Kind("youngs_modulus", Size("factor", 5e-3, 0.15, 0.05, BOTH, factor=True), "beam", _youngs_modulus),
     )
 }

@@ -67,12 +67,12 @@ class Link(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Tone(msgspec.Struct, frozen=True, kw_only=True):
-    """A force amplitude_n sin(2 pi frequency_hz t + phase_rad) on a place, there before the record begins."""
+    """A force cosine_n cos(2 pi f t) + sine_n sin(2 pi f t) on a place, there before the record begins."""
 
     at: Place
-    amplitude_n: float
+    cosine_n: float
+    sine_n: float
     frequency_hz: float
-    phase_rad: float
 
 
 class Shaking(msgspec.Struct, frozen=True, kw_only=True):

@@ -64,27 +64,27 @@ def _parametric_clearance(machine: Machine, truth: EffectTruth) -> Machine:
     )
 
 
-def _gap(rng: np.random.Generator) -> dict[str, float]:
+def _gap(rng: np.random.Generator, _value: float, _rms_n: float) -> dict[str, float]:
     return {"clearance_m": float(rng.uniform(2e-3, 5e-3))}
 
 
-def _give(rng: np.random.Generator) -> dict[str, float]:
+def _give(rng: np.random.Generator, _value: float, _rms_n: float) -> dict[str, float]:
     return {"yield_m": float(rng.uniform(1e-3, 4e-3))}
 
 
-def _over(_: np.random.Generator) -> dict[str, float]:
+def _over(_rng: np.random.Generator, _value: float, _rms_n: float) -> dict[str, float]:
     return {"fall_s": 30.0}
 
 
-def _mounting(rng: np.random.Generator) -> dict[str, float]:
+def _mounting(rng: np.random.Generator, _value: float, _rms_n: float) -> dict[str, float]:
     return {"damping_ratio": float(rng.uniform(0.02, 0.05))}
 
 
-def _play(rng: np.random.Generator) -> dict[str, float]:
+def _play(rng: np.random.Generator, _value: float, _rms_n: float) -> dict[str, float]:
     return {"play_m": float(1e-4 * 10 ** rng.uniform())}
 
 
-def _breath(rng: np.random.Generator) -> dict[str, float]:
+def _breath(rng: np.random.Generator, _value: float, _rms_n: float) -> dict[str, float]:
     return {"frequency_hz": float(0.5 * 40 ** rng.uniform())}
 
 

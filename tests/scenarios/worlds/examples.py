@@ -24,13 +24,12 @@ def to_ground(law, body="bar", position_m=1.0):
     return Link(name="link", at=Place(body, position_m), against=None, law=law)
 
 
-def inputs(machine, seconds, force=None, ground=None, step_s=STEP_S):
-    """The simulator's inputs over so many seconds, tones left out."""
+def inputs(seconds, force=None, ground=None, step_s=STEP_S):
+    """The simulator's inputs over so many seconds of a machine without tones."""
     steps = round(seconds / step_s)
     time_s = np.arange(steps) * step_s
     rows = [np.zeros(steps) if force is None else force(time_s), np.ones(steps)]
     rows.append(np.zeros(steps) if ground is None else ground(time_s))
-    rows[1:1] = [t.amplitude_n * np.sin(2 * np.pi * t.frequency_hz * time_s + t.phase_rad) for t in machine.tones]
     return np.stack(rows, axis=1)
 
 

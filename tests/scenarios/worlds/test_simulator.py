@@ -38,7 +38,7 @@ def test_an_undamped_beam_between_stops_keeps_its_energy():
     model = model_of(machine)
     start = np.zeros((2, len(model.omega)))
     start[1, :3] = [0.4, 0.2, -0.3]
-    _, states, link_n, _ = ran(machine, inputs(machine, 1.0), start)
+    _, states, link_n, _ = ran(machine, inputs(1.0), start)
     modal_j = np.sum(states[:, 1] ** 2 + (model.omega * states[:, 0]) ** 2, axis=1) / 2
     stop_j = np.array([energy_j(STOP, float(x)) for x in states[::50, 0] @ model.rows[0]])
     total_j = modal_j[::50] + stop_j
@@ -52,7 +52,7 @@ def test_a_free_beam_under_a_constant_force_falls():
     bar = beam(clamped=False)
     mass_kg = bar.mass_per_length_kg_per_m
     machine = alone(bar)
-    model, states, _, _ = ran(machine, inputs(machine, 0.25, np.ones_like))
+    model, states, _, _ = ran(machine, inputs(0.25, np.ones_like))
     centre = states[-1, 0] @ -model.gains[-1] / mass_kg
     assert centre == pytest.approx((len(states) - 1) ** 2 * STEP_S**2 / (2 * mass_kg), rel=1e-7)
 
@@ -64,12 +64,12 @@ def test_a_shaken_cantilever_follows_its_ground_slowly_and_a_free_one_stays():
         return np.sin(2 * np.pi * 0.5 * time_s)
 
     machine = alone(beam(damping_ratio=0.05))
-    known = inputs(machine, 4.0, ground=ground)
+    known = inputs(4.0, ground=ground)
     tip = ran(machine, known)[3][0]
     late = slice(round(2 / STEP_S), None)
     np.testing.assert_allclose(tip[late], known[:-1, 2][late], atol=0.02)
     free = alone(beam(clamped=False))
-    np.testing.assert_allclose(ran(free, inputs(free, 0.5, ground=ground))[3], 0, atol=1e-5)
+    np.testing.assert_allclose(ran(free, inputs(0.5, ground=ground))[3], 0, atol=1e-5)
 
 
 def test_a_hung_mass_has_its_own_frequency_and_momentum_is_kept():
@@ -80,7 +80,7 @@ def test_a_hung_mass_has_its_own_frequency_and_momentum_is_kept():
     model = model_of(machine)
     start = np.zeros((2, len(model.omega)))
     start[1, -1] = 1.0
-    _, states, _, _ = ran(machine, inputs(machine, 1.0), start)
+    _, states, _, _ = ran(machine, inputs(1.0), start)
     spectrum = np.abs(np.fft.rfft(states[:, 1, -1] * np.hanning(len(states)), 8 * len(states)))
     found = np.argmax(spectrum) / (8 * len(states) * STEP_S)
     assert found == pytest.approx(hertz, abs=0.1)
@@ -94,7 +94,7 @@ def test_a_loaded_rig_rests_where_its_forces_balance(load_n):
     machine = replace(nominal, loads=((Place("barrel", 0.3), load_n),))
     model = model_of(machine)
     rest = at_rest(model)
-    _, states, link_n, acceleration = ran(machine, inputs(machine, 0.2))
+    _, states, link_n, acceleration = ran(machine, inputs(0.2))
     np.testing.assert_allclose(states[0, 0], rest)
     assert link_n[0].sum() == pytest.approx(load_n, rel=1e-4)
     assert link_n[0, 1] * 0.55 == pytest.approx(load_n * 0.3, rel=1e-4)  # moments about the barrel's left end
@@ -109,7 +109,7 @@ def test_friction_stops_a_floating_mass():
     mass_kg = bar.mass_per_length_kg_per_m
     start = np.zeros((2, len(model.omega)))
     start[1] = 1.0 * -model.gains[-1]
-    _, states, _, _ = ran(machine, inputs(machine, 0.7), start)
+    _, states, _, _ = ran(machine, inputs(0.7), start)
     centre = states[:, 0] @ -model.gains[-1] / mass_kg
     speed = states[:, 1] @ -model.gains[-1] / mass_kg
     slow = np.argmax(speed < 0.1)
@@ -124,7 +124,7 @@ def test_a_falling_modulus_lowers_the_frequency():
     model = model_of(machine)
     start = np.zeros((2, len(model.omega)))
     start[1, 0] = 1.0
-    q = ran(machine, inputs(machine, 4.0), start)[1][:, 0, 0]
+    q = ran(machine, inputs(4.0), start)[1][:, 0, 0]
     crossings = np.flatnonzero((q[:-1] < 0) & (q[1:] >= 0)) * STEP_S
     first, last = (1 / np.diff(part).mean() for part in (crossings[:3], crossings[-3:]))
     middle_s = crossings[-3:].mean()
