@@ -44,7 +44,7 @@ def test_an_undamped_beam_between_stops_keeps_its_energy():
     total_j = modal_j[::50] + stop_j
     assert np.mean(link_n != 0) > 0.05
     assert stop_j.max() > 0.1 * total_j[0]
-    np.testing.assert_allclose(total_j, total_j[0], rtol=2e-3)
+    np.testing.assert_allclose(total_j, total_j[0], rtol=1e-4)
 
 
 def test_a_free_beam_under_a_constant_force_falls():
