@@ -1,6 +1,6 @@
 """The blind check of the diagnosis: cases whose answers are sealed and hashed before anything is diagnosed.
 
-python -m scenarios.blind_gap make --out out/blind
+python -m scenarios.blind_gap make --world wide --cases 60 --seed 7000 --out out/blind
 python -m scenarios.blind_gap diagnose --cases out/blind --out out/found
 python -m scenarios.blind_gap score --cases out/blind --found out/found --out out/score
 """
@@ -26,10 +26,11 @@ from rig.command_line import Force, progress_bar, refuse_existing, run
 from rig.errors import RigError
 from rig.recording import Recording, read
 from scenarios import score_figures
-from scenarios.blind_cases import Case, Key, made, planned, sha256_of
 from scenarios.scoreboard import Compared, Diagnosis, Score, scored
 from scenarios.tasks import Dask, run_tasks
 from scenarios.true_effect import best_of
+from scenarios.worlds.making import made, planned, sha256_of
+from scenarios.worlds.truth import Case, Key, World
 
 T = TypeVar("T")
 app = typer.Typer(pretty_exceptions_enable=False, no_args_is_help=True)
@@ -44,23 +45,24 @@ def main() -> None:
 @app.command()
 def make(
     out: Annotated[Path, typer.Option(help="Folder for the recordings and the sealed key.")],
+    world: Annotated[World, typer.Option(help="How far reality is from what is believed.")] = "own",
     cases: Annotated[int, typer.Option(min=1, help="How many.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Everything is drawn from it.")] = 7000,
-    duration: Annotated[float, typer.Option(help="Length of each record, s.")] = 30.0,
-    step_log2: Annotated[int, typer.Option(min=12, max=20, help="The ancf plant's step is 2 to minus this, s.")] = 13,
-    elements: Annotated[int, typer.Option(min=4, help="Of the ancf plant, a beam.")] = 16,
+    nulls_only: Annotated[bool, typer.Option("--nulls-only", help="Tolerances alone, no effects.")] = False,
+    duration: Annotated[float, typer.Option(min=1.5, help="Length of each record, s.")] = 30.0,
     dask: Dask = None,
     force: Force = False,
 ) -> None:
     """Records the cases and seals their answers; run again after an interruption, it goes on."""
     key_path, hash_path = out / "sealed" / "key.json", out / "key.sha256"
-    plans = planned(cases, seed, out, duration, 2.0**-step_log2, elements)
+    plans = planned(out, world, seed, cases, duration, nulls_only)
     refuse_existing(hash_path, force)
     (out / "recordings").mkdir(parents=True, exist_ok=True)
     (out / "sealed" / "work").mkdir(parents=True, exist_ok=True)
     answers = run_tasks(made, plans, Case, out / "sealed" / "tasks", dask)
     check_recordings(out, answers)
-    key = msgspec.json.format(msgspec.json.encode(Key(seed, tuple(answers))), indent=2)
+    answered = Key(world=world, seed=seed, nulls_only=nulls_only, duration_s=duration, cases=tuple(answers))
+    key = msgspec.json.format(msgspec.json.encode(answered), indent=2)
     _written(key_path, key)
     digest = hashlib.sha256(key).hexdigest()
     _written(hash_path, f"{digest}\n".encode())

@@ -11,11 +11,10 @@ from scipy.optimize import minimize
 from scipy.special import expit
 from scipy.stats import norm
 
-from scenarios.blind_cases import SINGLE_STRENGTHS
 from scenarios.scoreboard import Best, Compared, confusion, detection_limits, parameter_errors, wilson
 
-FAINTEST = 0.005
-"""Where the axis of strengths begins; limits below stand there."""
+FAINTEST, STRONGEST = 0.005, 12.0
+"""Where the axis of strengths begins and ends; limits below stand at its begin."""
 BLUE, RED, GREY = "#1f5fa8", "#b8323a", "#8a8a8a"
 STYLE = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
 
@@ -82,12 +81,12 @@ def _power(compared: Sequence[Compared], best: Mapping[str, Best]) -> Figure:
         axes.set_title(name.replace("_", " "), fontsize=9)
         axes.set(
             xscale="log",
-            xlim=(FAINTEST, SINGLE_STRENGTHS[1]),
+            xlim=(FAINTEST, STRONGEST),
             ylim=(-0.05, 1.05),
             yticks=(0, 1),
             yticklabels=("missed", "right"),
         )
-        axes.set_xticks((0.01, 0.1, 1), ("0.01", "0.1", "1"))
+        axes.set_xticks((0.01, 0.1, 1, 10), ("0.01", "0.1", "1", "10"))
         axes.minorticks_off()
     figure.supxlabel("strength, of the default magnitude (dashed: detection limit, median of the cases)")
     return figure
@@ -102,7 +101,7 @@ def _curve(axes: Axes, strength: np.ndarray, right: np.ndarray) -> None:
         return float(-fit.sum() + ((p[1] - 4) / 2) ** 2 / 2 + (p[0] / 5) ** 2 / 2)
 
     found = minimize(cost, np.array([0.0, 4.0]), method="Nelder-Mead").x
-    grid = np.geomspace(*SINGLE_STRENGTHS, 100)
+    grid = np.geomspace(FAINTEST, STRONGEST, 100)
     axes.plot(grid, expit(found[0] + found[1] * np.log(grid)), color=GREY, lw=1)
 
 

@@ -9,10 +9,9 @@ import msgspec
 import numpy as np
 from scipy.stats import binomtest, quantile_test
 
-from rig.effect import Effect
-from rig.effects import effect_named
-from scenarios.blind_cases import Case, usable_effects
-from scenarios.outside import OUTSIDE
+from scenarios.worlds.drawing import DRAWABLE
+from scenarios.worlds.outside import OUTSIDE
+from scenarios.worlds.truth import Case, EffectTruth
 
 PLACES = ("contact", "body", "beam", "sensor")
 WITHIN = 0.1
@@ -99,7 +98,7 @@ class Compared:
 
     @property
     def names(self) -> tuple[str, ...]:
-        return tuple(text.partition(":")[0] for text in self.truth.effects)
+        return tuple(effect.name for effect in self.truth.effects)
 
     @property
     def label(self) -> str:
@@ -154,11 +153,14 @@ def scored(compared: Sequence[Compared], best: Mapping[str, Best]) -> Score:
     """The scoreboard of all cases; `best` is what the truth achieves, by case."""
     by_kind = {kind: [c for c in compared if c.truth.kind == kind] for kind in ("null", "single", "pair", "outside")}
     singles, pairs = by_kind["single"], by_kind["pair"]
-    placed = [c for c in singles if c.exact and place_fields(effect_named(c.truth.effects[0]))]
+    placed = [c for c in singles if c.exact and place_fields(c.truth.effects[0])]
     sensors = [c for c in singles if c.names[0].startswith("sensor_") and c.found.where.channels]
     rates = (
         _rate("single effect right", (c.right for c in singles)),
-        _rate("single effect right, above its limit", (c.right for c in singles if best[c.truth.case].detectable)),
+        _rate(
+            "single effect right, above its limit",
+            (c.right for c in singles if c.truth.case in best and best[c.truth.case].detectable),
+        ),
         _rate("single effect named itself", (c.exact for c in singles)),
         _rate("false alarm without effect", (c.found.verdict != "no_gap" for c in by_kind["null"])),
         _rate("outside the library rejected", (c.found.verdict == "none_of_these" for c in by_kind["outside"])),
@@ -172,7 +174,9 @@ def scored(compared: Sequence[Compared], best: Mapping[str, Best]) -> Score:
     right = [(c, c.found.closure) for c in compared if c.right and c.found.closure]
     closed = [f.closed_fraction for _, f in right if f.closed_fraction is not None]
     shares = [
-        (f.before - f.after) / (f.before - best[c.truth.case].after) for c, f in right if f.closed_fraction is not None
+        (f.before - f.after) / (f.before - best[c.truth.case].after)
+        for c, f in right
+        if f.closed_fraction is not None and c.truth.case in best
     ]
     between = quantile_test(closed, p=0.5).confidence_interval(0.95) if len(closed) > 1 else None
     return Score(
@@ -188,9 +192,10 @@ def scored(compared: Sequence[Compared], best: Mapping[str, Best]) -> Score:
 
 
 def detection_limits(singles: Sequence[Compared], best: Mapping[str, Best]) -> dict[str, float]:
-    """Of every effect the median over its cases."""
-    names = sorted({c.label for c in singles})
-    by_name = {n: [best[c.truth.case].limit(c.truth.strengths[0]) for c in singles if c.label == n] for n in names}
+    """Of every effect the median over its cases of which is known what the truth achieves."""
+    known = [c for c in singles if c.truth.case in best]
+    names = sorted({c.label for c in known})
+    by_name = {n: [best[c.truth.case].limit(c.truth.strengths[0]) for c in known if c.label == n] for n in names}
     return {name: float(np.median(limits)) for name, limits in by_name.items()}
 
 
@@ -200,26 +205,25 @@ def parameter_errors(compared: Iterable[Compared]) -> list[tuple[str, float]]:
     for c in compared:
         if not c.exact:
             continue
-        for text in c.truth.effects:
-            effect = effect_named(text)
-            for field in effect.__struct_fields__:
+        for effect in c.truth.effects:
+            for field, true in effect.parameters.items():
                 name = f"{effect.name}.{field}"
                 if found := c.found.causes[0].parameters.get(name):
-                    errors.append((name, (found.value - getattr(effect, field)) / found.standard_error))
+                    errors.append((name, (found.value - true) / found.standard_error))
     return errors
 
 
-def place_fields(effect: Effect) -> tuple[str, ...]:
-    """The fields that say where the effect acts; a clamp has no choice."""
+def place_fields(effect: EffectTruth) -> tuple[str, ...]:
+    """The fields that say where the effect acts; a clamp and all bodies at once have no choice."""
     if effect.name == "clamp_compliance":
         return ()
-    known = (*PLACES, "relative_position", "low_hz")
-    return tuple(f for f in effect.__struct_fields__ if f in known and getattr(effect, f) is not None)
+    chosen = [field for field in PLACES if effect.place.get(field, "all") != "all"]
+    return (*chosen, *(field for field in ("relative_position", "low_hz") if field in effect.parameters))
 
 
 def place_right(c: Compared) -> bool:
     """Whether the likeliest cause of a single effect acts where the truth does, in every field that says so."""
-    effect, cause = effect_named(c.truth.effects[0]), c.found.causes[0]
+    effect, cause = c.truth.effects[0], c.found.causes[0]
 
     def found(field: str) -> float:
         value = cause.parameters.get(f"{effect.name}.{field}")
@@ -227,20 +231,20 @@ def place_right(c: Compared) -> bool:
 
     def field_right(field: str) -> bool:
         if field == "low_hz":
-            low, high = (float(getattr(effect, f)) for f in ("low_hz", "high_hz"))
+            low, high = (effect.parameters[f] for f in ("low_hz", "high_hz"))
             shared = min(high, found("high_hz")) - max(low, found("low_hz"))
             return shared / (max(high, found("high_hz")) - min(low, found("low_hz"))) >= OVERLAP
         if field == "relative_position":
-            return abs(found(field) - getattr(effect, field)) <= WITHIN
-        return cause.places.get(f"{effect.name}.{field}") == getattr(effect, field)
+            return abs(found(field) - effect.parameters[field]) <= WITHIN
+        return cause.places.get(f"{effect.name}.{field}") == effect.place[field]
 
     return all(field_right(field) for field in place_fields(effect))
 
 
 def confusion(compared: Iterable[Compared]) -> tuple[list[str], list[str], np.ndarray]:
     """Rows: what is true (pairs left out); columns: what was named; and how often."""
-    rows = [*usable_effects(), *OUTSIDE, "null"]
-    columns = [*usable_effects(), "two effects", "none_of_these", "no_gap"]
+    rows = [*DRAWABLE, *OUTSIDE, "null"]
+    columns = [*DRAWABLE, "two effects", "none_of_these", "no_gap"]
     counts = np.zeros((len(rows), len(columns)), dtype=int)
     for c in compared:
         if c.truth.kind != "pair":
@@ -259,7 +263,7 @@ def wilson(count: int, of: int) -> tuple[float, float]:
 
 def _first_channel_right(c: Compared) -> bool:
     channels = c.found.where.channels
-    return max(channels, key=lambda name: channels[name]) == getattr(effect_named(c.truth.effects[0]), "sensor", None)
+    return max(channels, key=lambda name: channels[name]) == c.truth.effects[0].place.get("sensor")
 
 
 def _rate(name: str, answers: Iterable[bool]) -> Rate:

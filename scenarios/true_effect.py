@@ -12,9 +12,11 @@ from identify.gap.search import settled
 from identify.gap.spectra import Record, record_of
 from rig.description import Rig
 from rig.effects import effect_named
+from rig.errors import RigError
 from rig.recording import read
 from scenarios.scoreboard import Best, Compared
 from scenarios.tasks import run_tasks
+from scenarios.worlds.truth import Case
 
 
 class Told(msgspec.Struct, frozen=True):
@@ -52,8 +54,18 @@ def _with_truth(record: Record, effects: Sequence[str], floors: Floors) -> tuple
 
 
 def best_of(compared: Sequence[Compared], recordings: Path, floor: Path, kept: Path) -> Mapping[str, Best]:
-    """By case, of every single effect of the library and every pair."""
-    cases = [c.truth for c in compared if c.truth.kind in ("single", "pair")]
+    """By case, of every single effect and every pair that the library can put into a rig."""
+    cases = [c.truth for c in compared if c.truth.kind in ("single", "pair") and _is_known(c.truth)]
     paths = [[str(recordings / f"{c.case}{end}.mcap") for end in ("", "_validate")] for c in cases]
-    tasks = [Told(fit, other, c.effects, str(floor)) for c, (fit, other) in zip(cases, paths, strict=True)]
+    tasks = [
+        Told(fit, other, tuple(e.text for e in c.effects), str(floor))
+        for c, (fit, other) in zip(cases, paths, strict=True)
+    ]
     return {c.case: best for c, best in zip(cases, run_tasks(achieved, tasks, Best, kept), strict=True)}
+
+
+def _is_known(truth: Case) -> bool:
+    try:
+        return all(effect_named(effect.text) for effect in truth.effects)
+    except RigError:
+        return False

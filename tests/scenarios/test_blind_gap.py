@@ -15,7 +15,7 @@ from scenarios.scoreboard import Best, Diagnosis, Score
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("blind")
-    ran("make", "--out", folder, "--cases", 3, "--duration", 1.1, "--elements", 8, "--seed", 2)
+    ran("make", "--out", folder, "--world", "wide", "--cases", 3, "--duration", 1.5, "--seed", 2)
     return folder
 
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
-from scenarios.blind_cases import Case
 from scenarios.score_figures import drawn
 from scenarios.scoreboard import (
     Best,
@@ -19,13 +19,36 @@ from scenarios.scoreboard import (
     scored,
     wilson,
 )
+from scenarios.worlds.believed import believed_rig, nominal_machine
+from scenarios.worlds.truth import Case, EffectTruth
 
 NOWHERE = Where()
 SENSOR = "barrel_0000mm_acceleration"
 
 
-def case(kind, *effects, strength=1.0):
-    return Case(" and ".join((kind, *effects)), kind, effects, (strength,) * len(effects), 1, 0, (), {})
+MACHINE = nominal_machine(believed_rig("own", np.random.default_rng(1)))
+
+
+def effect(name, place=None, **parameters):
+    return EffectTruth(name=name, parameters=parameters, place=place or {}, strength=1.0)
+
+
+def case(kind, *effects):
+    name = " and ".join((kind, *(e.name for e in effects)))
+    machines = dict.fromkeys(("nominal", "drawn", "true"), MACHINE)
+    return Case(
+        case=name,
+        world="own",
+        kind=kind,
+        effects=effects,
+        expected=None,
+        hung=False,
+        records=(),
+        draw=0,
+        refused=(),
+        sha256={},
+        **machines,
+    )
 
 
 def named(*effects, probability=0.9, equivalent=(), closed=None, where=NOWHERE, **fields):
@@ -36,12 +59,16 @@ def named(*effects, probability=0.9, equivalent=(), closed=None, where=NOWHERE, 
 
 
 NO_GAP, NONE = Diagnosis("no_gap", cpu_s=5.0), Diagnosis("none_of_these", cpu_s=20.0)
-GAIN = case("single", f"sensor_gain:factor=1.1,sensor={SENSOR}", strength=2.0)
-MASS = case("single", "added_mass:mass_kg=0.2,relative_position=0.5,body=barrel")
-SHAKE = case("single", "base_motion:low_hz=10.0,high_hz=14.0", strength=0.3)
-E_WRONG = case("single", "youngs_modulus:factor=0.95,beam=cradle")
-PAIR = case("pair", "preload:force_n=2.0,relative_position=0.5,body=barrel", "force_gain:factor=1.05")
-DRAG = case("outside", "quadratic_drag:body=barrel,position_m=0.9,drag_n_s2_per_m2=4.0", strength=0.5)
+GAIN = case("single", replace(effect("sensor_gain", {"sensor": SENSOR}, factor=1.1), strength=2.0))
+MASS = case("single", effect("added_mass", {"body": "barrel"}, mass_kg=0.2, relative_position=0.5))
+SHAKE = case("single", replace(effect("base_motion", low_hz=10.0, high_hz=14.0), strength=0.3))
+E_WRONG = case("single", effect("youngs_modulus", {"beam": "cradle"}, factor=0.95))
+PAIR = case(
+    "pair",
+    effect("preload", {"body": "barrel", "position_m": 0.5}, force_n=2.0, relative_position=0.5),
+    effect("force_gain", factor=1.05),
+)
+DRAG = case("outside", effect("quadratic_drag", {"body": "barrel", "position_m": 0.9}, drag_n_s2_per_m2=4.0))
 COMPARED = [
     Compared(case("null"), NO_GAP),
     Compared(case("null"), named("force_gain", probability=0.4)),

@@ -1,0 +1,1 @@
+"""Blind worlds: machines, instruments and effects that share no function with what makes the null simulations."""

@@ -1,0 +1,101 @@
+"""What a kind of effect is: what is drawn of it, and what it does to a machine."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from scenarios.worlds.machine import Machine, Place
+from scenarios.worlds.truth import EffectTruth, Expected
+
+ALL_CONTACTS = 1 / 3
+"""The share of the contact effects that act at all contacts."""
+MOVING = 0.6
+"""From this share of their length on, both beams move by some millimetres."""
+SHARES_OF_BODIES = (0.1, 1.0)
+
+
+@dataclass(frozen=True)
+class Size:
+    """A magnitude, log-uniform between low and high; `default` has strength 1.
+
+    A number is `neutral` and the magnitude with one of the signs; a factor is (1 + magnitude) to the power of a sign.
+    """
+
+    field: str
+    low: float
+    high: float
+    default: float
+    signs: tuple[int, ...] = (1,)
+    factor: bool = False
+    neutral: float = 0.0
+    below: float = 1.0
+    """A number with the sign -1 is so much smaller."""
+
+    def drawn(self, rng: np.random.Generator, least: float) -> tuple[float, float]:
+        """The value and its strength; `least` leaves out so much of the logarithmic range's lower end."""
+        magnitude = float(self.low * (self.high / self.low) ** rng.uniform(least, 1.0))
+        sign = int(rng.choice(self.signs))
+        if self.factor:
+            return (1 + magnitude) ** sign, float(np.log1p(magnitude) / np.log1p(self.default))
+        magnitude *= self.below if sign < 0 else 1.0
+        return self.neutral + sign * magnitude, magnitude / self.default
+
+
+Change = Callable[[Machine, EffectTruth], Machine]
+Draw = Callable[[np.random.Generator, float, float], dict[str, float]]
+"""More parameters, from random numbers, the size's value and the level of the force, N rms."""
+
+
+def nothing_more(_rng: np.random.Generator, _value: float, _rms_n: float) -> dict[str, float]:
+    return {}
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of effect: its size, where it acts, what else is drawn, and what it does.
+
+    `at`: "contact" (one or all), "contacts" (one), "body" (a share of a body's length), "moving" (the same, where it
+    moves), "beam", "beams" (one or all), "clamped" (the clamped beam), "sensor", "" (no choice).
+    """
+
+    name: str
+    size: Size
+    at: str
+    change: Change
+    more: Draw = nothing_more
+    told: bool = True
+    """Whether the size itself is a parameter, and not only what `more` makes of it."""
+    sides: tuple[str, ...] = ()
+    expected: Callable[[EffectTruth], Expected] | None = None
+    library: bool = True
+
+    def drawn(self, machine: Machine, rms_n: float, rng: np.random.Generator, least: float = 0.0) -> EffectTruth:
+        """An effect of this kind on a machine that is excited at this level."""
+        value, strength = self.size.drawn(rng, least)
+        parameters = ({self.size.field: value} if self.told else {}) | self.more(rng, value, rms_n)
+        place: dict[str, str | float] = {}
+        if self.at in ("contact", "contacts"):
+            everywhere = self.at == "contact" and rng.uniform() < ALL_CONTACTS
+            chosen = str(rng.choice([c.name for c in machine.contacts]))
+            place["contact"] = "all" if everywhere else chosen
+        elif self.at in ("body", "moving"):
+            beam = machine.beams[int(rng.integers(len(machine.beams)))]
+            share = float(rng.uniform(MOVING if self.at == "moving" else SHARES_OF_BODIES[0], SHARES_OF_BODIES[1]))
+            place |= {"body": beam.name, "position_m": share * beam.length_m}
+            if self.library:
+                parameters["relative_position"] = share
+        elif self.at in ("beam", "beams", "clamped"):
+            names = [b.name for b in machine.beams if b.clamped or self.at != "clamped"]
+            everywhere = self.at == "beams" and rng.uniform() < 1 / 3
+            place["body" if self.at == "beams" else "beam"] = "all" if everywhere else str(rng.choice(names))
+        elif self.at == "sensor":
+            place["sensor"] = str(rng.choice([s.name for s in machine.sensors]))
+        if self.sides:
+            place["side"] = str(rng.choice(self.sides))
+        return EffectTruth(name=self.name, parameters=parameters, place=place, strength=strength)
+
+
+def place_of(truth: EffectTruth) -> Place:
+    """The point of a body where an effect acts."""
+    return Place(str(truth.place["body"]), float(truth.place["position_m"]))
