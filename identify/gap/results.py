@@ -4,26 +4,44 @@ from typing import Literal
 
 import msgspec
 
-Verdict = Literal["no_gap", "effect", "none_of_these"]
+Verdict = Literal["no_gap", "explained", "partly_explained", "unknown"]
 
 
 class Value(msgspec.Struct, frozen=True):
-    """A fitted parameter of an effect."""
+    """A fitted parameter of an effect; at_limit says that it stands at an end of the range that was searched."""
 
     value: float
     standard_error: float
     unit: str
+    at_limit: bool = False
 
 
-class Cause(msgspec.Struct, frozen=True):
-    """Effects that together explain the gap. parameters and places are named EFFECT.FIELD; left is what remains of the
-    gap on the validation record, 1 being what nulls leave."""
+class Left(msgspec.Struct, frozen=True, kw_only=True):
+    """What a rig leaves of the validation record, beyond the sensors' noise.
+
+    share is the unexplained share of the acceleration's root mean square, contact_shares that of each contact force's;
+    p_value how often tolerances and noise alone leave as much.
+    """
+
+    share: float
+    contact_shares: dict[str, float]
+    p_value: float
+
+
+class Cause(msgspec.Struct, frozen=True, kw_only=True):
+    """Effects that together explain the gap, wholly or in part. parameters and places are named EFFECT.FIELD.
+
+    explained is the fraction of the gap that they close on the validation record: of the logarithm of the residual over
+    noise and tolerated shares, so that one is a gap closed in every band, sensor and contact.
+    """
 
     effects: tuple[str, ...]
     probability: float
     parameters: dict[str, Value]
     places: dict[str, str]
-    left: float
+    explained: float
+    interval_95: tuple[float, float]
+    left: Left
 
 
 class Share(msgspec.Struct, frozen=True):
@@ -31,6 +49,17 @@ class Share(msgspec.Struct, frozen=True):
 
     what: str
     share: float
+
+
+class Band(msgspec.Struct, frozen=True, kw_only=True):
+    """A band of frequencies: the unexplained share of the acceleration there with the believed rig, with the likeliest
+    cause in it, and as nineteen of twenty null simulations stay below."""
+
+    low_hz: float
+    high_hz: float
+    before: float
+    after: float
+    usual: float
 
 
 class Surface(msgspec.Struct, frozen=True):
@@ -41,9 +70,9 @@ class Surface(msgspec.Struct, frozen=True):
     share: tuple[tuple[float, ...], ...]
 
 
-class Where(msgspec.Struct, frozen=True, kw_only=True):
-    """Each list sums to one. surface is the share by cells of (relative displacement, velocity) of each contact;
-    without contacts, of displacement and velocity of each single mass."""
+class Attribution(msgspec.Struct, frozen=True, kw_only=True):
+    """Where the gap lies: each list sums to one. surface is the share by cells of (relative displacement, velocity) of
+    each contact; without contacts, of displacement and velocity of each single mass."""
 
     channels: dict[str, float]
     modal_equations: dict[str, float]
@@ -57,20 +86,7 @@ class Where(msgspec.Struct, frozen=True, kw_only=True):
     """Of the linear residual, and of each contact's law."""
 
 
-class Closure(msgspec.Struct, frozen=True):
-    """How far the gap on the validation record shrinks: mean squares of the whitened residual.
-
-    No fraction is given where nothing was corrected, or the gap was at the floor before.
-    """
-
-    before: float
-    floor: float
-    after: float
-    closed_fraction: float | None
-    interval_95: tuple[float, float] | None
-
-
-class Likeness(msgspec.Struct, frozen=True):
+class Figure(msgspec.Struct, frozen=True):
     """A figure that people know, of the measured record and of simulations with its force: believed and corrected."""
 
     name: str
@@ -94,18 +110,55 @@ class Curve(msgspec.Struct, frozen=True):
     """Whether y is best drawn over decades."""
 
 
+class Unknown(msgspec.Struct, frozen=True, kw_only=True):
+    """A force, or a fault of a sensor, that no effect of the library is: what is found of it."""
+
+    sentence: str
+    kind: str
+    body: str | None
+    position_m: float | None
+    position_error_m: float | None
+    sensor: str | None
+    frequency_hz: float | None
+    band_hz: tuple[float, float]
+    rms_n: float
+    when: str
+    against: str
+    law: str
+    explained: float
+    """The share of the linear residual's mean square that it explains on the validation record."""
+
+
+class Matters(msgspec.Struct, frozen=True):
+    """What is too small to matter, as the user says: shares of the acceleration's and of a contact force's root mean
+    square."""
+
+    motion: float = 5e-3
+    contact: float = 3e-2
+
+
 class Gap(msgspec.Struct, frozen=True, kw_only=True):
-    """The diagnosis of a recording. size is the gap's, 1 being what nulls leave; channel_faults names dead and clipped
-    channels, which were left out."""
+    """The diagnosis of a recording: how the believed rig differs from it, on the validation record.
+
+    causes are likeliest first; what their probabilities lack of one is that of no gap and of something unknown. The
+    response comparison is of the likeliest cause, whatever the verdict. channel_faults names dead and clipped channels,
+    which were left out.
+    """
 
     verdict: Verdict
     sentence: str
-    size: float
+    before: Left
+    after: Left
+    """With the likeliest cause in the rig; as before where there is none."""
+    matters: Matters
     causes: tuple[Cause, ...]
+    probability_nothing: float
+    probability_unknown: float
+    unknown: Unknown | None
+    bands: tuple[Band, ...]
     equivalent: tuple[tuple[str, ...], ...]
     separate_by: tuple[str, ...]
-    where: Where
-    closure: Closure
-    likeness: tuple[Likeness, ...] = ()
+    attribution: Attribution
+    figures: tuple[Figure, ...] = ()
     curves: tuple[Curve, ...] = ()
     channel_faults: dict[str, str] = {}

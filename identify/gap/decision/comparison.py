@@ -1,69 +1,141 @@
 """Hypotheses compared on the record that was not fitted: posterior probabilities, and what each closes and leaves."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
+from identify.gap.candidates import Candidate
+from identify.gap.fit import fit
 from identify.gap.likelihood import Misfit, Reference, misfit
-from identify.gap.residual import Base, Residual
-from identify.gap.search.joint import Hypothesis
+from identify.gap.residual import Base, Residual, residual_of
+from identify.gap.results import Matters
+from identify.gap.search.joint import Hypothesis, applied
 from identify.gap.search.nominal import fit_nuisance
 from identify.gap.spectra import Record
+from rig.description import Rig
 from rig.errors import RigError
 
 TEMPERATURE = 4.0
 """-2 ln p counts for so much less between hypotheses than within one: what lasts of the unmodelled is shared by
-neighbouring bands and by both records. Found by the likelihood of the right names on the tuning seeds of the blind
-worlds (`python -m scenarios.blind_gap calibrate`)."""
+neighbouring bands and by both records."""
 PRIOR_NOTHING, PRIOR_SINGLE, PRIOR_PAIR, PRIOR_UNKNOWN = 0.3, 0.35, 0.15, 0.2
 """Before anything was recorded: no gap, one effect, two effects, something that the library does not hold."""
+DRAWS = 400
 
 
 @dataclass(frozen=True)
 class Judged:
-    """A hypothesis with its rig laid against the validation record, nuisance parameters fitted there anew."""
+    """A hypothesis with its rig laid against the validation record, nuisance parameters fitted there anew.
+
+    without is what the believed rig leaves with the same nuisance parameters: what the effects, by themselves, close.
+    """
 
     hypothesis: Hypothesis
+    rig: Rig
     base: Base
     residual: Residual
     misfit: Misfit
+    without: Misfit
     log_prior: float
 
     @property
-    def score(self) -> float:
-        """Log posterior up to a constant: of the hypothesis given the validation record."""
+    def log_posterior(self) -> float:
+        """Given the validation record, up to a constant."""
         return self.log_prior - self.misfit.minus_two_log / (2 * TEMPERATURE)
 
 
 def judged(
-    record: Record, reference: Reference, hypotheses: Sequence[Hypothesis], priors: Mapping[frozenset[str], float]
+    record: Record,
+    reference: Reference,
+    hypotheses: Sequence[Hypothesis],
+    priors: Mapping[frozenset[str], float],
+    progress: Callable[[float], None] = lambda _: None,
 ) -> list[Judged]:
-    """Every hypothesis that the validation record can hold, the likeliest first."""
+    """Every hypothesis that the validation record can hold, the likeliest first.
+
+    What each record has its own of (the phase of a tone) is fitted there anew.
+    """
     found = []
-    for one in hypotheses:
+    for i, one in enumerate(hypotheses):
         try:
-            base, at = fit_nuisance(record, one.applied_to(record.rig), rounds=1)
+            rig = _of_this_record(record, one)
+            base, at = fit_nuisance(record, rig, rounds=1)
+            unknowns = tuple(c.unknowns for c in at.contacts)
+            bare = residual_of(base, record.rig, at.nuisance, unknowns) if _comparable(base, record.rig) else at
         except RigError:
             continue
-        found.append(Judged(one, base, at, misfit(record, reference, base, at), priors[one.key]))
-    return sorted(found, key=lambda j: -j.score)
+        left, without = (misfit(record, reference, base, r) for r in (at, bare))
+        found.append(Judged(one, rig, base, at, left, without, priors[one.key]))
+        progress((i + 1) / len(hypotheses))
+    return sorted(found, key=lambda j: -j.log_posterior)
 
 
-def log_priors(hypotheses: Sequence[Hypothesis], names: Sequence[str], placed: Mapping[str, int]) -> dict[frozenset[str], float]:
+def _comparable(base: Base, believed: Rig) -> bool:
+    """Whether both residuals have the same rows: a base that moves has one more."""
+    return (base.rig.base_motion is None) == (believed.base_motion is None)
+
+
+def _of_this_record(record: Record, one: Hypothesis) -> Rig:
+    own = [
+        sum(len(p.parameters) for p in one.parts[:k]) + list(part.parameters).index(name)
+        for k, part in enumerate(one.parts)
+        for name in part.kind.of_a_record
+        if name in part.parameters
+    ]
+    if not own:
+        return one.applied_to(record.rig)
+
+    def build(values: Float[np.ndarray, " own"]) -> Rig:
+        every = one.values.copy()
+        every[own] = values
+        return applied(record.rig, one.parts, every)
+
+    base, at = fit_nuisance(record, record.rig, rounds=1)
+    steps = np.concatenate([p.steps for p in one.parts])[own]
+    low, high = (np.concatenate(ends)[own] for ends in zip(*(p.bounds for p in one.parts), strict=True))
+    return build(fit(base, build, one.values[own], steps, (low, high), at).values)
+
+
+def log_priors(hypotheses: Sequence[Hypothesis], known: Sequence[Candidate]) -> dict[frozenset[str], float]:
     """Every effect of the library is as likely as any other, and as likely at each of its places."""
-    singles = len(names)
-    pairs = singles * (singles - 1) / 2
+    placed: dict[str, int] = {}
+    for candidate in known:
+        placed[candidate.kind.name] = placed.get(candidate.kind.name, 0) + 1
+    singles = max(1, len(placed))
+    pairs = max(1.0, singles * (singles - 1) / 2)
     found = {}
     for one in hypotheses:
         places = float(np.prod([placed[p.kind.name] for p in one.parts])) if one.parts else 1.0
-        among = {0: PRIOR_NOTHING, 1: PRIOR_SINGLE / singles, 2: PRIOR_PAIR / pairs}[len(one.parts)]
+        among = (PRIOR_NOTHING, PRIOR_SINGLE / singles, PRIOR_PAIR / pairs)[len(one.parts)]
         found[one.key] = float(np.log(among / places))
     return found
 
 
-def probabilities(scores: Float[np.ndarray, " hypotheses"]) -> Float[np.ndarray, " hypotheses"]:
+def probabilities(log_posteriors: Float[np.ndarray, " hypotheses"]) -> Float[np.ndarray, " hypotheses"]:
     """From log posteriors up to a constant."""
-    likely = np.exp(scores - scores.max())
+    likely = np.exp(log_posteriors - log_posteriors.max())
     return np.asarray(likely / likely.sum())
+
+
+def size(left: Misfit, matters: Matters) -> float:
+    """The size of a gap in units of what matters: sqrt((share / matters)^2 + sum over contacts of the same)."""
+    contacts = np.sum((left.contact_shares / matters.contact) ** 2)
+    return float(np.sqrt((left.share / matters.motion) ** 2 + contacts))
+
+
+def closed(without: Misfit, after: Misfit, matters: Matters) -> float:
+    """The share of the gap that effects close: 1 - size after / size without them; zero where there was none."""
+    whole = size(without, matters)
+    return 1 - size(after, matters) / whole if whole > 0 else 0.0
+
+
+def closed_interval(without: Misfit, after: Misfit, matters: Matters) -> tuple[float, float]:
+    """Its 95 % interval: a bootstrap over the seconds of the record."""
+    rng = np.random.default_rng(0)
+    seconds = len(after.left)
+    drawn = rng.integers(0, seconds, (DRAWS, seconds))
+    many = [closed(without.drawn(d), after.drawn(d), matters) for d in drawn]
+    low, high = np.quantile(many, [0.025, 0.975])
+    return float(low), float(high)

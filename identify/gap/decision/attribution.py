@@ -1,14 +1,14 @@
-"""Where the gap lies: shares of the believed rig's residual, beyond the floor, by every way of cutting it."""
+"""Where the gap lies: shares of the believed rig's residual, beyond noise and tolerated shares, by every way of cutting it."""
 
 from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
 
-from identify.gap.floor import Floor, band_levels
 from identify.gap.linear import Linear
 from identify.gap.residual import Base, Residual
-from identify.gap.results import Share, Surface, Where
+from identify.gap.likelihood import Misfit
+from identify.gap.results import Attribution, Share, Surface
 from identify.gap.spectra import Record
 from rig.oscillator import Oscillator
 
@@ -17,13 +17,10 @@ PARTS = 10
 CELLS = 12
 
 
-def where(base: Base, at: Residual, floor: Floor) -> Where:
-    """Shares of the residual's sum of squares; by sensor and band, what nulls leave there is taken off first."""
+def attribution(base: Base, at: Residual, left: Misfit) -> Attribution:
+    """Shares of the residual's sum of squares in its reference variances; noise and tolerated shares are taken off."""
     record = base.record
-    own = [floor.sensors.index(s.name) for s in record.sensors]
-    levels, nulls = band_levels(record, at), np.array(floor.linear)[:, own]
-    count = min(len(levels), len(nulls))
-    beyond = np.maximum(levels[:count] - nulls[:count], 0.0)
+    beyond = np.maximum(left.levels - 1, 0.0)
     channels = _shared(dict(zip([s.name for s in record.sensors], beyond.sum(axis=0), strict=True)))
     linear = np.sum(at.linear**2, axis=0)
     contacts = [c.residual[: s.weights.size] ** 2 for c, s in zip(at.contacts, base.seen, strict=True)]
@@ -37,7 +34,7 @@ def where(base: Base, at: Residual, floor: Floor) -> Where:
         place = positions.setdefault(sensor.station.body, {})
         at_station = f"{sensor.station.position_m:g}"
         place[at_station] = place.get(at_station, 0.0) + channels[sensor.name]
-    return Where(
+    return Attribution(
         channels=channels,
         parts=parts,
         modal_equations=_modal(record, at.model, at),
