@@ -69,7 +69,8 @@ def doubts_of(record: Record, model: Linear, tolerances: Tolerances) -> Doubts:
             "frequency": -2 * tolerances.frequency * (natural**2 + loss) * flexible,
             "damping": -2 * tolerances.damping * loss * flexible,
         }
-        elastic = np.flatnonzero((natural_hz > 0) & (natural_hz < BEYOND * omega[-1] / (2 * np.pi)))
+        flexing = np.arange(response.count) >= body.rigid_modes  # no matter which springs hold the body
+        elastic = np.flatnonzero(flexing & (natural_hz < BEYOND * omega[-1] / (2 * np.pi)))
         for what, change in of_each.items():
             names.append(f"{what} of {body.name}")
             changes.append(model.chain * (shapes @ change))

@@ -35,6 +35,9 @@ CLOSED = 5.0
 STRUCK = 0.1
 """... where it also exceeds this share of its root mean square, which no open contact's error does, it is closed."""
 
+EDGE = 64
+"""So many samples at the ends of a record are falsified by the low-pass that a law's force is laid through."""
+
 
 @dataclass(frozen=True)
 class Seen:
@@ -67,6 +70,8 @@ def seen_contacts(record: Record, model: Linear, levels: Sequence[float] | None)
         fast_m = 0.0 if drift is None else drift.unfollowed_m
         stiffness = contact.law.stiffness_n_per_m
         moving = record.time_s > record.excited_s  # at rest nothing tells on which side of a stop it rests
+        moving[-EDGE:] = False
+        moving[: EDGE * (record.taken.start > 0)] = False
         weights = (
             moving / np.sqrt(level) / np.sqrt(open_n**2 + (stiffness * fast_m * loud) ** 2 + (LAW_ERROR * force) ** 2)
         )
