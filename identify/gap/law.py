@@ -35,8 +35,8 @@ CLOSED = 5.0
 STRUCK = 0.1
 """... where it also exceeds this share of its root mean square, which no open contact's error does, it is closed."""
 
-EDGE = 64
-"""So many samples at the ends of a record are falsified by the low-pass that a law's force is laid through."""
+EDGE = 8
+"""A contact force so few samples before a record ends rings on: the low-pass of its law lacks what follows."""
 
 
 @dataclass(frozen=True)
@@ -70,10 +70,12 @@ def seen_contacts(record: Record, model: Linear, levels: Sequence[float] | None)
         fast_m = 0.0 if drift is None else drift.unfollowed_m
         stiffness = contact.law.stiffness_n_per_m
         moving = record.time_s > record.excited_s  # at rest nothing tells on which side of a stop it rests
-        moving[-EDGE:] = False
-        moving[: EDGE * (record.taken.start > 0)] = False
         weights = (
-            moving / np.sqrt(level) / np.sqrt(open_n**2 + (stiffness * fast_m * loud) ** 2 + (LAW_ERROR * force) ** 2)
+            moving
+            / np.sqrt(level)
+            / np.sqrt(
+                open_n**2 + (stiffness * fast_m * loud) ** 2 + (LAW_ERROR * force) ** 2 + _ringing(record, force) ** 2
+            )
         )
         slow = drift
         if drift is not None:
@@ -81,6 +83,15 @@ def seen_contacts(record: Record, model: Linear, levels: Sequence[float] | None)
             slow = replace(drift, acceleration_m_per_s2=drift.acceleration_m_per_s2[at])
         found.append(Seen(weights, closed.astype(float), spline(force.size, record.rate_hz, slow), record.strictness))
     return tuple(found)
+
+
+def _ringing(record: Record, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
+    """What an ideal low-pass makes, F / (pi n) after n samples, of a force that is cut off at either end."""
+    after = np.arange(force_n.size) + 1.0
+    rings = np.max(np.abs(force_n[-EDGE:])) / (np.pi * after[::-1])
+    if record.taken.start > 0:
+        rings = np.hypot(rings, np.max(np.abs(force_n[:EDGE])) / (np.pi * after))
+    return np.asarray(rings)
 
 
 @dataclass(frozen=True)
