@@ -8,6 +8,7 @@ from msgspec.structs import replace
 
 from identify.gap.candidates import candidates, scale_of
 from identify.gap.fit import derivative, fit
+from identify.gap.peaks import peaks_hz
 from identify.gap.residual import base_of, residual_of
 from identify.gap.search import refined, settled
 from identify.gap.spectra import record_of
@@ -81,3 +82,10 @@ def test_a_fit_from_a_third_of_its_strength_finds_it(recorded):
     )
     assert found.cost < 0.2 * believed.cost
     np.testing.assert_allclose(found.values, truth, rtol=0.05, atol=1e-12)
+
+
+def test_the_frequency_of_a_tone_stands_out_of_the_residual():
+    _, truth, record = case("tone:mass")
+    base, believed = settled(record, RIG)
+    found = peaks_hz(base, believed, 3)
+    assert np.min(np.abs(found - truth[2])) < 0.5 / SETTINGS.duration_s
