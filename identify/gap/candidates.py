@@ -56,11 +56,17 @@ class Candidate:
 
     @property
     def steps(self) -> Float[np.ndarray, " parameters"]:
-        """Small changes: of a strength a share of the typical effect's, of the others of their range."""
-        low, high = self.bounds
+        """Small changes: of a strength a share of the typical effect's, of the others of their range.
+
+        Of a sharp frequency, of the lowest one, which is that of two periods in the record.
+        """
         adds = [
-            high[i] - low[i] if p.neutral is None else self.default[i] - p.neutral
-            for i, p in enumerate(self.parameters.values())
+            self.default[i] - p.neutral
+            if p.neutral is not None
+            else p.low
+            if name == self.kind.scanned
+            else p.high - p.low
+            for i, (name, p) in enumerate(self.parameters.items())
         ]
         adds = [a or self.default[0] - self.neutral for a in adds]
         return SMALL * np.array(adds)

@@ -29,6 +29,9 @@ CLOSED = 5.0
 STRUCK = 0.1
 """... where it also exceeds this share of its root mean square, which no open contact's error does, it is closed."""
 
+EDGE = 8
+"""A contact force so few samples before a record ends rings on: the low-pass of its law lacks what follows."""
+
 
 @dataclass(frozen=True)
 class Seen:
@@ -69,7 +72,12 @@ def seen_contacts(record: Record, model: Linear, levels: Sequence[float]) -> tup
         weights = (
             moving
             / np.sqrt(level)
-            / np.sqrt(open_n**2 + (stiffness * fast_m * loud) ** 2 + (believed.unmodelled_contact * force) ** 2)
+            / np.sqrt(
+                open_n**2
+                + (stiffness * fast_m * loud) ** 2
+                + (believed.unmodelled_contact * force) ** 2
+                + _ringing(record, force) ** 2
+            )
         )
         slow = drift
         if drift is not None:
@@ -77,6 +85,15 @@ def seen_contacts(record: Record, model: Linear, levels: Sequence[float]) -> tup
             slow = replace(drift, acceleration_m_per_s2=drift.acceleration_m_per_s2[at])
         found.append(Seen(weights, closed.astype(float), spline(force.size, record.rate_hz, slow), record.strictness, trusted))
     return tuple(found)
+
+
+def _ringing(record: Record, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
+    """What an ideal low-pass makes, F / (pi n) after n samples, of a force that is cut off at either end."""
+    after = np.arange(force_n.size) + 1.0
+    rings = np.max(np.abs(force_n[-EDGE:])) / (np.pi * after[::-1])
+    if record.taken.start > 0:
+        rings = np.hypot(rings, np.max(np.abs(force_n[:EDGE])) / (np.pi * after))
+    return np.asarray(rings)
 
 
 @dataclass(frozen=True)

@@ -170,7 +170,8 @@ def _of_modes(
         "frequency": -2 * (natural**2 + loss) * flexible,
         "damping": -2 * loss * flexible,
     }
-    elastic = np.flatnonzero((natural_hz > 0) & (natural_hz < BEYOND * omega[-1] / (2 * np.pi)))
+    flexing = np.arange(response.count) >= body.rigid_modes  # no matter which springs hold the body
+    elastic = np.flatnonzero(flexing & (natural_hz < BEYOND * omega[-1] / (2 * np.pi)))
     for kind, change in per_unit.items():
         if common := float(getattr(believed, kind)):
             yield _Change(Nuisance(kind, body.name), common * model.chain * (shapes @ change))

@@ -153,10 +153,10 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
 
     measured = spectrum(np.stack([_row(recording, s) for s in sensors]))
     beyond_rad = 2 * np.pi * rate / length * np.arange(lines - 1, measured.shape[1])
-    delivered, displaced = (
-        measured[:, :lines] * np.stack([integrated(omega, order - ORDER[s.quantity], low_hz) for s in sensors])
-        for order in (2, 0)
+    turned, twice_less = (
+        np.stack([integrated(omega, order - ORDER[s.quantity], low_hz) for s in sensors]) for order in (2, 0)
     )
+    smooth = uniform_filter1d(np.abs(measured[:, :lines]) ** 2, max(1, round(SMOOTHED_HZ * length / rate)), axis=1)
     noise = acceleration_noise(motion, rig)
     densities = _densities(rig, sensors, motion)
     size = np.stack([omega ** (2 - ORDER[s.quantity]) for s in sensors])
@@ -171,11 +171,11 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         window=shape,
         omega=omega,
         force=spectrum(recording.force_n)[:lines],
-        delivered=delivered,
-        displaced=displaced,
+        delivered=measured[:, :lines] * turned,
+        displaced=measured[:, :lines] * twice_less,
         force_noise=samples * _force_noise_n(recording, motion, tolerances) ** 2,
         noise=samples * (densities[:, None] * size) ** 2 * rate / 2,
-        power=uniform_filter1d(np.abs(delivered) ** 2, max(1, round(SMOOTHED_HZ * length / rate)), axis=1),
+        power=smooth * np.abs(turned) ** 2,
         eta_beyond=_eta_beyond(rig, sensors, measured[:, lines - 1 :], beyond_rad),
         drifts=tuple(
             drift_of(rig, motion, j, noise, tolerances, _spring(rig, j), samples) for j in range(len(rig.contacts))

@@ -9,6 +9,7 @@ from rig.effect import Effect, Parameter, Scale
 from rig.modes import modes_of
 
 STABLE = 0.9
+"""A body keeps at least the rest of its stiffness."""
 
 
 class LinearSpring(Effect, frozen=True):
@@ -22,13 +23,16 @@ class LinearSpring(Effect, frozen=True):
 
     @classmethod
     def parameters(cls, scale: Scale) -> dict[str, Parameter]:
-        """From nearly all of the body's stiffness at its softest point missing, if it is held, to five times that."""
-        stiffness = scale.stiffness_n_per_m()
-        return cls.along(scale, stiffness_n_per_m=(-STABLE * stiffness if scale.held() else 0.0, 5 * stiffness))
+        """From nearly all of the body's stiffness at its softest point missing to five times that.
+
+        Of a body that floats, from nothing up to the exciting force over how far it moves.
+        """
+        own = _own_n_per_m(scale)
+        return cls.along(scale, stiffness_n_per_m=(-STABLE * own, 5 * own) if scale.held() else (0.0, own))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:
-        return cls.placed(scale, stiffness_n_per_m=0.05 * scale.stiffness_n_per_m())
+        return cls.placed(scale, stiffness_n_per_m=0.05 * _own_n_per_m(scale))
 
     def applied_to(self, rig: Rig) -> Rig:
         station = self.station(rig, self.body, self.relative_position)
@@ -37,3 +41,7 @@ class LinearSpring(Effect, frozen=True):
         if self.stiffness_n_per_m < 0:
             modes_of(found, found.body(station.body))  # refuses what is more than holds the body
         return found
+
+
+def _own_n_per_m(scale: Scale) -> float:
+    return scale.stiffness_n_per_m() if scale.held() else scale.force_rms_n / scale.displacement_m()

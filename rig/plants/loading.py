@@ -5,7 +5,7 @@ from jaxtyping import Complex, Float
 from scipy.interpolate import CubicSpline
 
 from rig.contact import DeadZone
-from rig.description import RISE_S, Contact, Rig, Station
+from rig.description import RISE_S, Contact, Rig, Station, contact_stations
 from rig.errors import RigError
 from rig.excitation import noise_spectrum
 from rig.modes import modes_of
@@ -77,12 +77,14 @@ def softening_limits_m(rig: Rig) -> Float[np.ndarray, " connections"]:
     """How far each of the `connections` may move: where a softening spring takes all of its body's stiffness.
 
     With the static stiffness k of the body at the spring, 1 / sum phi^2 / omega^2 over its modes, that is at
-    sqrt(k / -k3): beyond, nothing but a contact pulls back. Infinite for all else, and where only contacts hold a body.
+    sqrt(k / -k3): beyond, nothing pulls back. Infinite for all else, and for a body that contacts hold too.
     """
     limits = []
+    touched = {station.body for contact in rig.contacts for station in contact_stations(contact)}
     for connection in connections(rig):
-        cubic = connection.law.cubic_n_per_m3
-        limits.append(np.inf if cubic >= 0 else np.sqrt(_static_stiffness(rig, connection.at) / -cubic) or np.inf)
+        cubic, station = connection.law.cubic_n_per_m3, connection.at
+        free = cubic < 0 and station.body not in touched
+        limits.append(np.sqrt(_static_stiffness(rig, station) / -cubic) if free else np.inf)
     return np.array(limits)
 
 

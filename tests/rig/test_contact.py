@@ -73,3 +73,24 @@ def test_a_bad_value_is_named(field, value):
     good = {"lower_clearance_m": 1e-3, "upper_clearance_m": 1e-3, "stiffness_n_per_m": 1e4}
     with pytest.raises(RigError, match=rf"{field} is {value}; give"):
         DeadZone(**good | {field: value})
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.5, 2.0])
+def test_tangent_and_energy_belong_to_the_elastic_force(exponent):
+    law = DeadZone(
+        lower_clearance_m=1e-3,
+        upper_clearance_m=2e-3,
+        stiffness_n_per_m=1e4,
+        cubic_n_per_m3=1e9,
+        lower_stiffness_ratio=0.3,
+        exponent=exponent,
+        reference_depth_m=5e-4,
+    )
+    depth, step = np.array([-2e-3, -1e-4, 3e-4, 4e-3]), 1e-8
+    slope = (law.elastic_n(depth + step) - law.elastic_n(depth - step)) / (2 * step)
+    np.testing.assert_allclose(law.tangent_n_per_m(depth), slope, rtol=1e-6)
+    work = (law.energy_j(depth + step) - law.energy_j(depth - step)) / (2 * step)
+    np.testing.assert_allclose(work, law.elastic_n(depth), rtol=1e-6)
+    np.testing.assert_array_equal(law.tangent_n_per_m(np.zeros(1)), 0)
+    at_reference = law.spring_n(np.array([-5e-4, 5e-4]))
+    np.testing.assert_allclose(at_reference, [-0.3 * 1e4 * 5e-4, 1e4 * 5e-4])

@@ -61,6 +61,27 @@ def test_a_stop_that_stiffens(run):
     assert cubic * (eta[1] - law.upper_clearance_m) ** 2 > 0.1 * law.stiffness_n_per_m
 
 
+@pytest.mark.parametrize("exponent", [1.2, 1.5, 2.0])
+def test_a_stop_of_another_power(run, exponent):
+    """F = k d (depth / d)^p, with d = F_reference / k."""
+    law, reference_n = MACHINE.contacts[0].law, 3.0
+    text = f"hertz_stop:exponent={exponent},reference_force_n={reference_n}"
+    for sign in (1, -1):
+        eta, force_n = resting(run, effect_named(text).applied_to(MACHINE), sign * LOAD_N)
+        depth = reference_n / law.stiffness_n_per_m * (np.abs(force_n) / reference_n) ** (1 / exponent)
+        np.testing.assert_allclose(eta, sign * (law.clearance_m + depth), rtol=1e-6)
+
+
+@pytest.mark.parametrize(("side", "sign"), [("upper", 1), ("lower", -1)])
+def test_one_stop_alone(run, side, sign):
+    law = MACHINE.contacts[0].law
+    machine = effect_named(f"one_stop:factor=0.4,side={side}").applied_to(MACHINE)
+    for pressed in (1, -1):
+        eta, force_n = resting(run, machine, pressed * LOAD_N)
+        stiffness = law.stiffness_n_per_m * (0.4 if pressed == sign else 1.0)
+        np.testing.assert_allclose(eta, pressed * law.clearance_m + force_n / stiffness, rtol=1e-6)
+
+
 def test_contacts_elsewhere_share_a_load_otherwise(run):
     shift_m = 0.02
     machine = effect_named(f"contact_position:shift_m={shift_m}").applied_to(MACHINE)
@@ -79,6 +100,9 @@ def test_contacts_elsewhere_share_a_load_otherwise(run):
         "coulomb_friction:force_n=0.5",
         "nonlinear_contact:cubic_n_per_m3=1e11",
         "clearance_wear:growth_per_minute=60",
+        "hertz_stop:exponent=1.7,reference_force_n=5",
+        "one_stop:factor=0.5,side=upper",
+        "one_stop:factor=2,side=lower",
     ],
 )
 def test_the_force_follows_its_law_in_motion(run, text):
