@@ -147,7 +147,7 @@ def _refined(found: Located) -> Located:
     own, candidate = found.observed, found.candidate
     if not candidate.stations or not own.record.rig.body(candidate.stations[0].body).length_m:
         return found
-    known: dict[float, Explained] = {0.0: found.after}
+    known: dict[float, Explained] = {}
 
     def at(by_m: float) -> float:
         if by_m not in known:
@@ -163,8 +163,8 @@ def _refined(found: Located) -> Located:
             break
         middle = float(np.clip(_vertex(around, [at(x) for x in around]), low, high))
         best, step = min((best, middle), key=at), step / 3.5
-    around = sorted(known, key=lambda x: abs(x - best))[:5]
-    curved = 2 * float(np.polyfit(around, [at(x) for x in around], 2)[0]) if len(around) > 3 else 0.0
+    around = [float(np.clip(best + k * 2 * FINE_M, low, high)) for k in (-2, -1, 0, 1, 2)]
+    curved = 2 * float(np.polyfit(around, [at(x) for x in around], 2)[0])
     error = float(np.sqrt(2 / curved)) if curved > 0 else SPACING_M
     there = moved(candidate, best)
     return replace(
