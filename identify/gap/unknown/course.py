@@ -170,7 +170,9 @@ def explained_share(located: Located) -> float:
     power = np.abs(after.along) ** 2
     noise, spectrum = own.spread(after.noise), own.spread(after.spectrum)
     kept = 1 - (noise / (noise + spectrum * after.size**2)) ** 2
-    before = float(np.sum(left(own, located.before.theta)[: own.starts.size]))
+    theta = np.zeros(len(own.names))  # a drift has columns of its own
+    theta[: located.before.theta.size] = located.before.theta
+    before = float(np.sum(left(own, theta)))
     return 1 - (float(np.sum(left(own, after.theta))) - float(power @ kept)) / before
 
 

@@ -2,10 +2,12 @@
 
 With the direction u = g / |g| of a candidate's residual g and its share t = u^H (r - D theta) of the residual,
 
-    J = n sum over lines [(R - 1) ln s + Q / s + ln(s + S |g|^2) + |t|^2 / (s + S |g|^2) + 2 tr theta] + theta' theta
+    J = n sum over lines [(R - 1) ln s + Q / s + ln(s + S |g|^2) + |t|^2 / (s + S |g|^2) + 2 Re tr' theta]
+        + theta' theta
 
 is -2 ln L up to a constant: the force has the spectrum S and what nothing explains the variance s, both constant in
-bands of 2 Hz; Q = |r - D theta|^2 - |t|^2, R rows a line, n independent real values a line. s, S and theta take turns.
+bands of 2 Hz (s is one where a line has one row only, which cannot tell it from S); Q = |r - D theta|^2 - |t|^2, R rows
+a line, n independent real values a line. s, S and theta take turns.
 """
 
 from dataclasses import dataclass
@@ -58,11 +60,14 @@ def normal(
 def without(own: Observed) -> Explained:
     """The record by nuisances and noise alone."""
     counts = own.sizes * own.rows
-    theta, noise = np.zeros(len(own.names)), own.squares / counts
+    known = own.rows == 1
+    theta, noise = np.zeros(len(own.names)), np.ones(counts.size) if known else own.squares / counts
     for _ in range(3 * ROUNDS):
         theta = solved(*normal(own, noise))
-        noise = left(own, theta) / counts
-    criterion = own.count * float(np.sum(counts * (np.log(noise) + 1))) + _held(own, theta)
+        if not known:
+            noise = left(own, theta) / counts
+    beside = left(own, theta)
+    criterion = own.count * float(np.sum(counts * np.log(noise) + beside / noise)) + _held(own, theta)
     zero = np.zeros(own.residual.shape[0])
     return Explained(criterion, theta, noise, np.zeros(noise.size), zero, zero.astype(complex))
 
@@ -142,15 +147,16 @@ def _scored(
     """s and S by Fisher scoring, one in turn with the other."""
     beside = np.maximum(whole - _summed(own, power), 0.0)
     others = own.sizes * (own.rows - 1)
+    known = own.rows == 1
     if spectrum is None:
-        noise = np.maximum(beside / others, LEAST * noise)
+        noise = noise if known else np.maximum(beside / others, LEAST * noise)
         excess = _summed(own, power) - noise * own.sizes
         spectrum = np.maximum(excess, 0.0) / np.maximum(_summed(own, squares), 1e-300)
     for _ in range(SCORINGS):
         variance = own.spread(noise) + own.spread(spectrum) * squares
         weights = 1 / variance**2
         fall = beside / noise**2 + _summed(own, weights * (power - own.spread(spectrum) * squares))
-        noise = np.maximum(fall / (others / noise**2 + _summed(own, weights)), LEAST * noise)
+        noise = noise if known else np.maximum(fall / (others / noise**2 + _summed(own, weights)), LEAST * noise)
         variance = own.spread(noise) + own.spread(spectrum) * squares
         weights = squares / variance**2
         if shape is None:

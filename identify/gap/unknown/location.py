@@ -6,9 +6,9 @@ from itertools import combinations
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Complex
 
-from identify.gap.unknown.evidence import Explained, explained, without
+from identify.gap.unknown.evidence import Explained, explained, normal, without
 from identify.gap.unknown.observed import Observed, drifting, with_columns
 from rig.description import Rig, Station
 
@@ -36,7 +36,7 @@ class Located:
     """The candidate that explains a record best: gain is by how much -2 ln L falls against the same without any.
 
     error_m is the standard error of the place by the curvature of J. of_kinds are the best gains of each kind. growth
-    is the relative change of the modulus of each body over the record.
+    is the relative change of the modulus of each body over the record, with its standard errors.
     """
 
     candidate: Candidate
@@ -48,6 +48,7 @@ class Located:
     response: Complex[np.ndarray, "lines rows"]
     of_kinds: dict[str, float]
     growth: tuple[float, ...] = ()
+    growth_errors: tuple[float, ...] = ()
 
 
 def response_of(own: Observed, candidate: Candidate) -> Complex[np.ndarray, "lines rows"]:
@@ -202,5 +203,8 @@ def _distributed(own: Observed, before: Explained, near: Candidate | None) -> Lo
         growth = tuple(float(v) for v in after.theta[-len(bodies) :] * scale)
         if best is None or gain > 1.05 * best.gain:
             rest = np.zeros(own.residual.shape, dtype=complex)
-            best = Located(Candidate("distributed", bodies=bodies), gain, 0.0, before, after, wider, rest, {}, growth)
+            covariance = np.linalg.inv(normal(wider, after.noise)[0])
+            errors = tuple(float(e) for e in np.sqrt(np.diag(covariance)[-len(bodies) :]) * scale)
+            found = Candidate("distributed", bodies=bodies)
+            best = Located(found, gain, 0.0, before, after, wider, rest, {}, growth, errors)
     return best

@@ -13,6 +13,7 @@ accelerations q'' = Phi^+ (A - Phi_high q''_high): about the modelled ones they 
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Complex, Float, Int
@@ -24,6 +25,7 @@ from identify.gap.spectra import ORDER, Record
 from identify.kinematics import CORNER_HZ, NORMAL_BY_MEDIAN, integrated, taper
 from identify.modal import receptance
 from rig.description import Rig, Station
+from rig.errors import RigError
 from rig.oscillator import Oscillator
 
 BAND_HZ = 2.0
@@ -122,12 +124,20 @@ class Observed:
 
 
 def observed(record: Record, rig: Rig) -> Observed:
-    """The residual of a rig's linear part against a record."""
+    """The residual of a rig's linear part against a record.
+
+    Raises RigError if the contacts' free forces explain all that the sensors give.
+    """
     record = replace(record, noise=plain_noise(record))
     model = linear_model(record, rig, MODEL_ERROR)
     lines = slice(int(np.searchsorted(record.omega, 2 * np.pi * LOWEST_HZ)), record.omega.size)
     basis = _complement(model.unknown[lines])
     rows = basis.shape[1]
+    if not rows:
+        raise RigError(
+            f"{len(record.sensors)} sensors and {len(rig.contacts)} contacts leave nothing that could show an "
+            "unmeasured force; add a sensor"
+        )
     count = basis.shape[0]
     modal = tuple(
         _measured(record, model, response, motion)
@@ -189,7 +199,7 @@ def with_columns(
     own = np.ascontiguousarray(bare.residual).view(float)
     ends = np.append(bare.starts, own.shape[0])
     squares, crossed, gram = [], [], []
-    for first, last in zip(ends[:-1], ends[1:], strict=True):
+    for first, last in pairwise(ends):
         part, rest = flat[:, first:last].reshape(len(flat), -1), own[first:last].ravel()
         squares.append(rest @ rest)
         crossed.append(part @ rest)
@@ -232,6 +242,8 @@ def _complement(unknown: Complex[np.ndarray, "lines sensors inputs"]) -> Complex
     lines, sensors, inputs = unknown.shape
     if not inputs:
         return np.broadcast_to(np.eye(sensors, dtype=complex), (lines, sensors, sensors))
+    if inputs >= sensors:
+        return np.zeros((lines, 0, sensors), dtype=complex)
     whole = np.linalg.qr(unknown, mode="complete")[0]
     return np.ascontiguousarray(whole[:, :, inputs:].conj().transpose(0, 2, 1))
 
