@@ -81,7 +81,9 @@ class Descent:
         law = Law(self.form, tuple(-coefficients), tuple(errors), parameter, 0.0, 0.0, gain / self.course.free_gain)
         return State(coefficients, parameter, knots, law)
 
-    def shapes(self, parameter: float, knots: Float[np.ndarray, " knots"], more_m: float = 0.0) -> Fine:
+    def shapes(
+        self, parameter: float, knots: Float[np.ndarray, " knots"], more_m: float = 0.0
+    ) -> Float[np.ndarray, "coefficients fine"]:
         moved = self.course.moved_m + self.course.finely(self.course.slow @ knots) + more_m
         return np.stack(self.form.shapes(moved, self.course.rate_m_per_s, parameter))
 

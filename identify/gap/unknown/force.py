@@ -33,7 +33,7 @@ NAMED = 0.7
 IN_BAND = 0.9
 CELLS, PARTS = 24, 8
 GROWING = 1.5
-CLOSED, SHUT = 5.0, 0.1
+CLOSED, SHUT, MOSTLY = 5.0, 0.1, 0.7
 
 
 class UnknownForce(msgspec.Struct, frozen=True, kw_only=True):
@@ -221,7 +221,8 @@ def _band(own: Observed, power: Float[np.ndarray, " bands"]) -> tuple[float, flo
 
 
 def _times(course: Course) -> tuple[float, tuple[float, ...]]:
-    """The share of the force's mean square while a contact is closed; its rms in equal parts of the time."""
+    """The share of the force's mean square while a contact is closed, zero if one nearly always is; its rms in equal
+    parts of the time."""
     own = course.located.observed
     record, model = own.record, own.model
     squares = course.found_n[record.taken] ** 2
@@ -231,13 +232,14 @@ def _times(course: Course) -> tuple[float, tuple[float, ...]]:
         closed |= np.abs(force) > max(CLOSED * spread, SHUT * float(np.sqrt(np.mean(force**2))))
     excited = record.time_s > record.excited_s
     parts = [float(np.sqrt(np.mean(part))) for part in np.array_split(squares[excited], PARTS)]
-    return float(squares[closed].sum() / max(float(squares.sum()), 1e-300)), tuple(parts)
+    share = float(squares[closed].sum() / max(float(squares.sum()), 1e-300))
+    return share if np.mean(closed) < MOSTLY else 0.0, tuple(parts)
 
 
 def _when(in_contact: float, by_time: tuple[float, ...], kind: Kind, law: Law | None) -> When:
     if kind == "distributed":
         return "growing with time"
-    if in_contact > IN_BAND:
+    if law is None and in_contact > IN_BAND:
         return "in contact"
     if law is None and len(by_time) > 1 and min(by_time) > 0:
         steady = float(np.corrcoef(np.arange(len(by_time)), np.array(by_time))[0, 1])

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Float
 from scipy.optimize import minimize_scalar
 
 from identify.gap.unknown.course import Course
@@ -65,18 +65,12 @@ def fitted(course: Course, form: Form, within: tuple[float, float] | None = None
     )
 
 
-def _columns(
-    course: Course, form: Form, parameter: float, slow_m: Fine | float = 0.0
-) -> Complex[np.ndarray, "_ lines"]:
-    shapes = form.shapes(course.moved_m + slow_m, course.rate_m_per_s, parameter)
-    return course.spectra(np.stack(shapes))
-
-
 def solved(
     course: Course, form: Form, parameter: float
 ) -> tuple[Float[np.ndarray, " coefficients"], float, Float[np.ndarray, " coefficients"]]:
     """Coefficients of the force on the body, what they gain, and their standard errors."""
-    matrix, rest = course.reduced(_columns(course, form, parameter))
+    shapes = np.stack(form.shapes(course.moved_m, course.rate_m_per_s, parameter))
+    matrix, rest = course.reduced(course.spectra(shapes))
     size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     scaled = matrix / np.outer(size, size)
     inverse = np.linalg.pinv(scaled, rcond=1e-10, hermitian=True)

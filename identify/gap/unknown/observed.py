@@ -16,7 +16,7 @@ from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Complex, Float, Int
+from jaxtyping import Complex, Float, Inexact, Int
 
 from identify.gap.doubts import BEYOND
 from identify.gap.linear import Linear, Response, linear_model
@@ -55,7 +55,7 @@ class Observed:
     residual: Complex[np.ndarray, "lines rows"]
     names: tuple[str, ...]
     columns: Complex[np.ndarray, "columns lines rows"]
-    modal: tuple[Complex[np.ndarray, "modes alllines"], ...]
+    modal: tuple[Complex[np.ndarray, "_ alllines"], ...]
     starts: Int[np.ndarray, " bands"]
     squares: Float[np.ndarray, " bands"]
     crossed: Float[np.ndarray, "bands columns"]
@@ -138,7 +138,7 @@ def observed(record: Record, rig: Rig) -> Observed:
             f"{len(record.sensors)} sensors and {len(rig.contacts)} contacts leave nothing that could show an "
             "unmeasured force; add a sensor"
         )
-    count = basis.shape[0]
+    count, starts = basis.shape[0], _bands(record.omega[lines])
     modal = tuple(
         _measured(record, model, response, motion)
         for response, motion in zip(model.responses, model.modal, strict=True)
@@ -154,10 +154,10 @@ def observed(record: Record, rig: Rig) -> Observed:
         names=(),
         columns=np.zeros((0, count, rows), dtype=complex),
         modal=modal,
-        starts=_bands(record.omega[lines]),
-        squares=np.zeros(0),
-        crossed=np.zeros((0, 0)),
-        gram=np.zeros((0, 0, 0)),
+        starts=starts,
+        squares=np.zeros(starts.size),
+        crossed=np.zeros((starts.size, 0)),
+        gram=np.zeros((starts.size, 0, 0)),
         stretch=np.zeros(0),
     )
     by_force = bare.accelerance(rig.force_at) / rig.force_sensor.gain
@@ -281,7 +281,7 @@ def _nuisances(
 
     def take(
         name: str,
-        pattern: Complex[np.ndarray, "sensors _"],
+        pattern: Inexact[np.ndarray, "sensors _"],
         course: Complex[np.ndarray, " alllines"],
         read: Float[np.ndarray, " sensors"],
     ) -> None:
