@@ -22,13 +22,19 @@ class World:
     """One or two cantilevers with accelerometers and one measured force; gains as exact as a laboratory's."""
 
     bodies: tuple[str, ...] = ("beam",)
+    damping_ratio: float = 0.02
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(1))
 
     @property
     def rig(self):
         beams = tuple(
             Beam(
-                name=b, ends="clamped-free", length_m=1.0 + 0.1 * i, width_m=0.05, thickness_m=0.01, damping_ratio=0.02
+                name=b,
+                ends="clamped-free",
+                length_m=1.0 + 0.1 * i,
+                width_m=0.05,
+                thickness_m=0.01,
+                damping_ratio=self.damping_ratio,
             )
             for i, b in enumerate(self.bodies)
         )
@@ -88,7 +94,7 @@ class World:
         if unknown is not None:
             stations, law = unknown
             course = np.zeros(self.time_s.size)
-            for _ in range(25):
+            for _ in range(40):
                 forces = [(s, sign * course) for s, sign in zip(stations, (1.0, -1.0), strict=False)]
                 moved = self.displacements([(rig.force_at, force), *forces], stations)
                 relative = moved[0] - (moved[1] if len(stations) > 1 else 0.0)
@@ -123,3 +129,8 @@ def world():
 @pytest.fixture
 def two():
     return World(("upper", "lower"))
+
+
+@pytest.fixture
+def damped():
+    return World(damping_ratio=0.05)

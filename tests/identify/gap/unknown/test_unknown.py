@@ -17,21 +17,21 @@ from rig.errors import RigError
 WITHIN_M = 0.01
 
 
-def both(world, unknown, spoilt=None):
+def both(world, unknown, spoilt=None, rms_n=5.0):
     """A record to fit, and one of a higher level to validate."""
-    return world.record(5.0, unknown, spoilt), world.record(8.0, unknown, spoilt)
+    return world.record(rms_n, unknown, spoilt), world.record(1.6 * rms_n, unknown, spoilt)
 
 
-def found_in(world, unknown, spoilt=None):
-    fit, validation = both(world, unknown, spoilt)
+def found_in(world, unknown, spoilt=None, rms_n=5.0):
+    fit, validation = both(world, unknown, spoilt, rms_n)
     found = unknown_force(fit, world.rig, validation)
     assert found is not None
     return found
 
 
-def test_drag_is_found_with_its_place_and_law(world):
-    drag, place_m = 6.0, 0.63
-    found = found_in(world, ((Station("beam", place_m),), lambda _, __, v: -drag * np.abs(v) * v))
+def test_drag_is_found_with_its_place_and_law(damped):
+    drag, place_m = 10.0, 0.63
+    found = found_in(damped, ((Station("beam", place_m),), lambda _, __, v: -drag * np.abs(v) * v), rms_n=20.0)
     assert (found.kind, found.body) == ("force", "beam")
     assert found.position_m.value == pytest.approx(place_m, abs=WITHIN_M)
     assert found.against == "velocity squared"
@@ -65,9 +65,11 @@ def test_a_random_force_has_a_band_and_no_law(world):
     assert "random force" in sentence(found)
 
 
-def test_a_support_that_yields_is_told_from_other_springs(world):
-    stiffness, yield_m, place_m = 800.0, 1e-3, 0.9
-    found = found_in(world, ((Station("beam", place_m),), lambda _, w, __: -stiffness * yield_m * np.tanh(w / yield_m)))
+def test_a_support_that_yields_is_told_from_other_springs(damped):
+    stiffness, yield_m, place_m = 100.0, 1e-3, 0.9
+    found = found_in(
+        damped, ((Station("beam", place_m),), lambda _, w, __: -stiffness * yield_m * np.tanh(w / yield_m))
+    )
     assert found.position_m.value == pytest.approx(place_m, abs=WITHIN_M)
     assert found.law_name == "softening spring"
     assert found.law_parameters["coefficient"].value == pytest.approx(stiffness, rel=0.05)
