@@ -1,18 +1,29 @@
 """From recordings to a diagnosis in words and numbers: the content of gap.json."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from identify.gap.closure import closure, likeness
-from identify.gap.diagnose import Explanation, Outcome, diagnosed
-from identify.gap.doubts import moved
+from identify.gap.candidates import Candidate, candidates, scale_of
+from identify.gap.decision.attribution import attribution
+from identify.gap.decision.comparison import Judged, closed, closed_interval, judged, log_priors
+from identify.gap.decision.null_reference import NullReference, Simulate, null_reference
+from identify.gap.decision.response_comparison import compared
+from identify.gap.decision.sentence import sentence
+from identify.gap.decision.verdict import Decision, decided
 from identify.gap.faults import sound_channels
-from identify.gap.floor import Floor, Floors, Simulate, floors_of
-from identify.gap.results import Cause, Gap, Value
+from identify.gap.likelihood import Misfit, Reference, reference_of
+from identify.gap.nuisance import apply_nuisance
+from identify.gap.residual import Base, base_of
+from identify.gap.results import Band, Cause, Gap, Left, Matters, Unknown, Value
+from identify.gap.scales import BAND_HZ
+from identify.gap.search.joint import Hypothesis, Search, search
+from identify.gap.search.nominal import fit_nuisance
 from identify.gap.spectra import Record, record_of
-from identify.gap.where import where
+from identify.gap.unknown import UnknownForce, likeliest_force
+from identify.gap.unknown import sentence as described
 from rig.description import Rig, to_json
 from rig.errors import RigError
 from rig.model.tolerances import LABORATORY, Tolerances
@@ -20,78 +31,107 @@ from rig.recording import Recording, Signals
 
 FIT_SHARE = 0.55
 """Of a single record, what is fitted on; the rest validates."""
-ALIKE = 0.15
-"""Causes whose remainders on the validation record differ by less than this share cannot be told apart."""
+ALIKE = 0.05
+"""Single effects that are likelier than this beside the best one cannot be told apart from it."""
+AT_LIMIT = 1e-3
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Simulator:
+    """What simulates a rig under a measured force, and its name."""
+
+    name: str
+    simulate: Simulate
 
 
 def diagnose(
     recording: Recording,
     validation: Recording | None,
-    simulate: Simulate,
-    floor_file: Path | None,
-    progress: Callable[[str, float], None] = lambda *_: None,
-    tolerances: Tolerances = LABORATORY,
+    simulator: Simulator,
+    kept: Path | None = None,
+    progress: Progress = lambda *_: None,
+    tolerances: Tolerances | None = None,
+    matters: Matters = Matters(),
 ) -> tuple[Gap, Rig]:
-    """The diagnosis, and the rig corrected by it (the believed one, if nothing explains the gap).
+    """The diagnosis, and the rig corrected by it (the believed one, if no effect explains the gap at least in part).
 
-    The floor is made by the simulator, or read from floor_file; tolerances say how exactly the rig is believed. Raises
-    RigError if the records do not fit together or allow no diagnosis.
+    The null reference is made by the simulator, or read from the file `kept`; tolerances say how exactly the rig is
+    believed (else the rig itself does, else they are a laboratory's). Raises RigError if the records do not fit together
+    or allow no diagnosis.
     """
     if validation is None:
         recording, validation = _halves(recording)
     elif to_json(recording.rig) != to_json(validation.rig):
         raise RigError("the validation recording is of another rig (their rig.json differ); record the same rig twice")
-    full = recording.rig
-    force_n = loudest([recording, validation]).force_n
-    floors = floors_of(full, force_n, simulate, lambda x: progress("floor", x), floor_file, tolerances)
-    fit_part, faults = sound_channels(recording)
-    other, more = sound_channels(validation, without=tuple(faults))
-    if more:
-        fit_part, _ = sound_channels(recording, without=tuple(more))
-    faults |= more
-    fit_record, other_record = (record_of(part, tolerances=tolerances) for part in (fit_part, other))
-    outcome = diagnosed(fit_record, other_record, floors, lambda x: progress("causes", x))
-    floor = floors.of(other_record)
-    best = outcome.explanations[0] if outcome.verdict == "effect" else None
-    corrected = fit_part.rig
-    if best:
-        found = best.fitted.residual
-        corrected, _ = moved(best.rig, found.names, found.doubts, tolerances)
-    simulated, likenesses, curves = likeness(other, fit_part.rig, corrected, simulate)
-    after = best.validated if best else outcome.validation_nominal
-    alike = _alike(outcome)
+    believed = tolerances or recording.rig.tolerances or LABORATORY
+    fit_part, other, faults = _sound(recording, validation)
+    fit_record, record = (record_of(part, tolerances=believed) for part in (fit_part, other))
+    nulls = null_reference(other, believed, simulator.simulate, simulator.name, lambda x: progress("nulls", x), kept)
+    hypotheses, known = searched(fit_record, lambda x: progress("causes", 0.7 * x))
+    base, reference = _laid(record)
+    priors = log_priors(hypotheses, known)
+    ranked = judged(record, reference, hypotheses, priors, lambda x: progress("causes", 0.7 + 0.2 * x))
+    decision = decided(ranked, None, record.strictness, nulls, matters)
+    unknown = None
+    if decision.verdict in ("partly_explained", "unknown"):
+        unknown = _unknown(fit_record, record)
+        decision = decided(ranked, unknown, record.strictness, nulls, matters)
+    progress("causes", 0.95)
+    corrected = _corrected(decision, other.rig, believed)
+    figures, curves = compared(other, other.rig, _likeliest(decision, other.rig), simulator.simulate)
+    progress("causes", 1.0)
+    causes = tuple(
+        _cause(j, p, nulls, matters)
+        for j, p in zip(ranked, decision.probabilities, strict=True)
+        if j.hypothesis.parts
+    )
+    alike = _alike(causes, ranked)
+    nothing = decision.nothing
+    after = decision.best.misfit if decision.best else nothing.misfit
+    without = decision.best.without if decision.best else nothing.misfit
     gap = Gap(
-        verdict=outcome.verdict,
-        sentence=_sentence(outcome, faults) + _beyond(floors, other_record),
-        size=outcome.validation_remainder.size,
-        causes=tuple(
-            _cause(e, p, floors.of(fit_record))
-            for e, p in zip(outcome.explanations, outcome.probabilities, strict=True)
-        ),
+        verdict=decision.verdict,
+        sentence="",
+        before=_left(without, other.rig, decision.p_before),
+        after=_left(after, other.rig, decision.p_after),
+        matters=matters,
+        causes=causes,
+        probability_nothing=decision.probabilities[ranked.index(nothing)],
+        probability_unknown=decision.unknown,
+        unknown=_described(unknown) if unknown else None,
+        bands=_bands(without, after, nulls),
         equivalent=(tuple(alike),) if len(alike) > 1 else (),
         separate_by=tuple(f"{name}: {how}" for name, how in alike.items()) if len(alike) > 1 else (),
-        where=where(outcome.validation, outcome.validation_nominal, floor),
-        closure=closure(outcome.validation, outcome.validation_nominal, after, floor, simulated),
-        likeness=likenesses,
+        attribution=attribution(nothing.base, nothing.residual, nothing.misfit),
+        figures=figures,
         curves=curves,
         channel_faults=faults,
     )
-    return gap, corrected
+    return sentence(gap, decision.criterion), corrected
 
 
-def loudest(recordings: Iterable[Recording]) -> Recording:
-    """The one of the largest force (root mean square): the floor has to reach as far."""
-    return max(recordings, key=lambda r: float(np.mean(r.force_n**2)))
+def searched(record: Record, progress: Callable[[float], None] = lambda _: None) -> tuple[list[Hypothesis], list[Candidate]]:
+    """Hypotheses on a record, and the candidates among which they were found."""
+    base, reference = _laid(record)
+    base, at = fit_nuisance(record, record.rig)
+    known = candidates(scale_of(record, record.rig), [s.name for s in record.sensors], record.zero_known)
+    return search(Search(reference, base, at, tuple(known)), progress), known
 
 
-def _beyond(floors: Floors, record: Record) -> str:
-    if floors.hold(record):
-        return ""
-    most, own = 1e3 * floors.levels[-1].motion_m, 1e3 * record.motion_m
-    return (
-        f" The validation record moves more ({own:.3g} mm, root mean square) than the floor's nulls ({most:.3g} mm):"
-        " remove the floor's file, and it is made anew."
-    )
+def _laid(record: Record) -> tuple[Base, Reference]:
+    base = base_of(record, record.rig)
+    return base, reference_of(base)
+
+
+def _sound(recording: Recording, validation: Recording) -> tuple[Recording, Recording, dict[str, str]]:
+    """Both recordings without the channels that are dead or clipped in either."""
+    fit_part, faults = sound_channels(recording)
+    other, more = sound_channels(validation, without=tuple(faults))
+    if more:
+        fit_part, _ = sound_channels(recording, without=tuple({**faults, **more}))
+    return fit_part, other, faults | more
 
 
 def _halves(recording: Recording) -> tuple[Recording, Recording]:
@@ -105,43 +145,94 @@ def _halves(recording: Recording) -> tuple[Recording, Recording]:
     return part(slice(0, cut)), part(slice(cut, None))
 
 
-def _cause(explanation: Explanation, probability: float, floor: Floor) -> Cause:
-    """Standard errors hold what the effect leaves, and what it seems to explain where there is none."""
+def _unknown(fit_record: Record, record: Record) -> UnknownForce | None:
+    try:
+        return likeliest_force(fit_record, fit_record.rig, record)
+    except RigError:
+        return None  # too few sensors to show a force beside the contacts'
+
+
+def _likeliest(decision: Decision, believed: Rig) -> Rig:
+    return decision.best.rig if decision.best else believed
+
+
+def _corrected(decision: Decision, believed: Rig, tolerances: Tolerances) -> Rig:
+    if decision.verdict not in ("explained", "partly_explained") or decision.best is None:
+        return believed
+    at = decision.best.hypothesis.residual
+    return apply_nuisance(at.rig, at.parameters, at.nuisance, tolerances)[0]
+
+
+def _left(left: Misfit, rig: Rig, p_value: float) -> Left:
+    names = [c.name for c in rig.contacts]
+    return Left(
+        share=left.share,
+        contact_shares=dict(zip(names, left.contact_shares.tolist(), strict=True)),
+        p_value=p_value,
+    )
+
+
+def _cause(one: Judged, probability: float, nulls: NullReference, matters: Matters) -> Cause:
+    """Standard errors hold what the effect leaves: residuals were weighed by the scales estimated from it."""
     parameters: dict[str, Value] = {}
     places: dict[str, str] = {}
+    spread = np.sqrt(np.maximum(np.diag(one.hypothesis.covariance), 0.0))
     at = 0
-    misfit = max(1.0, explanation.remainder.size)  # nulls leave one
-    spread = np.sqrt(np.maximum(np.diag(explanation.fitted.covariance), 0.0) * misfit)
-    for part in explanation.parts:
-        spurious = max(1.0, floor.gains.get(part.kind.name, 0.0) / explanation.validated.strictness) ** 0.5
-        for name, about in part.parameters.items():
-            value = float(explanation.fitted.values[at])
-            parameters[f"{part.kind.name}.{name}"] = Value(value, float(spread[at]) * spurious, about.unit)
+    for part in one.hypothesis.parts:
+        low, high = part.bounds
+        for k, (name, about) in enumerate(part.parameters.items()):
+            value, error = float(one.hypothesis.values[at]), float(spread[at])
+            margin = AT_LIMIT * (high[k] - low[k])
+            limited = (value < low[k] + margin and low[k] != about.neutral) or value > high[k] - margin
+            parameters[f"{part.kind.name}.{name}"] = Value(value, error, about.unit, bool(limited))
             at += 1
         places |= {f"{part.kind.name}.{field}": place or "all" for field, place in part.place.items()}
-    return Cause(explanation.effects, probability, parameters, places, explanation.remainder.size)
-
-
-def _alike(outcome: Outcome) -> dict[str, str]:
-    """Single effects that explain the validation record about as well as the best, with what would separate them."""
-    if outcome.verdict != "effect" or len(outcome.explanations[0].parts) > 1:
-        return {}
-    least = outcome.explanations[0].validated.cost
-    close = [e for e in outcome.explanations if len(e.parts) == 1 and e.validated.cost < (1 + ALIKE) * least]
-    return {e.effects[0]: e.parts[0].kind.separated_by for e in close}
-
-
-def _sentence(outcome: Outcome, faults: dict[str, str]) -> str:
-    said = "".join(f" Channel {name} is {what} and was left out." for name, what in faults.items())
-    size = outcome.validation_remainder.size
-    if outcome.verdict == "no_gap":
-        return f"No gap: the record is what the believed rig would give, as far as noise and integration show it.{said}"
-    if outcome.verdict == "none_of_these":
-        return f"There is a gap ({size:.3g} times the floor), and no effect of the library explains it.{said}"
-    best = outcome.explanations[0]
-    words = " and ".join(c.name.replace(":", " of ", 1) for c in best.parts)
-    explain = "explains" if len(best.parts) == 1 else "together explain"
-    left = best.remainder.size
-    return (
-        f"There is a gap ({size:.3g} times the floor); {words} {explain} it, down to {left:.3g} times the floor.{said}"
+    return Cause(
+        effects=one.hypothesis.effects,
+        probability=probability,
+        parameters=parameters,
+        places=places,
+        explained=closed(one.without, one.misfit, matters),
+        interval_95=closed_interval(one.without, one.misfit, matters),
+        left=_left(one.misfit, one.rig, nulls.p_value(one.misfit)),
     )
+
+
+def _bands(without: Misfit, after: Misfit, nulls: NullReference) -> tuple[Band, ...]:
+    return tuple(
+        Band(low_hz=BAND_HZ * i, high_hz=BAND_HZ * (i + 1), before=float(b), after=float(a), usual=float(u))
+        for i, (b, a, u) in enumerate(zip(without.shares, after.shares, nulls.usual_shares(), strict=False))
+    )
+
+
+def _alike(causes: tuple[Cause, ...], ranked: list[Judged]) -> dict[str, str]:
+    """Single effects beside the likeliest that the record hardly tells from it, with what would separate them."""
+    with_effects = [j for j in ranked if j.hypothesis.parts]
+    if not causes or len(causes[0].effects) > 1:
+        return {}
+    close = [
+        j.hypothesis.parts[0].kind
+        for j, c in zip(with_effects, causes, strict=True)
+        if len(c.effects) == 1 and c.probability > ALIKE
+    ]
+    return {kind.name: kind.separated_by for kind in close}
+
+
+def _described(found: UnknownForce) -> Unknown:
+    at_place = found.kind in ("force", "pair")
+    return Unknown(
+        sentence=described(found),
+        kind=found.kind,
+        body=found.body or None,
+        position_m=found.position_m.value if at_place else None,
+        position_error_m=found.position_m.standard_error if at_place else None,
+        sensor=found.sensor or None,
+        frequency_hz=found.frequency_hz,
+        band_hz=found.band_hz,
+        rms_n=found.rms.value,
+        when=found.when,
+        against=found.against,
+        law=found.law,
+        explained=found.validation_explained_share,
+    )
+

@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Complex, Float, Inexact, Int
 
-from identify.gap.doubts import BEYOND
+from identify.gap.nuisance import BEYOND
 from identify.gap.linear import Linear, Response, linear_model
 from identify.gap.residual import MODEL_ERROR
 from identify.gap.spectra import ORDER, Record

@@ -1,0 +1,92 @@
+"""The verdict: one statistic, and what is too small to matter."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from identify.gap.decision.comparison import PRIOR_UNKNOWN, TEMPERATURE, Judged, closed, probabilities, size
+from identify.gap.decision.null_reference import NullReference
+from identify.gap.results import Matters, Verdict
+from identify.gap.unknown import UnknownForce
+
+USUAL = 0.05
+"""Tolerances and noise explain what they alone would exceed more often."""
+HALF = 0.5
+"""An effect explains the gap in part if it closes this share of it: more than it leaves."""
+UNKNOWN_PLACES = 100
+"""An unknown force may act at so many places that a record tells apart (bodies of some metres, 20 mm each)."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """The verdict with the reason for it, the probabilities of the hypotheses judged, and of something unknown.
+
+    best is the likeliest hypothesis with effects, whatever the verdict.
+    """
+
+    verdict: Verdict
+    criterion: str
+    probabilities: tuple[float, ...]
+    unknown: float
+    nothing: Judged
+    best: Judged | None
+    p_before: float
+    p_after: float
+
+
+def decided(
+    ranked: Sequence[Judged], unknown: UnknownForce | None, strictness: float, nulls: NullReference, matters: Matters
+) -> Decision:
+    """From hypotheses judged on the validation record, likeliest first, and the unmeasured force that explains it best.
+
+    A hypothesis whose effects change less than matters, or which what matters does not exceed before, is no gap.
+    """
+    nothing = next(j for j in ranked if not j.hypothesis.parts)
+    best = next((j for j in ranked if j.hypothesis.parts), None)
+    scores = [j.log_posterior for j in ranked]
+    scores.append(_unknown_log_posterior(nothing, unknown, strictness))
+    *likely, of_unknown = (float(p) for p in probabilities(np.array(scores)))
+    p_before = nulls.p_value(nothing.misfit)
+    p_after = nulls.p_value(best.misfit) if best else p_before
+    verdict, criterion = _judged(ranked, nothing, best, of_unknown > max(likely), p_before, p_after, matters)
+    return Decision(verdict, criterion, tuple(likely), of_unknown, nothing, best, p_before, p_after)
+
+
+def _unknown_log_posterior(nothing: Judged, unknown: UnknownForce | None, strictness: float) -> float:
+    """An unmeasured force lowers -2 ln p by what it gains on the validation record, in samples that count."""
+    if unknown is None:
+        return -np.inf
+    gain = unknown.validation_gain / strictness if unknown.same_place else 0.0
+    prior = float(np.log(PRIOR_UNKNOWN / UNKNOWN_PLACES))
+    return prior - (nothing.misfit.minus_two_log - gain) / (2 * TEMPERATURE)
+
+
+def _judged(
+    ranked: Sequence[Judged],
+    nothing: Judged,
+    best: Judged | None,
+    unknown_first: bool,
+    p_before: float,
+    p_after: float,
+    matters: Matters,
+) -> tuple[Verdict, str]:
+    before = size(nothing.misfit, matters)
+    if best is None or ranked[0] is nothing or unknown_first:
+        if before <= 1:
+            return "no_gap", f"what the believed rig leaves is {before:.2g} times what matters"
+        if not unknown_first and p_before >= USUAL:
+            return "no_gap", f"tolerances and noise leave as much in {100 * p_before:.0f} % of all cases"
+        return "unknown", "no effect of the library is likelier than something unknown"
+    without, after = size(best.without, matters), size(best.misfit, matters)
+    made = float(np.sqrt(max(without**2 - after**2, 0.0)))
+    if made <= 1 and before <= 1:
+        return "no_gap", f"what the likeliest effect changes is {made:.2g} times what matters"
+    if after <= 1:
+        return "explained", f"what is left is {after:.2g} times what matters"
+    if p_after >= USUAL:
+        return "explained", f"tolerances and noise leave as much in {100 * p_after:.0f} % of all cases"
+    share = closed(best.without, best.misfit, matters)
+    if share >= HALF:
+        return "partly_explained", f"what is left is {after:.2g} times what matters"
+    return "unknown", f"the likeliest effect closes {100 * max(share, 0.0):.0f} % of the gap alone"
