@@ -16,7 +16,7 @@ class HarmonicForce(Effect, frozen=True):
     scanned: ClassVar[str | None] = "frequency_hz"
     of_a_record: ClassVar[tuple[str, ...]] = ("cosine_n", "sine_n")
     cosine_n: Annotated[float, Parameter("N", -5.0, 5.0, 0.0)] = 1.0
-    sine_n: Annotated[float, Parameter("N", -5.0, 5.0, 0.0)] = 0.0
+    sine_n: Annotated[float, Parameter("N", -5.0, 5.0, 0.0)] = 0.5
     frequency_hz: Annotated[float, Parameter("Hz", 0.5, 200.0)] = 50.0
     relative_position: Annotated[float, Parameter("1", 0.0, 1.0)] = 1.0
     body: str | None = None
@@ -30,7 +30,7 @@ class HarmonicForce(Effect, frozen=True):
     @classmethod
     def typical(cls, scale: Scale) -> Effect:
         low_hz, high_hz = scale.band_hz
-        return cls.placed(scale, cosine_n=0.05 * scale.force_rms_n, frequency_hz=(low_hz * high_hz) ** 0.5)
+        return cls.placed(scale, cosine_n=0.05 * scale.force_rms_n, sine_n=0.0, frequency_hz=(low_hz * high_hz) ** 0.5)
 
     def applied_to(self, rig: Rig) -> Rig:
         tone = Tone(
