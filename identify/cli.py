@@ -18,7 +18,7 @@ from identify.pooled import LARGE_BYTES, STRETCH_S, identify_long
 from identify.results import ContactReport, Estimate, LawReport, Stretches, write_json
 from identify.spectra import POWERS, Averaging
 from rig.command_line import Force, Json, progress_bar, refuse_existing, run
-from rig.model.tolerances import NAMED
+from rig.model.tolerances import tolerances_named
 from rig.recording import read
 
 DRAWN_FROM = 0.8
@@ -49,8 +49,9 @@ def contact(
     overlap: Annotated[float, typer.Option(help="Overlap of the blocks, 0 to below 1.")] = 0.5,
     window: Annotated[str, typer.Option(help=f"Window: {', '.join(POWERS)}.")] = "hann",
     tolerances: Annotated[
-        str, typer.Option(help="How exactly rig.json is believed, for the standard errors: laboratory or exact.")
-    ] = "laboratory",
+        str | None,
+        typer.Option(help="How exactly rig.json is believed: laboratory, exact, or a TOML file; else as it says itself."),
+    ] = None,
     band: Annotated[tuple[float, float] | None, typer.Option(help="Band of NIFO, Hz; otherwise the force's.")] = None,
     stretch: Annotated[
         float | None,
@@ -67,8 +68,6 @@ def contact(
         raise typer.BadParameter(f"{use!r} is none of {', '.join(get_args(Use))}", param_hint="--use")
     if window not in POWERS:
         raise typer.BadParameter(f"{window!r} is none of {', '.join(POWERS)}", param_hint="--window")
-    if tolerances not in NAMED:
-        raise typer.BadParameter(f"{tolerances!r} is none of {', '.join(NAMED)}", param_hint="--tolerances")
     averaging = Averaging(averages=averages, block_s=block, overlap=overlap, window=window, band_hz=band)
     if out is not None:
         refuse_existing(out / "contact.json", force)
@@ -78,7 +77,7 @@ def contact(
         "use": msgspec.convert(use, Use),
         "averaging": averaging,
         "equation": equation,
-        "tolerances": NAMED[tolerances],
+        "tolerances": tolerances_named(tolerances) if tolerances else None,
     }
     with progress_bar(f"identifying {file.name}") as progress:
         if stretch is not None:

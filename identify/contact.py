@@ -57,7 +57,7 @@ def identify_contact(
     use: Use = "auto",
     averaging: Averaging | None = None,
     equation: str | None = None,
-    tolerances: Tolerances = LABORATORY,
+    tolerances: Tolerances | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Identification:
     """Clearance, stiffness and damping of every contact of a recording's rig.
@@ -74,7 +74,7 @@ def identify_contact(
     names = [f"{recording.rig.force_at.body} {i}" for i in range(1, EQUATIONS + 1)]
     if equation not in (None, *names):
         raise RigError(f"no modal equation {equation!r} with a measured force; there are {', '.join(names)}")
-    found = find_contacts(recording, use, tolerances)
+    found = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY)
     progress(0.5)
     rig, motion, answers = found.rig, found.motion, found.answers
     low, high = force_band(motion.force_n, motion.sample_rate_hz)
@@ -117,7 +117,7 @@ def identify_contact(
         surface=next(s for s in surfaces if s.equation.name == weak.equation.name),
         weak=weak,
         paper=nifo(weak.equation, cleaned.force_n, depth, cut, "paper"),
-        tolerances=tolerances,
+        tolerances=tolerances or rig.tolerances or LABORATORY,
     )
 
 

@@ -125,9 +125,11 @@ def _between_bodies(
             covariance[:, rows[:, None], rows[None, :]] += np.einsum(
                 "sm,mf,tm->fst", shapes, np.abs(off) ** 2 * power, shapes
             )
-            change = np.zeros_like(measured)
-            change[rows] = shapes @ (off * coordinates)
-            of_model.append(change)
+            for own in (np.ones(len(off)), *np.eye(len(off))):  # all modes together, and each by itself
+                change = np.zeros_like(measured)
+                change[rows] = (shapes * own) @ (off * coordinates)
+                if np.any(change):
+                    of_model.append(change)
     floor = 1e-9 * np.einsum("fii->f", covariance).real.mean() / len(index)
     covariance[:, index, index] += max(floor, 1e-12 * float(np.mean(np.abs(measured) ** 2)))
     weighted = np.linalg.solve(covariance, to_contacts)

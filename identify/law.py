@@ -63,7 +63,7 @@ def identify_law(
     use: Use = "auto",
     seconds: float = 60.0,
     seed: int = 0,
-    tolerances: Tolerances = LABORATORY,
+    tolerances: Tolerances | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Laws:
     """The law f(eta) of every contact, or of the named one, and how it stands against laws that one would assume.
@@ -80,7 +80,7 @@ def identify_law(
     if contact is not None and contact not in names:
         raise RigError(f"no contact {contact!r} in the recording; there are {', '.join(names)}")
     pyoperon()  # whose lack had better be known before the work
-    contacts = find_contacts(recording, use, tolerances)
+    contacts = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY)
     progress(0.1)
     chosen = [j for j, name in enumerate(names) if contact in (None, name)]
     found: list[FoundLaw] = []

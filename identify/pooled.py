@@ -13,7 +13,7 @@ from identify.kinematics import Use
 from identify.results import ContactReport, Estimate, Stretch
 from identify.spectra import Averaging
 from rig.errors import RigError
-from rig.model.tolerances import LABORATORY, Tolerances
+from rig.model.tolerances import Tolerances
 from rig.stretches import stretches
 
 LARGE_BYTES = 1 << 30
@@ -32,7 +32,7 @@ def identify_long(
     use: Use = "auto",
     averaging: Averaging | None = None,
     equation: str | None = None,
-    tolerances: Tolerances = LABORATORY,
+    tolerances: Tolerances | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> tuple[ContactReport, tuple[Stretch, ...]]:
     """As `identify_contact`, of a recording that need not fit into memory: pooled, and from every stretch by itself.

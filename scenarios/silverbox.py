@@ -19,7 +19,7 @@ from rich.table import Table
 from scipy.optimize import least_squares
 from scipy.signal import welch
 
-from identify.gap.answer import diagnose
+from identify.gap.decision.answer import Simulator, diagnose
 from identify.gap.report import write_all
 from identify.kinematics import kinematics
 from identify.results import write_json

@@ -11,7 +11,7 @@ import numpy as np
 import typer
 
 from identify.contact import identify_contact
-from identify.gap.answer import diagnose
+from identify.gap.decision.answer import Simulator, diagnose
 from rig.command_line import progress_bar, run
 from rig.contact import DeadZone
 from rig.description import Contact, Rig, Sensor, Station, to_json

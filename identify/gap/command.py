@@ -1,6 +1,5 @@
 """The command `identify gap`."""
 
-import hashlib
 import sys
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -11,11 +10,11 @@ import typer
 from rich.console import Console
 from threadpoolctl import threadpool_limits
 
-from identify.gap.answer import diagnose
-from identify.gap.floor import Simulate
+from identify.gap.decision.answer import Simulator, diagnose
+from identify.gap.results import Matters
 from rig.command_line import Force, Json, progress_bar, refuse_existing
-from rig.description import Rig, to_json
 from rig.errors import RigError
+from rig.model.tolerances import tolerances_named
 from rig.recording import read
 
 SIMULATORS = "identify.simulators"
@@ -32,9 +31,20 @@ def gap(
     simulator: Annotated[
         str, typer.Option(help="What simulates the rig: modal, ancf, or one that you installed.")
     ] = "modal",
-    floor: Annotated[
-        Path | None, typer.Option(help="File of the floor, made if it is not there; otherwise one beside REAL.")
+    nulls: Annotated[
+        Path | None,
+        typer.Option(help="File of the null reference, made where it is not there or of another rig; else beside REAL."),
     ] = None,
+    tolerances: Annotated[
+        str | None,
+        typer.Option(help="How exactly rig.json is believed: laboratory, exact, or a TOML file; else as it says itself."),
+    ] = None,
+    matters: Annotated[
+        float, typer.Option(min=0.0, help="A gap below this share of the acceleration does not matter, %.")
+    ] = 0.5,
+    matters_contact: Annotated[
+        float, typer.Option(min=0.0, help="... or below this share of every contact force, %.")
+    ] = 3.0,
     as_json: Json = False,
     force: Force = False,
 ) -> None:
@@ -44,19 +54,22 @@ def gap(
     """
     if out is not None:
         refuse_existing(out / "gap.json", force)
-    simulate = simulator_named(simulator)
+    simulating = simulator_named(simulator)
+    believed = tolerances_named(tolerances) if tolerances else None
     recording = read(real)
     validation = read(validate) if validate else None
-    kept = floor or real.with_name(f"{recording.rig.name}-{_mark(recording.rig)}-{simulator}.floor.json")
+    kept = nulls or real.with_name(f"{recording.rig.name}-{simulator}.nulls.json")
+    stages = {"nulls": (0.0, 0.6), "causes": (0.6, 0.4)}
     with progress_bar(f"diagnosing {real.name}") as progress:
-        share = 0.0 if not kept.exists() else None
 
         def show(stage: str, fraction: float) -> None:
-            whole = fraction if share is None else 0.7 * fraction if stage == "floor" else 0.7 + 0.3 * fraction
-            progress(whole)
+            begin, length = stages[stage]
+            progress(begin + length * fraction)
 
         with threadpool_limits(1):  # the matrices are small
-            found, corrected = diagnose(recording, validation, simulate, kept, show)
+            found, corrected = diagnose(
+                recording, validation, simulating, kept, show, believed, Matters(matters / 100, matters_contact / 100)
+            )
     if out is not None:
         from identify.gap.report import write_all
 
@@ -69,14 +82,9 @@ def gap(
         Console().print(shown(found))
 
 
-def simulator_named(name: str) -> Simulate:
+def simulator_named(name: str) -> Simulator:
     """The simulator that an installed package offers under this name; raises RigError if none does."""
     offered = {point.name: point for point in entry_points(group=SIMULATORS)}
     if name not in offered:
         raise RigError(f"no simulator {name!r}; there are {', '.join(sorted(offered))}")
-    simulate: Simulate = offered[name].load()
-    return simulate
-
-
-def _mark(rig: Rig) -> str:
-    return hashlib.sha256(to_json(rig)).hexdigest()[:8]
+    return Simulator(name, offered[name].load())

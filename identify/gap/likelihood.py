@@ -8,7 +8,7 @@ that noise and the tolerated shares of the unmodelled make, and an inverse-gamma
 A variance that is not known makes a residual ten times too large cost N ln 100 / 2, not N * 50: what lasts (a shape
 that is slightly wrong, a cable) is one error, however many samples show it. N are the samples that count as
 independent; drift is what the prior of the slow motion costs, freedom what inputs cost that are known by their spectrum
-alone (the determinant of their marginal likelihood). Kennedy and O'Hagan, J. R. Stat. Soc. B 63, 2001; the Student form
+alone (their own squares, and the determinant of their marginal likelihood). Kennedy and O'Hagan, J. R. Stat. Soc. B 63, 2001; the Student form
 is that of Lange et al., J. Am. Stat. Assoc. 84, 1989.
 """
 
@@ -144,6 +144,7 @@ def misfit(record: Record, reference: Reference, base: Base, at: Residual) -> Mi
     rows = np.array(contacts).reshape(len(contacts), 3, seconds)
     drift = sum(float(np.sum(c.residual[c.seen.weights.size : -3] ** 2)) for c in at.contacts)
     lines = at.model.spread.shape[1]
+    inputs = float(np.sum(at.linear[len(record.sensors) :] ** 2))
     return Misfit(
         reference=reference,
         left=levels * by_band(record, at.model.spread**2, bands),
@@ -152,7 +153,7 @@ def misfit(record: Record, reference: Reference, base: Base, at: Residual) -> Mi
         force_n2=rows[:, 2].T,
         pulls=at.pulls,
         drift=drift / record.strictness,
-        freedom=at.model.log_determinant * at.linear.shape[1] / lines / record.strictness,
+        freedom=(inputs + at.model.log_determinant * at.linear.shape[1] / lines) / record.strictness,
         samples=at.linear.shape[1] / record.strictness,
     )
 

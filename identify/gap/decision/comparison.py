@@ -30,6 +30,7 @@ class Judged:
     """A hypothesis with its rig laid against the validation record, nuisance parameters fitted there anew.
 
     without is what the believed rig leaves with the same nuisance parameters: what the effects, by themselves, close.
+    Of a base that moves, which is no function of time, it is what the believed rig leaves with its own.
     """
 
     hypothesis: Hypothesis
@@ -58,15 +59,19 @@ def judged(
     What each record has its own of (the phase of a tone) is fitted there anew.
     """
     found = []
+    believed = fit_nuisance(record, record.rig, rounds=1)
+    alone = misfit(record, reference, *believed)
     for i, one in enumerate(hypotheses):
         try:
             rig = _of_this_record(record, one)
-            base, at = fit_nuisance(record, rig, rounds=1)
-            unknowns = tuple(c.unknowns for c in at.contacts)
-            bare = residual_of(base, record.rig, at.nuisance, unknowns) if _comparable(base, record.rig) else at
+            base, at = fit_nuisance(record, rig, rounds=1) if one.parts else believed
         except RigError:
             continue
-        left, without = (misfit(record, reference, base, r) for r in (at, bare))
+        left = misfit(record, reference, base, at)
+        without = alone
+        if one.parts and _comparable(base, record.rig):
+            unknowns = tuple(c.unknowns for c in at.contacts)
+            without = misfit(record, reference, base, residual_of(base, record.rig, at.nuisance, unknowns))
         found.append(Judged(one, rig, base, at, left, without, priors[one.key]))
         progress((i + 1) / len(hypotheses))
     return sorted(found, key=lambda j: -j.log_posterior)

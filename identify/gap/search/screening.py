@@ -5,16 +5,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.ndimage import median_filter
-from scipy.signal.windows import hann
 
 from identify.gap.candidates import Candidate
 from identify.gap.fit import Reduced, derivative, reduced
 from identify.gap.grounded import needs_every_line
 from identify.gap.linear import linear_model
 from identify.gap.nuisance import LIMIT
+from identify.gap.peaks import peaks_hz
 from identify.gap.residual import Base, Residual, same_but_laws
-from identify.gap.scales import BAND_HZ
 from identify.gap.spectra import Record
 from rig.description import Rig
 from rig.errors import RigError
@@ -23,8 +21,8 @@ STRENGTHS = (0.3, 0.6, 1.2, 2.4, 4.8)
 """Multiples of what a typical effect adds: a grid on which no minimum of the linear residual is missed."""
 THINNED = 16
 """Every so-many-th line tells enough of where a minimum lies."""
-PEAKS, STANDS_OUT = 2, 30.0
-"""At most so many lines of a residual are followed, which stand out by this factor: noise reaches it once in 1e9."""
+PEAKS = 1
+"""So many lines of a residual are followed."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +40,11 @@ def score_screening(base: Base, at: Residual, candidates: Sequence[Candidate]) -
     This is Rao's score test of each effect, at every place that it is tried at.
     """
     equations = reduced(base, at)
-    peaks_hz = peak_frequencies_hz(base, at) if any(c.kind.scanned for c in candidates) else []
+    sharp_hz = peaks_hz(base, at, PEAKS).tolist() if any(c.kind.scanned for c in candidates) else []
     found = []
     for candidate in candidates:
         best = Screened(candidate, 0.0, candidate.default)
-        for start in candidate.starts(peaks_hz):
+        for start in candidate.starts(sharp_hz):
             looked = _looked(base, equations, candidate, start)
             if looked and looked.gain > best.gain:
                 best = looked
@@ -81,24 +79,6 @@ def _looked(
     values = start.copy()
     values[strong] = start[strong] + size * steps
     return Screened(candidate, float(2 * slope @ size - size @ curvature @ size), values)
-
-
-def peak_frequencies_hz(base: Base, at: Residual) -> list[float]:
-    """Where the linear residual has a line: sharper than any mode, and far above what is beside it.
-
-    Its power under a Hann window, all sensors together, against the median of 2 Hz around; at most PEAKS of them.
-    """
-    rows = at.linear[: len(base.record.sensors)]
-    power = np.sum(np.abs(np.fft.rfft(rows * hann(rows.shape[1], sym=False), 4 * rows.shape[1])) ** 2, axis=0)
-    hz = np.fft.rfftfreq(4 * rows.shape[1], 1 / base.record.rate_hz)
-    ratio = power / np.maximum(median_filter(power, max(3, round(BAND_HZ / hz[1]))), 1e-300)
-    found: list[float] = []
-    for i in np.argsort(-ratio):
-        if ratio[i] < STANDS_OUT or len(found) == PEAKS:
-            break
-        if all(abs(hz[i] - other) > BAND_HZ for other in found):
-            found.append(float(hz[i]))
-    return found
 
 
 def grid_screening(base: Base, candidates: Sequence[Candidate]) -> list[Screened]:

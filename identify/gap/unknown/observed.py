@@ -20,7 +20,6 @@ from jaxtyping import Complex, Float, Inexact, Int
 
 from identify.gap.nuisance import BEYOND
 from identify.gap.linear import Linear, Response, linear_model
-from identify.gap.residual import MODEL_ERROR
 from identify.gap.spectra import ORDER, Record
 from identify.kinematics import CORNER_HZ, NORMAL_BY_MEDIAN, integrated, taper
 from identify.modal import receptance
@@ -128,8 +127,8 @@ def observed(record: Record, rig: Rig) -> Observed:
 
     Raises RigError if the contacts' free forces explain all that the sensors give.
     """
-    record = replace(record, noise=plain_noise(record))
-    model = linear_model(record, rig, MODEL_ERROR)
+    record = replace(record, noise=plain_noise(record), force_noise=0.0)  # that of the force is whitened below
+    model = linear_model(record, rig, record.tolerances.unmodelled)
     lines = slice(int(np.searchsorted(record.omega, 2 * np.pi * LOWEST_HZ)), record.omega.size)
     basis = _complement(model.unknown[lines])
     rows = basis.shape[1]
@@ -295,10 +294,14 @@ def _nuisances(
             there = own.rowed((model.chain * pattern / deviation)[:, own.lines])
             stretch.append(2 * float(np.sum(back.conj() * there).real))
 
-    take("gain of the force", tolerances.gain * by_force, record.force, np.zeros(len(record.sensors)))
+    take("gain of the force", tolerances.force_gain * by_force, record.force, np.zeros(len(record.sensors)))
     singly = np.eye(len(record.sensors))
     for sensor, single, delivered in zip(record.sensors, singly, record.delivered / model.chain, strict=True):
-        take(f"gain of {sensor.name}", tolerances.gain * single[:, None], delivered, single)
+        exact = tolerances.of_sensor(sensor.name)
+        corner = 2 * np.pi * exact.high_pass_hz if sensor.quantity == "acceleration" else 0.0
+        take(f"gain of {sensor.name}", exact.gain * single[:, None], delivered, single)
+        take(f"delay of {sensor.name}", -1j * exact.delay_s * np.outer(single, omega), delivered, single)
+        take(f"high-pass of {sensor.name}", -np.outer(single, corner / (1j * omega + corner)), delivered, single)
     for response, motion in zip(model.responses, own.modal, strict=True):
         body = response.body
         inverse = np.zeros((response.count, len(record.sensors)))
@@ -312,16 +315,18 @@ def _nuisances(
             right, left = min(place.position_m + step, body.length_m), max(place.position_m - step, 0.0)
             beside = response.modes.shapes(np.array([left, right]), response.count)
             slope = (beside[1] - beside[0]) / (right - left)
-            take(f"place of {sensor.name}", tolerances.position_m * single[:, None], slope @ motion, slope @ inverse)
+            exact_m = tolerances.of_sensor(sensor.name).position_m
+            take(f"place of {sensor.name}", exact_m * single[:, None], slope @ motion, slope @ inverse)
         shapes = response.shapes(list(places))
         natural_hz, zeta = response.modes.frequencies_hz(response.count), response.modes.damping_ratios(response.count)
         flexible = receptance(natural_hz, zeta, omega / (2 * np.pi))
         natural = 2 * np.pi * natural_hz[:, None]
         loss = 1j * zeta[:, None] * natural * omega
         for m in np.flatnonzero((natural_hz > 0) & (natural_hz < BEYOND * omega[-1] / (2 * np.pi))):
-            stiffer = -2 * tolerances.frequency * (natural[m] ** 2 + loss[m]) * flexible[m]
+            exact = tolerances.of_mode(body.name, int(m) + 1)
+            stiffer = -2 * exact.frequency * (natural[m] ** 2 + loss[m]) * flexible[m]
             take(f"frequency of {body.name} {m + 1}", shapes[:, m : m + 1] * stiffer, motion[m], inverse[m])
-            damped = -2 * tolerances.damping * loss[m] * flexible[m]
+            damped = -2 * exact.damping * loss[m] * flexible[m]
             take(f"damping of {body.name} {m + 1}", shapes[:, m : m + 1] * damped, motion[m], inverse[m])
     return tuple(names), np.array(columns).reshape(len(columns), *own.residual.shape), np.array(stretch)
 
