@@ -18,6 +18,7 @@ from identify.gap.unknown.forms import Against
 from identify.gap.unknown.law import Law
 from identify.gap.unknown.location import Kind, Located, located, response_of
 from identify.gap.unknown.observed import BAND_HZ, Observed, observed
+from identify.kinematics import QUIET_S
 from rig.description import Rig, Station
 
 When = Literal["always", "in contact", "growing with time"]
@@ -43,7 +44,9 @@ class UnknownForce(msgspec.Struct, frozen=True, kw_only=True):
     follow the motion; a distributed force is a modulus of `bodies` that drifts by `growth`, relative over the record.
     gain is by how much -2 ln L falls with it, explained_share of the linear residual's mean square: on the fit record
     with everything free, on the validation record with the place and the shape of the spectrum held. same_place says
-    whether the validation record alone shows the same. law gives the force against the motion there (w in m, v in m/s,
+    whether the validation record alone shows the same. in_contact_share is the share of its mean square while a contact
+    is closed (0 if one nearly always is), before_excitation its rms before the measured force begins over that after
+    (0 without a quiet start), by_time its rms in equal parts of the time. law gives the force against the motion there (w in m, v in m/s,
     positive against it), "" if none keeps `NAMED` of what the free force gains; law_share and validation_law_share say
     how much it keeps. surface holds the mean force (N) over displacement and velocity, NaN where it never was.
     """
@@ -62,6 +65,7 @@ class UnknownForce(msgspec.Struct, frozen=True, kw_only=True):
     frequency_hz: float | None
     when: When
     in_contact_share: float
+    before_excitation: float
     by_time: tuple[float, ...]
     against: Against
     rms: Value
@@ -155,6 +159,7 @@ def _told(
     rms = float(np.sqrt(np.sum(power) * own.record.sample_rate_hz / own.record.length))
     unit = "m/s^2" if candidate.kind == "sensor" else "N"
     in_contact, by_time = (0.0, ()) if course is None else _times(course)
+    before = 0.0 if course is None else _before(course)
     return UnknownForce(
         kind=candidate.kind,
         body=first.body,
@@ -170,6 +175,7 @@ def _told(
         frequency_hz=law.parameter if law is not None and tone else None,
         when=_when(in_contact, by_time, candidate.kind, law),
         in_contact_share=in_contact,
+        before_excitation=before,
         by_time=by_time,
         against="none" if law is None or tone else law.form.against,
         rms=Value(
@@ -212,7 +218,9 @@ def _rms_error(own: Observed, power: Float[np.ndarray, " bands"], rms: float) ->
 
 
 def _band(own: Observed, power: Float[np.ndarray, " bands"]) -> tuple[float, float]:
-    """Holds `IN_BAND` of the force's power, as much left out at either end."""
+    """Holds `IN_BAND` of the force's power, as much left out at either end; the whole band if there is none."""
+    if not np.any(power):
+        return float(own.omega[0] / (2 * np.pi)), float(own.omega[-1] / (2 * np.pi))
     grown = np.cumsum(power) / max(float(np.sum(power)), 1e-300)
     first, last = np.searchsorted(grown, [(1 - IN_BAND) / 2, (1 + IN_BAND) / 2])
     low = own.omega[own.starts[min(first, grown.size - 1)]]
@@ -234,6 +242,14 @@ def _times(course: Course) -> tuple[float, tuple[float, ...]]:
     parts = [float(np.sqrt(np.mean(part))) for part in np.array_split(squares[excited], PARTS)]
     share = float(squares[closed].sum() / max(float(squares.sum()), 1e-300))
     return share if np.mean(closed) < MOSTLY else 0.0, tuple(parts)
+
+
+def _before(course: Course) -> float:
+    record = course.located.observed.record
+    found, excited = course.found_n[record.taken], record.time_s > record.excited_s
+    if np.mean(~excited) * found.size < QUIET_S * record.rate_hz:
+        return 0.0
+    return float(np.sqrt(np.mean(found[~excited] ** 2) / max(float(np.mean(found[excited] ** 2)), 1e-300)))
 
 
 def _when(in_contact: float, by_time: tuple[float, ...], kind: Kind, law: Law | None) -> When:

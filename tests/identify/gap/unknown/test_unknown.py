@@ -62,6 +62,7 @@ def test_a_random_force_has_a_band_and_no_law(world):
     assert found.law == ""
     assert found.rms.value == pytest.approx(rms_n, rel=0.15)
     assert 3 < found.band_hz[0] < found.band_hz[1] < 27
+    assert found.before_excitation == pytest.approx(1.0, abs=0.5)
     assert "random force" in sentence(found)
 
 
