@@ -17,7 +17,8 @@ from identify.gap.unknown.evidence import explained
 from identify.gap.unknown.forms import Against
 from identify.gap.unknown.law import Law
 from identify.gap.unknown.location import Kind, Located, located, response_of
-from identify.gap.unknown.observed import BAND_HZ, Observed, observed
+from identify.gap.unknown.nuisance import observed
+from identify.gap.unknown.observed import BAND_HZ, Observed
 from identify.kinematics import QUIET_S
 from rig.description import Rig, Station
 
@@ -46,9 +47,10 @@ class UnknownForce(msgspec.Struct, frozen=True, kw_only=True):
     with everything free, on the validation record with the place and the shape of the spectrum held. same_place says
     whether the validation record alone shows the same. in_contact_share is the share of its mean square while a contact
     is closed (0 if one nearly always is), before_excitation its rms before the measured force begins over that after
-    (0 without a quiet start), by_time its rms in equal parts of the time. law gives the force against the motion there (w in m, v in m/s,
-    positive against it), "" if none keeps `NAMED` of what the free force gains; law_share and validation_law_share say
-    how much it keeps. surface holds the mean force (N) over displacement and velocity, NaN where it never was.
+    (0 without a quiet start), by_time its rms in equal parts of the time. law gives the force against the motion there
+    (w in m, v in m/s, positive against it), "" if none keeps `NAMED` of what the free force gains; law_share and
+    validation_law_share say how much it keeps. surface holds the mean of the force (N) over displacement and velocity,
+    0 where it never was.
     """
 
     kind: Kind
@@ -152,7 +154,7 @@ def _told(
 ) -> UnknownForce:
     own, candidate = there.observed, there.candidate
     first, second = ([*candidate.stations, Station("", 0.0), Station("", 0.0)])[:2]
-    elsewhere = again.candidate.stations[0].position_m if again.candidate.stations else float("nan")
+    elsewhere = again.candidate.stations[0].position_m if again.candidate.stations else 0.0
     density = 2 * there.after.spectrum * 2 / (own.count * own.record.length * own.record.sample_rate_hz)
     power = density * own.sizes
     tone = law is not None and law.form.name == "tone"
@@ -270,5 +272,5 @@ def _surface(course: Course) -> Surface:
     w, v = course.moved_m[::FINER][inside], course.rate_m_per_s[::FINER][inside]
     force, rows, columns = np.histogram2d(w, v, bins=CELLS, weights=-course.found_n[inside])
     count = np.histogram2d(w, v, bins=(rows, columns))[0]
-    mean = np.where(count > 0, force / np.maximum(count, 1), np.nan)
+    mean = force / np.maximum(count, 1)
     return Surface(tuple(rows.tolist()), tuple(columns.tolist()), tuple(tuple(row) for row in mean.tolist()))
