@@ -78,7 +78,15 @@ class Descent:
     def start(self, parameter: float) -> State:
         coefficients, gain, errors = solved(self.course, self.form, parameter)
         knots = np.zeros(len(self.prior))
-        law = Law(self.form, tuple(-coefficients), tuple(errors), parameter, 0.0, 0.0, gain / self.course.free_gain)
+        law = Law(
+            self.form,
+            tuple((-coefficients).tolist()),
+            tuple(errors.tolist()),
+            parameter,
+            0.0,
+            0.0,
+            gain / self.course.free_gain,
+        )
         return State(coefficients, parameter, knots, law)
 
     def shapes(
@@ -133,8 +141,8 @@ class Descent:
         inside = course.counted > 0
         law = Law(
             form,
-            tuple(-coefficients),
-            tuple(errors[:kinds]),
+            tuple((-coefficients).tolist()),
+            tuple(errors[:kinds].tolist()),
             parameter,
             float(errors[kinds]) if form.parameter else 0.0,
             float(np.mean((course.slow @ knots)[inside])),

@@ -17,7 +17,9 @@ from identify.gap.unknown.evidence import explained
 from identify.gap.unknown.forms import Against
 from identify.gap.unknown.law import Law
 from identify.gap.unknown.location import Kind, Located, located, response_of
-from identify.gap.unknown.observed import BAND_HZ, Observed, observed
+from identify.gap.unknown.nuisance import observed
+from identify.gap.unknown.observed import BAND_HZ, Observed
+from identify.kinematics import QUIET_S
 from rig.description import Rig, Station
 
 When = Literal["always", "in contact", "growing with time"]
@@ -43,9 +45,12 @@ class UnknownForce(msgspec.Struct, frozen=True, kw_only=True):
     follow the motion; a distributed force is a modulus of `bodies` that drifts by `growth`, relative over the record.
     gain is by how much -2 ln L falls with it, explained_share of the linear residual's mean square: on the fit record
     with everything free, on the validation record with the place and the shape of the spectrum held. same_place says
-    whether the validation record alone shows the same. law gives the force against the motion there (w in m, v in m/s,
-    positive against it), "" if none keeps `NAMED` of what the free force gains; law_share and validation_law_share say
-    how much it keeps. surface holds the mean force (N) over displacement and velocity, NaN where it never was.
+    whether the validation record alone shows the same. in_contact_share is the share of its mean square while a contact
+    is closed (0 if one nearly always is), before_excitation its rms before the measured force begins over that after
+    (0 without a quiet start), by_time its rms in equal parts of the time. law gives the force against the motion there
+    (w in m, v in m/s, positive against it), "" if none keeps `NAMED` of what the free force gains; law_share and
+    validation_law_share say how much it keeps. surface holds the mean of the force (N) over displacement and velocity,
+    0 where it never was.
     """
 
     kind: Kind
@@ -62,6 +67,7 @@ class UnknownForce(msgspec.Struct, frozen=True, kw_only=True):
     frequency_hz: float | None
     when: When
     in_contact_share: float
+    before_excitation: float
     by_time: tuple[float, ...]
     against: Against
     rms: Value
@@ -148,13 +154,14 @@ def _told(
 ) -> UnknownForce:
     own, candidate = there.observed, there.candidate
     first, second = ([*candidate.stations, Station("", 0.0), Station("", 0.0)])[:2]
-    elsewhere = again.candidate.stations[0].position_m if again.candidate.stations else float("nan")
+    elsewhere = again.candidate.stations[0].position_m if again.candidate.stations else 0.0
     density = 2 * there.after.spectrum * 2 / (own.count * own.record.length * own.record.sample_rate_hz)
     power = density * own.sizes
     tone = law is not None and law.form.name == "tone"
     rms = float(np.sqrt(np.sum(power) * own.record.sample_rate_hz / own.record.length))
     unit = "m/s^2" if candidate.kind == "sensor" else "N"
     in_contact, by_time = (0.0, ()) if course is None else _times(course)
+    before = 0.0 if course is None else _before(course)
     return UnknownForce(
         kind=candidate.kind,
         body=first.body,
@@ -170,6 +177,7 @@ def _told(
         frequency_hz=law.parameter if law is not None and tone else None,
         when=_when(in_contact, by_time, candidate.kind, law),
         in_contact_share=in_contact,
+        before_excitation=before,
         by_time=by_time,
         against="none" if law is None or tone else law.form.against,
         rms=Value(
@@ -212,7 +220,9 @@ def _rms_error(own: Observed, power: Float[np.ndarray, " bands"], rms: float) ->
 
 
 def _band(own: Observed, power: Float[np.ndarray, " bands"]) -> tuple[float, float]:
-    """Holds `IN_BAND` of the force's power, as much left out at either end."""
+    """Holds `IN_BAND` of the force's power, as much left out at either end; the whole band if there is none."""
+    if not np.any(power):
+        return float(own.omega[0] / (2 * np.pi)), float(own.omega[-1] / (2 * np.pi))
     grown = np.cumsum(power) / max(float(np.sum(power)), 1e-300)
     first, last = np.searchsorted(grown, [(1 - IN_BAND) / 2, (1 + IN_BAND) / 2])
     low = own.omega[own.starts[min(first, grown.size - 1)]]
@@ -236,6 +246,14 @@ def _times(course: Course) -> tuple[float, tuple[float, ...]]:
     return share if np.mean(closed) < MOSTLY else 0.0, tuple(parts)
 
 
+def _before(course: Course) -> float:
+    record = course.located.observed.record
+    found, excited = course.found_n[record.taken], record.time_s > record.excited_s
+    if np.mean(~excited) * found.size < QUIET_S * record.rate_hz:
+        return 0.0
+    return float(np.sqrt(np.mean(found[~excited] ** 2) / max(float(np.mean(found[excited] ** 2)), 1e-300)))
+
+
 def _when(in_contact: float, by_time: tuple[float, ...], kind: Kind, law: Law | None) -> When:
     if kind == "distributed":
         return "growing with time"
@@ -254,5 +272,5 @@ def _surface(course: Course) -> Surface:
     w, v = course.moved_m[::FINER][inside], course.rate_m_per_s[::FINER][inside]
     force, rows, columns = np.histogram2d(w, v, bins=CELLS, weights=-course.found_n[inside])
     count = np.histogram2d(w, v, bins=(rows, columns))[0]
-    mean = np.where(count > 0, force / np.maximum(count, 1), np.nan)
+    mean = force / np.maximum(count, 1)
     return Surface(tuple(rows.tolist()), tuple(columns.tolist()), tuple(tuple(row) for row in mean.tolist()))

@@ -56,8 +56,8 @@ def fitted(course: Course, form: Form, within: tuple[float, float] | None = None
     coefficients, gain, errors = solved(course, form, parameter)
     return Law(
         form,
-        tuple(-coefficients),
-        tuple(errors),
+        tuple((-coefficients).tolist()),
+        tuple(errors.tolist()),
         parameter,
         error,
         0.0,

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Complex
 
 from identify.gap.unknown.evidence import Explained, explained, normal, without
-from identify.gap.unknown.observed import Observed, drifting, with_columns
+from identify.gap.unknown.nuisance import drifting
+from identify.gap.unknown.observed import Observed, with_columns
 from rig.description import Rig, Station
 
 Kind = Literal["force", "pair", "sensor", "distributed"]

@@ -2,6 +2,9 @@
 
 from identify.gap.unknown.force import UnknownForce
 
+ALONE = 0.5
+"""A force is random if it is at least this share of itself before the excitation begins."""
+
 
 def sentence(found: UnknownForce) -> str:
     """Such as "a force at 50.0 Hz, 1.4 N, on the cradle near 0.80 m"."""
@@ -24,7 +27,8 @@ def sentence(found: UnknownForce) -> str:
     if not found.law:
         low, high = found.band_hz
         when = {"always": "", "in contact": ", while contacts are closed", "growing with time": ", growing with time"}
-        return f"a random force from {low:.3g} to {high:.3g} Hz, {found.rms.value:.2g} N rms, {where}{when[found.when]}"
+        what = "a random force" if found.before_excitation > ALONE else "a force by no law that was tried,"
+        return f"{what} from {low:.3g} to {high:.3g} Hz, {found.rms.value:.2g} N rms, {where}{when[found.when]}"
     return f"{_LAWS[found.law_name].format(where=where)}, {found.law}"
 
 

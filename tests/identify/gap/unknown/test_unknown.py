@@ -2,14 +2,16 @@
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from msgspec.structs import replace as changed
 
-from identify.gap.unknown import likeliest_force, sentence, unknown_force
+from identify.gap.unknown import UnknownForce, likeliest_force, sentence, unknown_force
 from identify.gap.unknown.evidence import explained, without
 from identify.gap.unknown.location import Candidate, located, response_of
-from identify.gap.unknown.observed import force_noise, observed
+from identify.gap.unknown.nuisance import observed
+from identify.gap.unknown.observed import force_noise
 from rig.contact import DeadZone
 from rig.description import Contact, Station
 from rig.errors import RigError
@@ -33,6 +35,7 @@ def test_drag_is_found_with_its_place_and_law(damped):
     drag, place_m = 10.0, 0.63
     found = found_in(damped, ((Station("beam", place_m),), lambda _, __, v: -drag * np.abs(v) * v), rms_n=20.0)
     assert (found.kind, found.body) == ("force", "beam")
+    assert msgspec.json.decode(msgspec.json.encode(found), type=UnknownForce) == found
     assert found.position_m.value == pytest.approx(place_m, abs=WITHIN_M)
     assert found.against == "velocity squared"
     assert found.law_parameters["coefficient"].value == pytest.approx(drag, rel=0.03)
@@ -62,6 +65,7 @@ def test_a_random_force_has_a_band_and_no_law(world):
     assert found.law == ""
     assert found.rms.value == pytest.approx(rms_n, rel=0.15)
     assert 3 < found.band_hz[0] < found.band_hz[1] < 27
+    assert found.before_excitation == pytest.approx(1.0, abs=0.5)
     assert "random force" in sentence(found)
 
 
