@@ -85,7 +85,9 @@ def silverbox(
     out.mkdir(parents=True, exist_ok=True)
     fit, validation, arrow = (written(recording, out / f"{name}.mcap") for name, recording in parts)
     with progress_bar("diagnosing") as progress:
-        gap, diagnosed = diagnose(fit, validation, simulated, None, lambda _, x: progress(x), FITTED)
+        gap, diagnosed = diagnose(
+            fit, validation, Simulator("silverbox", simulated), None, lambda _, x: progress(x), FITTED
+        )
     corrected = identified(diagnosed, fit)
     errors = {name: errors_mv(rig, arrow) for name, rig in (("linear", fit.rig), ("corrected", corrected))}
     judged = Judged(

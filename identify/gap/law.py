@@ -125,7 +125,7 @@ def added_n_per_m(rig: Rig, contact: int) -> float:
     body = rig.contacts[contact].at.body
     if not isinstance(rig.body(body), Oscillator):
         return 0.0
-    return sum(s.stiffness_n_per_m for s in rig.springs if s.station.body == body)
+    return float(sum(s.stiffness_n_per_m for s in rig.springs if s.station.body == body))
 
 
 def start_of(laid: Laid, seen: Seen, rate_hz: float) -> Float[np.ndarray, " unknowns"]:

@@ -100,8 +100,12 @@ def base_of(
 
 def rescaled(base: Base, at: Residual) -> Base:
     """The base with the scales that a residual of it shows."""
-    scales = estimated_scales(base.record, base.scales, at.linear, at.contact_levels)
-    return base_of(base.record, base.rig, at, scales)
+    return base_of(base.record, base.rig, at, scales_at(base, at))
+
+
+def scales_at(base: Base, at: Residual) -> Scales:
+    """Of what no model explains, as a residual shows them."""
+    return estimated_scales(base.record, base.scales, at.linear, at.contact_levels)
 
 
 def linear_of(base: Base, rig: Rig) -> Linear:
