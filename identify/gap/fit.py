@@ -82,7 +82,7 @@ def derivative(base: Base, moved: Rig, at: Residual) -> Column:
     sensors = len(record.sensors)
     change = old.residual - new.residual
     inputs = np.concatenate([old.contact_n - new.contact_n, change[sensors:]])
-    less = change[:sensors] + (old.unknown @ inputs.T[:, :, None])[:, :, 0].T
+    less = change[:sensors] + np.einsum("isl,il->sl", old.by_input, inputs)
     left, less_n = old.projected(less * old.spread)
     less_force = record.in_time(less_n) + (old.holding_n - new.holding_n)[:, None]
     less_eta = record.in_time(old.eta_m - new.eta_m)
