@@ -75,7 +75,9 @@ def seen_contacts(record: Record, model: Linear, levels: Sequence[float]) -> tup
         if drift is not None:
             at = np.arange(record.taken.start, record.taken.stop) * record.factor
             slow = replace(drift, acceleration_m_per_s2=drift.acceleration_m_per_s2[at])
-        found.append(Seen(weights, closed.astype(float), spline(force.size, record.rate_hz, slow), record.strictness, trusted))
+        found.append(
+            Seen(weights, closed.astype(float), spline(force.size, record.rate_hz, slow), record.strictness, trusted)
+        )
     return tuple(found)
 
 
@@ -175,7 +177,7 @@ class Contact:
             by_stiffness * self.law.spring_n(self.depth_m),
             self.damped_n,
         ]
-        by_law = np.stack([decimated(row, self.laid.finer) for row in fine], axis=1)
+        by_law = decimated(np.stack(fine), self.laid.finer).T
         by_knots = diags(weights * self.by_eta) @ curve.value
         rows = hstack([by_knots, csr_matrix(weights[:, None] * by_law)])
         prior = hstack([curve.curvature, csr_matrix((curve.target.size, 3))])
@@ -233,8 +235,8 @@ def _beyond(unknowns: Float[np.ndarray, " unknowns"]) -> Float[np.ndarray, "3"]:
 
 def _finely(values: Float[np.ndarray, " times"], finer: int) -> Float[np.ndarray, " fine"]:
     """Linear between samples, which slow motion is."""
-    fine = np.arange((values.size - 1) * finer + 1) / finer
-    return np.interp(fine, np.arange(values.size), values)
+    between = values[:-1, None] + np.diff(values)[:, None] * (np.arange(finer) / finer)
+    return np.append(between, values[-1])
 
 
 def _coarsely(values: Float[np.ndarray, " fine"], finer: int) -> Float[np.ndarray, " times"]:
