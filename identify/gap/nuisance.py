@@ -69,7 +69,8 @@ def columns_of(record: Record, model: Linear) -> Columns:
         changes += [*_of_positions(record, model, response, motion), *_of_modes(record, model, response, motion)]
     count, contacts, samples = len(changes), len(model.rig.contacts), record.taken.stop - record.taken.start
     residual = np.empty((count, len(model.residual), samples))
-    forces, eta = np.empty((count, contacts, samples)), np.zeros((count, contacts, samples))
+    # those of the contacts lie sample by sample, as the normal equations take them
+    forces, eta = (np.zeros((contacts, samples, count)).transpose(2, 0, 1) for _ in range(2))
     scale = residual_scale(record)
     for i, change in enumerate(changes):
         left, force = _projected(record, model, change)
