@@ -153,7 +153,7 @@ class Contact:
     def cost(self) -> float:
         return float(self.residual @ self.residual)
 
-    @cached_property
+    @property
     def tangent_n_per_m(self) -> Float[np.ndarray, " fine"]:
         return self.within.tangent_n_per_m(self.depth_m)
 

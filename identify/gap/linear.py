@@ -25,7 +25,7 @@ from rig.modes import modes_of, participation
 from rig.oscillator import Oscillator
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Linear:
     """A rig's linear model laid against a record.
 
@@ -62,7 +62,7 @@ class Linear:
     def _to_inputs(self) -> Complex[np.ndarray, "inputs sensors lines"]:
         return _least_squares(self.by_input, self.by_input.conj(), len(self.rig.contacts))[0]
 
-    @cached_property
+    @property
     def modal(self) -> tuple[Complex[np.ndarray, "modes lines"], ...]:
         """The accelerations of each body's modes."""
         forces = np.stack([*(force_n for _, force_n in self.pushes), *self.contact_n])

@@ -123,7 +123,6 @@ def _measured(record: Record, model: Linear) -> list[Complex[np.ndarray, "modes 
     found = []
     for response, motion in zip(model.responses, model.modal, strict=True):
         rows = [i for i, s in enumerate(record.sensors) if s.station.body == response.body.name]
-        motion = motion.copy()
         if rows:
             count = min(len(rows), response.count)
             shapes = response.shapes([record.sensors[i].station for i in rows])[:, :count]

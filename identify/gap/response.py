@@ -52,7 +52,7 @@ class Response:
         return _transfer(self.dynamics, outputs.tobytes(), inputs.tobytes())
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=4)
 def dynamics_of(natural_hz: bytes, damping_ratios: bytes, omega_rad_per_s: bytes, high_passed: bool) -> Dynamics:
     """Of the modes whose doubles are given; high_passed: the springs act on the high-passed displacement alone."""
     hz, zeta, omega = (np.frombuffer(values) for values in (natural_hz, damping_ratios, omega_rad_per_s))
@@ -67,7 +67,7 @@ def dynamics_of(natural_hz: bytes, damping_ratios: bytes, omega_rad_per_s: bytes
     return Dynamics(found)
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=8)
 def _transfer(dynamics: Dynamics, outputs: bytes, inputs: bytes) -> Complex[np.ndarray, "inputs outputs lines"]:
     modes, lines = dynamics.accelerance.shape
     to, by = (np.frombuffer(shapes).reshape(-1, modes) for shapes in (outputs, inputs))
