@@ -15,9 +15,15 @@ from rig.modes import Modes
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """Accelerations of modes per modal force; one object for the same modes, so that its products are kept."""
+    """Modes on the lines of a record; one object for the same modes, so that products of theirs are kept.
 
-    accelerance: Complex[np.ndarray, "modes lines"]
+    high_passed: their springs act on the high-passed displacement alone.
+    """
+
+    natural_hz: Float[np.ndarray, " modes"]
+    damping_ratios: Float[np.ndarray, " modes"]
+    omega: Float[np.ndarray, " lines"]
+    high_passed: bool
 
 
 @dataclass(frozen=True)
@@ -31,7 +37,7 @@ class Response:
 
     @property
     def accelerance(self) -> Complex[np.ndarray, "modes lines"]:
-        return self.dynamics.accelerance
+        return _accelerance(self.dynamics)
 
     def shapes(self, stations: Sequence[Station | None]) -> Float[np.ndarray, "stations modes"]:
         """Zero at stations of other bodies and at the ground."""
@@ -52,11 +58,17 @@ class Response:
         return _transfer(self.dynamics, outputs.tobytes(), inputs.tobytes())
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=16)
 def dynamics_of(natural_hz: bytes, damping_ratios: bytes, omega_rad_per_s: bytes, high_passed: bool) -> Dynamics:
-    """Of the modes whose doubles are given; high_passed: the springs act on the high-passed displacement alone."""
+    """Of the modes whose doubles are given."""
     hz, zeta, omega = (np.frombuffer(values) for values in (natural_hz, damping_ratios, omega_rad_per_s))
-    if high_passed:
+    return Dynamics(hz, zeta, omega, high_passed)
+
+
+@lru_cache(maxsize=4)
+def _accelerance(modes: Dynamics) -> Complex[np.ndarray, "modes lines"]:
+    hz, zeta, omega = modes.natural_hz, modes.damping_ratios, modes.omega
+    if modes.high_passed:
         natural = 2 * np.pi * hz[:, None]
         held = natural**2 * integrated(omega, -2, CORNER_HZ)
         found = 1 / (1 + held + 2 * zeta[:, None] * natural * integrated(omega, -1, CORNER_HZ))
@@ -64,14 +76,15 @@ def dynamics_of(natural_hz: bytes, damping_ratios: bytes, omega_rad_per_s: bytes
         found = -(omega**2) * receptance(hz, zeta, omega / (2 * np.pi))
     found[hz == 0] = 1.0
     found.flags.writeable = False
-    return Dynamics(found)
+    return found
 
 
 @lru_cache(maxsize=8)
 def _transfer(dynamics: Dynamics, outputs: bytes, inputs: bytes) -> Complex[np.ndarray, "inputs outputs lines"]:
-    modes, lines = dynamics.accelerance.shape
+    accelerance = _accelerance(dynamics)
+    modes, lines = accelerance.shape
     to, by = (np.frombuffer(shapes).reshape(-1, modes) for shapes in (outputs, inputs))
-    found = times((by[:, None, :] * to[None]).reshape(-1, modes), dynamics.accelerance)
+    found = times((by[:, None, :] * to[None]).reshape(-1, modes), accelerance)
     found.flags.writeable = False
     return found.reshape(len(by), len(to), lines)
 

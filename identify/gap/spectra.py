@@ -99,7 +99,7 @@ class Record:
         if derivative:
             whole = whole * (2j * np.pi * self.sample_rate_hz / self.length * np.arange(whole.shape[1]))
         moved = self.finer * irfft(whole, self.length * self.finer)
-        return np.asarray(moved[:, self.taken.start * fine : (self.taken.stop - 1) * fine + 1])
+        return moved[:, self.taken.start * fine : (self.taken.stop - 1) * fine + 1].copy()
 
     @cached_property
     def twice_integrated(self) -> Complex[np.ndarray, " lines"]:
