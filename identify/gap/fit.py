@@ -1,4 +1,4 @@
-"""Gauss-Newton on the residual: the parameters of effects, with nuisance parameters, drifts and contact tolerances along."""
+"""Gauss-Newton on the residual: parameters of effects, with nuisance parameters, drifts and contact tolerances."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from rig.errors import RigError
 
 STEPS = 12
 FINE = 1e-3
-"""Derivatives are by this share of a candidate's steps: little of a parameter is left once nuisance parameters are eliminated."""
+"""Derivatives are by this share of a candidate's steps: little is left once nuisance parameters are eliminated."""
 ROUNDING = 1e-9
 SETTLED = 3e-5
 """A whole step of Gauss-Newton is the last if the cost falls by a smaller share, a tenth of the errors; ..."""
@@ -82,7 +82,7 @@ def derivative(base: Base, moved: Rig, at: Residual) -> Column:
     sensors = len(record.sensors)
     change = old.residual - new.residual
     inputs = np.concatenate([old.contact_n - new.contact_n, change[sensors:]])
-    less = change[:sensors] + (old.unknown @ inputs.T[:, :, None])[:, :, 0].T
+    less = change[:sensors] + np.einsum("isl,il->sl", old.by_input, inputs)
     left, less_n = old.projected(less * old.spread)
     less_force = record.in_time(less_n) + (old.holding_n - new.holding_n)[:, None]
     less_eta = record.in_time(old.eta_m - new.eta_m)
@@ -114,15 +114,33 @@ def _by_sensors(base: Base, moved: Rig, at: Residual) -> Column:
 
 
 @dataclass(frozen=True)
+class Eliminated:
+    """One contact's own unknowns, eliminated from the normal equations of the nuisance parameters.
+
+    rows are the contact residual's derivatives by the nuisance parameters, coupled the products with those by the
+    unknowns, solved their solution and that of the gradient, free.
+    """
+
+    solver: SuperLU
+    rows: Float[np.ndarray, "_ nuisances"]
+    coupled: Float[np.ndarray, "unknowns nuisances"]
+    solved: Float[np.ndarray, "unknowns nuisances"]
+    free: Float[np.ndarray, " unknowns"]
+    solved_free: Float[np.ndarray, " unknowns"]
+
+
+@dataclass(frozen=True)
 class Reduced:
-    """Normal equations of the nuisance parameters at a residual, with the contacts' own unknowns eliminated; columns join them."""
+    """Normal equations of the nuisance parameters at a residual; columns join them.
+
+    The contacts' own unknowns are eliminated.
+    """
 
     base: Base
     at: Residual
     matrix: Float[np.ndarray, "nuisances nuisances"]
     gradient: Float[np.ndarray, " nuisances"]
-    rows: tuple[Float[np.ndarray, "nuisances _"], ...]
-    solvers: tuple[SuperLU, ...]
+    contacts: tuple[Eliminated, ...]
 
     def joined(self, columns: list[Column]) -> Normal:
         """Over the nuisance parameters, then the columns."""
@@ -135,15 +153,14 @@ class Reduced:
         matrix[count:, count:] = own @ own.T
         gradient[count:] = own @ self.at.linear.ravel()
         back = []
-        for j, contact in enumerate(self.at.contacts):
-            mine = np.array([c[1][j] for c in columns]).reshape(len(columns), contact.residual.size)
-            free = contact.columns.T @ contact.residual
-            coupled = np.concatenate([self.rows[j] @ contact.columns, mine @ contact.columns])
-            eliminated = self.solvers[j].solve(np.ascontiguousarray(coupled.T))
-            matrix[:count, count:] += self.rows[j] @ mine.T - coupled[:count] @ eliminated[:, count:]
-            matrix[count:, count:] += mine @ mine.T - coupled[count:] @ eliminated[:, count:]
-            gradient[count:] += mine @ contact.residual - eliminated[:, count:].T @ free
-            back.append((self.solvers[j].solve(free), eliminated))
+        for j, (contact, eliminated) in enumerate(zip(self.at.contacts, self.contacts, strict=True)):
+            mine = np.array([c[1][j] for c in columns]).reshape(len(columns), contact.residual.size).T
+            coupled = contact.columns.T @ mine
+            solved = eliminated.solver.solve(coupled)
+            matrix[:count, count:] += eliminated.rows.T @ mine - eliminated.coupled.T @ solved
+            matrix[count:, count:] += mine.T @ mine - coupled.T @ solved
+            gradient[count:] += mine.T @ contact.residual - solved.T @ eliminated.free
+            back.append((eliminated.solved_free, np.concatenate([eliminated.solved, solved], axis=1)))
         matrix[count:, :count] = matrix[:count, count:].T
         return Normal(matrix, gradient, tuple(back))
 
@@ -155,19 +172,18 @@ def reduced(base: Base, at: Residual) -> Reduced:
     gradient = (
         base.columns.residual.reshape(count, at.linear.size) @ at.linear.ravel() - base.record.strictness * at.nuisance
     )
-    every, solvers = [], []
+    found = []
     for j, contact in enumerate(at.contacts):
-        weights = base.seen[j].weights
-        rows = np.zeros((count, contact.residual.size))
-        rows[:, : weights.size] = weights * (base.columns.contact_n[:, j] - contact.by_eta * base.columns.eta_m[:, j])
-        solver = contact.solver()
-        coupled = rows @ contact.columns
-        eliminated = solver.solve(np.ascontiguousarray(coupled.T))
-        matrix = matrix + rows @ rows.T - coupled @ eliminated
-        gradient = gradient + rows @ contact.residual - eliminated.T @ (contact.columns.T @ contact.residual)
-        every.append(rows)
-        solvers.append(solver)
-    return Reduced(base, at, matrix, gradient, tuple(every), tuple(solvers))
+        weights, solver = base.seen[j].weights, contact.solver()
+        forces, eta = base.columns.contact_n[:, j].T, base.columns.eta_m[:, j].T
+        rows = np.zeros((contact.residual.size, count))
+        rows[: weights.size] = weights[:, None] * forces - (weights * contact.by_eta)[:, None] * eta
+        free, coupled = contact.columns.T @ contact.residual, contact.columns.T @ rows
+        solved = solver.solve(coupled)
+        matrix = matrix + rows.T @ rows - coupled.T @ solved
+        gradient = gradient + rows.T @ contact.residual - solved.T @ free
+        found.append(Eliminated(solver, rows, coupled, solved, free, solver.solve(free)))
+    return Reduced(base, at, matrix, gradient, tuple(found))
 
 
 def fit(
