@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 from scipy.sparse.linalg import SuperLU
@@ -13,6 +13,8 @@ from identify.gap.law import added_n_per_m
 from identify.gap.linear import chain_of
 from identify.gap.nuisance import LIMIT, at_contacts, residual_scale
 from identify.gap.residual import Base, Residual, linear_of, residual_of, same_but_laws, same_but_sensors
+from identify.gap.spectra import Record
+from identify.spectra import decimated
 from rig.description import Rig
 from rig.errors import RigError
 
@@ -85,15 +87,10 @@ def derivative(base: Base, moved: Rig, at: Residual) -> Column:
     less = change[:sensors] + np.einsum("isl,il->sl", old.by_input, inputs)
     left, less_n = old.projected(less * old.spread)
     less_force = record.in_time(less_n) + (old.holding_n - new.holding_n)[:, None]
-    less_eta = record.in_time(old.eta_m - new.eta_m)
-    contacts = []
-    for j, (contact, seen) in enumerate(zip(at.contacts, base.seen, strict=True)):
-        stiffer = added_n_per_m(moved, j) - added_n_per_m(at.rig, j)
-        slow = seen.curve.value @ contact.unknowns[: seen.curve.knots] if stiffer else 0.0
-        column = np.zeros(contact.residual.size)
-        less_n = less_force[j] - contact.by_law * less_eta[j] + stiffer * slow
-        column[: seen.weights.size] = seen.weights * less_n
-        contacts.append(column)
+    for j, contact in enumerate(at.contacts):
+        if stiffer := added_n_per_m(moved, j) - added_n_per_m(at.rig, j):
+            less_force[j] += stiffer * (contact.seen.curve.value @ contact.unknowns[: contact.seen.curve.knots])
+    contacts = _by_motion(record, at, less_force, old.eta_m - new.eta_m)
     return residual_scale(record) * record.in_time(left), contacts
 
 
@@ -103,14 +100,28 @@ def _by_sensors(base: Base, moved: Rig, at: Residual) -> Column:
     ratio = chain_of(record, moved) / chain_of(record, at.rig) - 1
     explained = record.delivered - model.residual[: len(record.sensors)] * model.spread
     left, force = model.projected(ratio * explained)
-    force_n = record.in_time(force)
-    eta_m = record.in_time(at_contacts(record, model, ratio * record.displaced / model.chain))
-    contacts = []
-    for contact, seen, own_n, own_m in zip(at.contacts, base.seen, force_n, eta_m, strict=True):
-        column = np.zeros(contact.residual.size)
-        column[: seen.weights.size] = seen.weights * (own_n - contact.by_law * own_m)
-        contacts.append(column)
+    less_eta = at_contacts(record, model, ratio * record.displaced / model.chain)
+    contacts = _by_motion(record, at, record.in_time(force), less_eta)
     return residual_scale(record) * record.in_time(left), contacts
+
+
+def _by_motion(
+    record: Record,
+    at: Residual,
+    less_force_n: Float[np.ndarray, "contacts times"],
+    less_eta_m: Complex[np.ndarray, "contacts lines"],
+) -> list[Float[np.ndarray, " _"]]:
+    """What smaller contact forces and relative displacements take off the contact residuals, by the laws' slopes."""
+    fine_m = record.finely(less_eta_m, beyond=False) if np.any(less_eta_m) else None
+    found = []
+    for j, contact in enumerate(at.contacts):
+        less_n = less_force_n[j]
+        if fine_m is not None:
+            less_n = less_n - decimated(contact.tangent_n_per_m * fine_m[j], contact.laid.finer)
+        column = np.zeros(contact.residual.size)
+        column[: less_n.size] = contact.seen.weights * less_n
+        found.append(column)
+    return found
 
 
 @dataclass(frozen=True)

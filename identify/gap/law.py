@@ -175,14 +175,9 @@ class Contact:
         return self.within.tangent_n_per_m(self.depth_m)
 
     @cached_property
-    def by_law(self) -> Float[np.ndarray, " times"]:
-        """The law's derivative by the relative displacement, N/m."""
-        return _coarsely(self.tangent_n_per_m, self.laid.finer)
-
-    @cached_property
     def by_eta(self) -> Float[np.ndarray, " times"]:
         """The law's derivative by slow changes of the relative displacement, N/m."""
-        return self.by_law + self.laid.spring_n_per_m
+        return _coarsely(self.tangent_n_per_m, self.laid.finer) + self.laid.spring_n_per_m
 
     @cached_property
     def columns(self) -> csr_matrix:

@@ -91,11 +91,14 @@ class Record:
         return np.asarray(rfft(course * self.window, self.length)[lines])
 
     def finely(
-        self, eta: Complex[np.ndarray, "contacts lines"], derivative: int = 0
+        self, eta: Complex[np.ndarray, "contacts lines"], derivative: int = 0, beyond: bool = True
     ) -> Float[np.ndarray, "contacts fine"]:
-        """Relative displacements, or velocities, at `FINE_HZ` or more, within the samples that count."""
+        """Relative displacements, or velocities, at `FINE_HZ` or more, within the samples that count.
+
+        With what was measured beyond the lines; a change of a model has nothing there.
+        """
         fine = self.factor * self.finer
-        whole = np.concatenate([eta[:, :-1], self.eta_beyond], axis=1)
+        whole = np.concatenate([eta[:, :-1], self.eta_beyond if beyond else np.zeros_like(self.eta_beyond)], axis=1)
         if derivative:
             whole = whole * (2j * np.pi * self.sample_rate_hz / self.length * np.arange(whole.shape[1]))
         moved = self.finer * irfft(whole, self.length * self.finer)
