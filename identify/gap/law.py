@@ -12,8 +12,8 @@ from scipy.sparse import block_diag, csc_matrix, csr_matrix, vstack
 from scipy.sparse.linalg import SuperLU, splu
 
 from identify.drift import Spline, spline
-from identify.gap.nuisance import LIMIT
 from identify.gap.linear import Linear
+from identify.gap.nuisance import LIMIT
 from identify.gap.spectra import Record
 from identify.joint import Observed, regressed
 from identify.spectra import decimated
@@ -221,9 +221,10 @@ def contact_residual(
         upper_clearance_m=law.upper_clearance_m * max(0.0, 1 + clearance),
         stiffness_n_per_m=law.stiffness_n_per_m * max(0.01, 1 + stiffness),
     )
-    depth = within.penetration_m(eta, laid.time_s)
+    time_s = laid.time_s if law.wear_m_per_s else 0.0  # without wear two numbers are the stops, not two courses
+    depth = within.penetration_m(eta, time_s)
     damped = seen.trusted[2] * law.stiffness_n_per_m * rate * damping_share(depth)
-    force = within.force_n(eta, rate, laid.time_s) + unknowns[-1] * damped
+    force = within.force_n(eta, rate, time_s) + unknowns[-1] * damped
     residual = laid.force_n + more_n - decimated(force, laid.finer) - laid.spring_n_per_m * slow
     held = -seen.firm * (unknowns[curve.knots :] + WALL * _beyond(unknowns))
     return Contact(

@@ -219,7 +219,7 @@ def _accelerations(
         driven = np.flatnonzero(np.any(into, axis=1))
         if own and driven.size:
             outputs = response.shapes([places[i] for i in own])
-            found[np.ix_(driven, own)] = response.transfer(outputs, into[driven])
+            found[driven[:, None], own] = response.transfer(outputs, into[driven])
     return found
 
 

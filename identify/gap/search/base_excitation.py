@@ -7,8 +7,8 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal.windows import hann
 
 from identify.gap.candidates import Candidate
-from identify.gap.nuisance import residual_scale
 from identify.gap.linear import linear_model
+from identify.gap.nuisance import residual_scale
 from identify.gap.residual import Base, Residual
 from identify.gap.spectra import SMOOTHED_HZ
 from rig.description import BaseMotion
