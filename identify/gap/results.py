@@ -32,7 +32,8 @@ class Cause(msgspec.Struct, frozen=True, kw_only=True):
     """Effects that together explain the gap, wholly or in part. parameters and places are named EFFECT.FIELD.
 
     explained is the fraction of the gap that they close on the validation record: of the logarithm of the residual over
-    noise and tolerated shares, so that one is a gap closed in every band, sensor and contact.
+    noise and tolerated shares, so that one is a gap closed in every band, sensor and contact. log_prior and
+    minus_two_log, up to constants of all hypotheses, are what the probability is made of.
     """
 
     effects: tuple[str, ...]
@@ -42,6 +43,8 @@ class Cause(msgspec.Struct, frozen=True, kw_only=True):
     explained: float
     interval_95: tuple[float, float]
     left: Left
+    log_prior: float
+    minus_two_log: float
 
 
 class Share(msgspec.Struct, frozen=True):
@@ -155,6 +158,10 @@ class Gap(msgspec.Struct, frozen=True, kw_only=True):
     causes: tuple[Cause, ...]
     probability_nothing: float
     probability_unknown: float
+    nothing_minus_two_log: float
+    """Of the believed rig."""
+    unknown_gain: float | None
+    """By how much an unmeasured force lowers it; None where none was looked for."""
     unknown: Unknown | None
     bands: tuple[Band, ...]
     equivalent: tuple[tuple[str, ...], ...]

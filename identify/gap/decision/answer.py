@@ -12,7 +12,7 @@ from identify.gap.decision.comparison import Judged, closed, closed_interval, ju
 from identify.gap.decision.null_reference import NullReference, Simulate, null_reference
 from identify.gap.decision.response_comparison import compared
 from identify.gap.decision.sentence import sentence
-from identify.gap.decision.verdict import Decision, decided
+from identify.gap.decision.verdict import Decision, decided, unknown_gain
 from identify.gap.faults import sound_channels
 from identify.gap.likelihood import Misfit, Reference, reference_of
 from identify.gap.nuisance import apply_nuisance
@@ -58,7 +58,7 @@ def diagnose(
 ) -> tuple[Gap, Rig]:
     """The diagnosis, and the rig corrected by it (the believed one, if no effect explains the gap at least in part).
 
-    The null reference is made by the simulator, or read from the file `kept`; tolerances say how exactly the rig is
+    The null reference is made by the simulator, or read from `kept` (see `null_reference`); tolerances say how exactly the rig is
     believed (else the rig itself does, else they are a laboratory's). Raises RigError if the records do not fit together
     or allow no diagnosis.
     """
@@ -67,7 +67,7 @@ def diagnose(
     elif to_json(recording.rig) != to_json(validation.rig):
         raise RigError("the validation recording is of another rig (their rig.json differ); record the same rig twice")
     believed = tolerances or recording.rig.tolerances or LABORATORY
-    fit_part, other, faults = _sound(recording, validation)
+    fit_part, other, faults = sound(recording, validation)
     fit_record, record = (record_of(part, tolerances=believed) for part in (fit_part, other))
     nulls = null_reference(other, believed, simulator.simulate, simulator.name, lambda x: progress("nulls", x), kept)
     hypotheses, known = searched(fit_record, lambda x: progress("causes", 0.7 * x))
@@ -102,6 +102,8 @@ def diagnose(
         causes=causes,
         probability_nothing=decision.probabilities[ranked.index(nothing)],
         probability_unknown=decision.unknown,
+        nothing_minus_two_log=nothing.misfit.minus_two_log,
+        unknown_gain=unknown_gain(unknown, record.strictness),
         unknown=_described(unknown, swinging),
         bands=_bands(without, after, nulls),
         equivalent=(tuple(alike),) if len(alike) > 1 else (),
@@ -127,7 +129,7 @@ def _laid(record: Record) -> tuple[Base, Reference]:
     return base, reference_of(base)
 
 
-def _sound(recording: Recording, validation: Recording) -> tuple[Recording, Recording, dict[str, str]]:
+def sound(recording: Recording, validation: Recording) -> tuple[Recording, Recording, dict[str, str]]:
     """Both recordings without the channels that are dead or clipped in either."""
     fit_part, faults = sound_channels(recording)
     other, more = sound_channels(validation, without=tuple(faults))
@@ -197,6 +199,8 @@ def _cause(one: Judged, probability: float, nulls: NullReference, matters: Matte
         explained=closed(one.without, one.misfit, matters),
         interval_95=closed_interval(one.without, one.misfit, matters),
         left=_left(one.misfit, one.rig, nulls.p_value(one.misfit)),
+        log_prior=one.log_prior,
+        minus_two_log=one.misfit.minus_two_log,
     )
 
 

@@ -6,6 +6,7 @@ rig, its tolerances, a simulator and a level of force, it is kept.
 
 import hashlib
 import importlib.metadata
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace as with_fields
 from pathlib import Path
@@ -76,8 +77,13 @@ def null_reference(
     kept: Path | None = None,
     nulls: int = NULLS,
 ) -> NullReference:
-    """That of a recording's rig, length and force, from the file `kept` if that is of the same; else made, and kept."""
-    key = _key(measured, tolerances, simulator, nulls)
+    """That of a recording's rig, length and force, from the file `kept` if that is of the same; else made, and kept.
+
+    Of a folder it is the file named after the key, so that many rigs and levels have theirs in one.
+    """
+    key = null_key(measured, tolerances, simulator, nulls)
+    if kept and kept.is_dir():
+        kept = kept / f"{key[:16]}.json"
     if kept and (found := _read(kept, key)):
         return found
     seen = record_of(measured, tolerances=tolerances)
@@ -94,7 +100,7 @@ def null_reference(
     reference = NullReference(key, tuple(rows))
     if kept:
         kept.parent.mkdir(parents=True, exist_ok=True)
-        part = kept.with_suffix(".part")
+        part = kept.with_name(f"{kept.name}.{os.getpid()}.part")
         part.write_bytes(msgspec.json.encode(reference))
         part.replace(kept)
     return reference
@@ -150,7 +156,8 @@ def _left(recording: Recording, tolerances: Tolerances) -> Null:
     return Null(left.minus_two_log, tuple(left.shares.tolist()), left.share, tuple(left.contact_shares.tolist()))
 
 
-def _key(measured: Recording, tolerances: Tolerances, simulator: str, nulls: int) -> str:
+def null_key(measured: Recording, tolerances: Tolerances, simulator: str, nulls: int = NULLS) -> str:
+    """Of the rig, its tolerances, the simulator, the force's level and length, and the program."""
     level = round(float(np.log(max(np.std(measured.force_n), 1e-300)) / np.log(LEVEL)))
     version = importlib.metadata.version("rig-identify")
     parts = (

@@ -55,11 +55,18 @@ def decided(
 
 def _unknown_log_posterior(nothing: Judged, unknown: UnknownForce | None, strictness: float) -> float:
     """An unmeasured force lowers -2 ln p by what it gains on the validation record, in samples that count."""
-    if unknown is None:
+    gain = unknown_gain(unknown, strictness)
+    if gain is None:
         return -np.inf
-    gain = unknown.validation_gain / strictness if unknown.same_place else 0.0
     prior = float(np.log(PRIOR_UNKNOWN / UNKNOWN_PLACES))
     return prior - (nothing.misfit.minus_two_log - gain) / (2 * TEMPERATURE)
+
+
+def unknown_gain(unknown: UnknownForce | None, strictness: float) -> float | None:
+    """What an unmeasured force gains on the validation record, in samples that count; 0 where the records differ."""
+    if unknown is None:
+        return None
+    return unknown.validation_gain / strictness if unknown.same_place else 0.0
 
 
 def _judged(

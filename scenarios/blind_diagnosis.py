@@ -1,0 +1,152 @@
+"""Blind cases diagnosed from their recordings alone: null references first, as many cases share one, then each case."""
+
+import resource
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+from msgspec.structs import replace
+
+from identify.gap.decision.answer import Simulator, diagnose, sound
+from identify.gap.decision.null_reference import null_key, null_reference
+from identify.gap.results import Gap
+from rig import replay
+from rig.errors import RigError
+from rig.model.tolerances import LABORATORY, Tolerances
+from rig.recording import Recording, read
+from scenarios.tasks import run_tasks
+from scenarios.worlds.making import sha256_of
+
+SIMULATOR = Simulator("modal", replay.modal)
+MIB_PER_UNIT = 1 / 2**20 if sys.platform == "darwin" else 1 / 2**10
+"""`getrusage` counts memory in bytes there, in KiB elsewhere."""
+
+
+class ToDiagnose(msgspec.Struct, frozen=True, kw_only=True):
+    """One case as its diagnosis sees it; `nulls` is the folder of null references, `key` that of the case's own."""
+
+    case: str
+    fit: str
+    validate: str
+    nulls: str
+    key: str
+    tolerances: Tolerances | None
+    sha256: dict[str, str]
+
+
+class NullsToMake(msgspec.Struct, frozen=True, kw_only=True):
+    """A null reference, and the recordings of one case that needs it."""
+
+    key: str
+    fit: str
+    validate: str
+    nulls: str
+    tolerances: Tolerances | None
+
+
+class NullsMade(msgspec.Struct, frozen=True):
+    """What a null reference cost; nothing if another run had made it."""
+
+    key: str
+    cpu_s: float
+    memory_mib: float
+
+
+class Found(msgspec.Struct, frozen=True, kw_only=True):
+    """The diagnosis of one case without curves, and of which recordings it is.
+
+    cpu_s is that of the diagnosis without its null reference, which took nulls_cpu_s and may be shared by many cases (0
+    if it was there already); memory_mib the largest of the process so far.
+    """
+
+    case: str
+    sha256: dict[str, str]
+    gap: Gap
+    cpu_s: float
+    nulls_cpu_s: float
+    memory_mib: float
+    key: str
+
+
+def diagnosed_cases(
+    recordings: Path,
+    out: Path,
+    tolerances: Tolerances | None = None,
+    nulls_of: Path | None = None,
+    dask: str | None = None,
+) -> list[Found]:
+    """Every case of a folder of recordings; what is kept in `out` is not computed again."""
+    fits = sorted(p for p in recordings.glob("*.mcap") if not p.stem.endswith("_validate"))
+    if not fits:
+        raise RigError(f"{recordings}: has no recordings; make the cases first")
+    nulls = nulls_of or out / "nulls"
+    nulls.mkdir(parents=True, exist_ok=True)
+    tasks = [_task(fit, nulls, tolerances) for fit in fits]
+    first = {task.key: task for task in reversed(tasks)}
+    to_make = [
+        NullsToMake(key=key, fit=t.fit, validate=t.validate, nulls=t.nulls, tolerances=tolerances)
+        for key, t in sorted(first.items())
+    ]
+    cost = {made.key: made.cpu_s for made in run_tasks(nulls_made, to_make, NullsMade, out / "tasks", dask)}
+    found = run_tasks(diagnosed, tasks, Found, out / "tasks", dask)
+    return [replace(f, nulls_cpu_s=cost[f.key]) for f in found]
+
+
+def nulls_made(task: NullsToMake) -> NullsMade:
+    """Makes and keeps the null reference of a case, unless it is there."""
+    _, validation, _ = sound(read(Path(task.fit)), read(Path(task.validate)))
+    there = any(Path(task.nulls).glob(f"{task.key[:16]}.json"))
+    began = time.process_time()
+    believed = _believed(validation, task.tolerances)
+    null_reference(validation, believed, SIMULATOR.simulate, SIMULATOR.name, kept=Path(task.nulls))
+    return NullsMade(task.key, 0.0 if there else time.process_time() - began, _memory_mib())
+
+
+def diagnosed(task: ToDiagnose) -> Found:
+    """Reads the two recordings of a case and diagnoses them; the time is that of this process."""
+    began = time.process_time()
+    gap = gap_of(read(Path(task.fit)), read(Path(task.validate)), Path(task.nulls), task.tolerances)
+    return Found(
+        case=task.case,
+        sha256=task.sha256,
+        gap=without_curves(gap),
+        cpu_s=time.process_time() - began,
+        nulls_cpu_s=0.0,
+        memory_mib=_memory_mib(),
+        key=task.key,
+    )
+
+
+def gap_of(fit: Recording, validate: Recording, nulls: Path, tolerances: Tolerances | None) -> Gap:
+    """The one place where the tool under test is called."""
+    return diagnose(fit, validate, SIMULATOR, nulls, tolerances=tolerances)[0]
+
+
+def without_curves(gap: Gap) -> Gap:
+    """Without what is large and not scored."""
+    attribution = replace(gap.attribution, positions_m={}, time_s=(), band_hz=(), surface={})
+    return replace(gap, curves=(), attribution=attribution)
+
+
+def _task(fit: Path, nulls: Path, tolerances: Tolerances | None) -> ToDiagnose:
+    validate = fit.with_name(f"{fit.stem}_validate.mcap")
+    _, validation, _ = sound(read(fit), read(validate))
+    return ToDiagnose(
+        case=fit.stem,
+        fit=str(fit),
+        validate=str(validate),
+        nulls=str(nulls),
+        key=null_key(validation, _believed(validation, tolerances), SIMULATOR.name),
+        tolerances=tolerances,
+        sha256={path.name: sha256_of(path) for path in (fit, validate)},
+    )
+
+
+def _believed(recording: Recording, tolerances: Tolerances | None) -> Tolerances:
+    return tolerances or recording.rig.tolerances or LABORATORY
+
+
+def _memory_mib() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * MIB_PER_UNIT
