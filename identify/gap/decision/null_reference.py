@@ -63,7 +63,8 @@ class NullReference(msgspec.Struct, frozen=True):
 
     def usual_shares(self) -> Float[np.ndarray, " bands"]:
         """By band: the share that nineteen of twenty nulls stay below."""
-        rows = np.array([n.shares for n in self.nulls])
+        common = min(len(n.shares) for n in self.nulls)  # the bands of a record end where its force does
+        rows = np.array([n.shares[:common] for n in self.nulls])
         beyond = student.ppf(0.95, len(rows) - 1) * np.sqrt(1 + 1 / len(rows))
         return np.asarray(rows.mean(axis=0) + beyond * rows.std(axis=0, ddof=1))
 
