@@ -64,7 +64,7 @@ def test_the_believed_rig_has_no_gap(nulls):
     ("text", "parameter", "value"),
     [
         ("contact_clearance:factor=1.1", "contact_clearance.factor", 1.1),
-        ("coulomb_friction:force_n=0.1", "coulomb_friction.force_n", 0.1),
+        ("coulomb_friction:force_n=0.3", "coulomb_friction.force_n", 0.3),
         ("added_mass:mass_kg=0.2", "added_mass.mass_kg", 0.2),
     ],
 )
@@ -105,12 +105,16 @@ def test_another_rigs_validation_is_refused(nulls):
         diagnose(fit, other, SIMULATOR, nulls)
 
 
+def refuse(_believed: Rig, _actual: Rig, _force_n: np.ndarray, _seed: int) -> Recording:
+    pytest.fail("the null reference was made again")
+
+
 def test_a_null_reference_of_another_rig_or_none_is_made_anew(tmp_path):
     path = tmp_path / "nulls.json"
     path.write_text("nothing of the kind")
     _, validation = records(RIG, RIG)
     made = null_reference(validation, LABORATORY, modal, "modal", kept=path, nulls=2)
-    assert null_reference(validation, LABORATORY, None, "modal", kept=path, nulls=2) == made
+    assert null_reference(validation, LABORATORY, refuse, "modal", kept=path, nulls=2) == made
     other = with_fields(validation, rig=replace(RIG, name="other"))
     assert null_reference(other, LABORATORY, modal, "modal", kept=path, nulls=2).key != made.key
 
