@@ -1,11 +1,12 @@
 """From what was measured at a station to its displacement, velocity and acceleration."""
 
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Complex, Float
-from scipy.fft import next_fast_len
+from scipy.fft import irfft, next_fast_len, rfft
 
 from rig.description import Quantity, Rig, Sensor, Station
 from rig.errors import RigError
@@ -105,17 +106,17 @@ def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNE
     spectra: dict[str, Complex[np.ndarray, " lines"]] = {}
     rows: dict[int, list[Float[np.ndarray, " samples"]]] = {0: [], 1: [], 2: []}
     lost: list[Float[np.ndarray, " samples"]] = []
+    below = 1 - _high_pass(omega, corner_hz)
+    powers = cache(lambda power: integrated(omega, power, corner_hz))
     for station in stations:
         for order, motion in rows.items():
             sensor = _nearest(chosen[station], order)
             if sensor.name not in spectra:
-                padded = np.pad(_channel(recording, sensor) * ending, (0, length - recording.samples))
-                spectra[sensor.name] = _undone(sensor, padded, omega)
-            factor = integrated(omega, order - _ORDER[sensor.quantity], corner_hz)
-            motion.append(np.fft.irfft(spectra[sensor.name] * factor, length)[:usable])
-        below = 0.0 if "displacement" in chosen[station] else 1 - _high_pass(omega, corner_hz)
-        slow = spectra[sensor.name] * factor * below  # the last sensor gave the acceleration
-        lost.append(np.fft.irfft(slow, length)[:usable])
+                spectra[sensor.name] = _undone(sensor, _channel(recording, sensor) * ending, omega, length)
+            moved = spectra[sensor.name] * powers(order - _ORDER[sensor.quantity])
+            motion.append(irfft(moved, length)[:usable])
+        nothing = "displacement" in chosen[station]  # else the last sensor gave the acceleration
+        lost.append(np.zeros(usable) if nothing else irfft(moved * below, length)[:usable])
     return Kinematics(
         stations=stations,
         channels=tuple(spectra),
@@ -158,10 +159,10 @@ def _channel(recording: Recording, sensor: Sensor) -> Float[np.ndarray, " sample
 
 
 def _undone(
-    sensor: Sensor, delivered: Float[np.ndarray, " samples"], omega: Float[np.ndarray, " lines"]
+    sensor: Sensor, delivered: Float[np.ndarray, " samples"], omega: Float[np.ndarray, " lines"], length: int
 ) -> Complex[np.ndarray, " lines"]:
     """The spectrum of the motion that made the sensor deliver this: gain and delay taken out."""
-    return np.asarray(np.fft.rfft(delivered) * np.exp(1j * omega * sensor.delay_s) / sensor.gain)
+    return np.asarray(rfft(delivered, length) * np.exp(1j * omega * sensor.delay_s) / sensor.gain)
 
 
 def integrated(omega: Float[np.ndarray, " lines"], power: int, corner_hz: float) -> Complex[np.ndarray, " lines"]:

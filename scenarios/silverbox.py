@@ -26,7 +26,6 @@ from identify.results import write_json
 from identify.spectra import force_band
 from rig.command_line import Force, progress_bar, refuse_existing, run
 from rig.description import Rig, Sensor, Station
-from rig.model.tolerances import Tolerances
 from rig.oscillator import Oscillator
 from rig.plants.modal import simulate as modal
 from rig.recording import Recording
@@ -51,9 +50,6 @@ from scenarios.silverbox_figures import drawn
 SETTLED = 150
 """Samples at the start of the arrow that do not count, as is the custom with this benchmark."""
 OVERSAMPLED = 8
-FITTED = Tolerances(gain=0.02, position_m=0.0, frequency=0.02, damping=0.12)
-"""How exactly a linear rig is believed that comes from a fit which leaves an eighth of the motion unexplained."""
-
 app = typer.Typer(pretty_exceptions_enable=False)
 
 
@@ -85,7 +81,7 @@ def silverbox(
     out.mkdir(parents=True, exist_ok=True)
     fit, validation, arrow = (written(recording, out / f"{name}.mcap") for name, recording in parts)
     with progress_bar("diagnosing") as progress:
-        gap, diagnosed = diagnose(fit, validation, simulated, None, lambda _, x: progress(x), FITTED)
+        gap, diagnosed = diagnose(fit, validation, Simulator("silverbox", simulated), None, lambda _, x: progress(x))
     corrected = identified(diagnosed, fit)
     errors = {name: errors_mv(rig, arrow) for name, rig in (("linear", fit.rig), ("corrected", corrected))}
     judged = Judged(

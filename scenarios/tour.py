@@ -87,7 +87,8 @@ def tour(
     #    Tuesday's, at another level of force, decides between the explanations. What is normal is simulated first,
     #    and kept in a file.
     with progress_bar("diagnosing") as progress:
-        found, corrected = diagnose(monday, tuesday, simulate, out / "floor.json", lambda _, done: progress(done))
+        simulator = Simulator("modal", simulate)
+        found, corrected = diagnose(monday, tuesday, simulator, out / "nulls.json", lambda _, done: progress(done))
     print(f"6. {found.sentence}")
 
     # 7. Correct. The diagnosis gives the rig with the effect in it, ready to be believed from now on.

@@ -1,10 +1,10 @@
-"""Gauss-Newton on the residual: the parameters of effects, with nuisance parameters, drifts and contact tolerances along."""
+"""Gauss-Newton on the residual: parameters of effects, with nuisance parameters, drifts and contact tolerances."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 from scipy.sparse.linalg import SuperLU
@@ -13,12 +13,14 @@ from identify.gap.law import added_n_per_m
 from identify.gap.linear import chain_of
 from identify.gap.nuisance import LIMIT, at_contacts, residual_scale
 from identify.gap.residual import Base, Residual, linear_of, residual_of, same_but_laws, same_but_sensors
+from identify.gap.spectra import Record
+from identify.spectra import decimated
 from rig.description import Rig
 from rig.errors import RigError
 
 STEPS = 12
 FINE = 1e-3
-"""Derivatives are by this share of a candidate's steps: little of a parameter is left once nuisance parameters are eliminated."""
+"""Derivatives are by this share of a candidate's steps: little is left once nuisance parameters are eliminated."""
 ROUNDING = 1e-9
 SETTLED = 3e-5
 """A whole step of Gauss-Newton is the last if the cost falls by a smaller share, a tenth of the errors; ..."""
@@ -82,18 +84,13 @@ def derivative(base: Base, moved: Rig, at: Residual) -> Column:
     sensors = len(record.sensors)
     change = old.residual - new.residual
     inputs = np.concatenate([old.contact_n - new.contact_n, change[sensors:]])
-    less = change[:sensors] + (old.unknown @ inputs.T[:, :, None])[:, :, 0].T
+    less = change[:sensors] + np.einsum("isl,il->sl", old.by_input, inputs)
     left, less_n = old.projected(less * old.spread)
     less_force = record.in_time(less_n) + (old.holding_n - new.holding_n)[:, None]
-    less_eta = record.in_time(old.eta_m - new.eta_m)
-    contacts = []
-    for j, (contact, seen) in enumerate(zip(at.contacts, base.seen, strict=True)):
-        stiffer = added_n_per_m(moved, j) - added_n_per_m(at.rig, j)
-        slow = seen.curve.value @ contact.unknowns[: seen.curve.knots] if stiffer else 0.0
-        column = np.zeros(contact.residual.size)
-        less_n = less_force[j] - contact.by_law * less_eta[j] + stiffer * slow
-        column[: seen.weights.size] = seen.weights * less_n
-        contacts.append(column)
+    for j, contact in enumerate(at.contacts):
+        if stiffer := added_n_per_m(moved, j) - added_n_per_m(at.rig, j):
+            less_force[j] += stiffer * (contact.seen.curve.value @ contact.unknowns[: contact.seen.curve.knots])
+    contacts = _by_motion(record, at, less_force, old.eta_m - new.eta_m)
     return residual_scale(record) * record.in_time(left), contacts
 
 
@@ -103,26 +100,58 @@ def _by_sensors(base: Base, moved: Rig, at: Residual) -> Column:
     ratio = chain_of(record, moved) / chain_of(record, at.rig) - 1
     explained = record.delivered - model.residual[: len(record.sensors)] * model.spread
     left, force = model.projected(ratio * explained)
-    force_n = record.in_time(force)
-    eta_m = record.in_time(at_contacts(record, model, ratio * record.displaced / model.chain))
-    contacts = []
-    for contact, seen, own_n, own_m in zip(at.contacts, base.seen, force_n, eta_m, strict=True):
-        column = np.zeros(contact.residual.size)
-        column[: seen.weights.size] = seen.weights * (own_n - contact.by_law * own_m)
-        contacts.append(column)
+    less_eta = at_contacts(record, model, ratio * record.displaced / model.chain)
+    contacts = _by_motion(record, at, record.in_time(force), less_eta)
     return residual_scale(record) * record.in_time(left), contacts
+
+
+def _by_motion(
+    record: Record,
+    at: Residual,
+    less_force_n: Float[np.ndarray, "contacts times"],
+    less_eta_m: Complex[np.ndarray, "contacts lines"],
+) -> list[Float[np.ndarray, " _"]]:
+    """What smaller contact forces and relative displacements take off the contact residuals, by the laws' slopes."""
+    fine_m = record.finely(less_eta_m, beyond=False) if np.any(less_eta_m) else None
+    found = []
+    for j, contact in enumerate(at.contacts):
+        less_n = less_force_n[j]
+        if fine_m is not None:
+            less_n = less_n - decimated(contact.tangent_n_per_m * fine_m[j], contact.laid.finer)
+        column = np.zeros(contact.residual.size)
+        column[: less_n.size] = contact.seen.weights * less_n
+        found.append(column)
+    return found
+
+
+@dataclass(frozen=True)
+class Eliminated:
+    """One contact's own unknowns, eliminated from the normal equations of the nuisance parameters.
+
+    rows are the contact residual's derivatives by the nuisance parameters, coupled the products with those by the
+    unknowns, solved their solution and that of the gradient, free.
+    """
+
+    solver: SuperLU
+    rows: Float[np.ndarray, "_ nuisances"]
+    coupled: Float[np.ndarray, "unknowns nuisances"]
+    solved: Float[np.ndarray, "unknowns nuisances"]
+    free: Float[np.ndarray, " unknowns"]
+    solved_free: Float[np.ndarray, " unknowns"]
 
 
 @dataclass(frozen=True)
 class Reduced:
-    """Normal equations of the nuisance parameters at a residual, with the contacts' own unknowns eliminated; columns join them."""
+    """Normal equations of the nuisance parameters at a residual; columns join them.
+
+    The contacts' own unknowns are eliminated.
+    """
 
     base: Base
     at: Residual
     matrix: Float[np.ndarray, "nuisances nuisances"]
     gradient: Float[np.ndarray, " nuisances"]
-    rows: tuple[Float[np.ndarray, "nuisances _"], ...]
-    solvers: tuple[SuperLU, ...]
+    contacts: tuple[Eliminated, ...]
 
     def joined(self, columns: list[Column]) -> Normal:
         """Over the nuisance parameters, then the columns."""
@@ -135,15 +164,14 @@ class Reduced:
         matrix[count:, count:] = own @ own.T
         gradient[count:] = own @ self.at.linear.ravel()
         back = []
-        for j, contact in enumerate(self.at.contacts):
-            mine = np.array([c[1][j] for c in columns]).reshape(len(columns), contact.residual.size)
-            free = contact.columns.T @ contact.residual
-            coupled = np.concatenate([self.rows[j] @ contact.columns, mine @ contact.columns])
-            eliminated = self.solvers[j].solve(np.ascontiguousarray(coupled.T))
-            matrix[:count, count:] += self.rows[j] @ mine.T - coupled[:count] @ eliminated[:, count:]
-            matrix[count:, count:] += mine @ mine.T - coupled[count:] @ eliminated[:, count:]
-            gradient[count:] += mine @ contact.residual - eliminated[:, count:].T @ free
-            back.append((self.solvers[j].solve(free), eliminated))
+        for j, (contact, eliminated) in enumerate(zip(self.at.contacts, self.contacts, strict=True)):
+            mine = np.array([c[1][j] for c in columns]).reshape(len(columns), contact.residual.size).T
+            coupled = contact.columns.T @ mine
+            solved = eliminated.solver.solve(coupled)
+            matrix[:count, count:] += eliminated.rows.T @ mine - eliminated.coupled.T @ solved
+            matrix[count:, count:] += mine.T @ mine - coupled.T @ solved
+            gradient[count:] += mine.T @ contact.residual - solved.T @ eliminated.free
+            back.append((eliminated.solved_free, np.concatenate([eliminated.solved, solved], axis=1)))
         matrix[count:, :count] = matrix[:count, count:].T
         return Normal(matrix, gradient, tuple(back))
 
@@ -155,19 +183,18 @@ def reduced(base: Base, at: Residual) -> Reduced:
     gradient = (
         base.columns.residual.reshape(count, at.linear.size) @ at.linear.ravel() - base.record.strictness * at.nuisance
     )
-    every, solvers = [], []
+    found = []
     for j, contact in enumerate(at.contacts):
-        weights = base.seen[j].weights
-        rows = np.zeros((count, contact.residual.size))
-        rows[:, : weights.size] = weights * (base.columns.contact_n[:, j] - contact.by_eta * base.columns.eta_m[:, j])
-        solver = contact.solver()
-        coupled = rows @ contact.columns
-        eliminated = solver.solve(np.ascontiguousarray(coupled.T))
-        matrix = matrix + rows @ rows.T - coupled @ eliminated
-        gradient = gradient + rows @ contact.residual - eliminated.T @ (contact.columns.T @ contact.residual)
-        every.append(rows)
-        solvers.append(solver)
-    return Reduced(base, at, matrix, gradient, tuple(every), tuple(solvers))
+        weights, solver = base.seen[j].weights, contact.solver()
+        forces, eta = base.columns.contact_n[:, j].T, base.columns.eta_m[:, j].T
+        rows = np.zeros((contact.residual.size, count))
+        rows[: weights.size] = weights[:, None] * forces - (weights * contact.by_eta)[:, None] * eta
+        free, coupled = contact.columns.T @ contact.residual, contact.columns.T @ rows
+        solved = solver.solve(coupled)
+        matrix = matrix + rows.T @ rows - coupled.T @ solved
+        gradient = gradient + rows.T @ contact.residual - solved.T @ free
+        found.append(Eliminated(solver, rows, coupled, solved, free, solver.solve(free)))
+    return Reduced(base, at, matrix, gradient, tuple(found))
 
 
 def fit(

@@ -12,67 +12,101 @@ sensors less contacts tell it.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Complex, Float
 
 from identify.gap.grounded import ground_force_changes, ground_forces
-from identify.gap.response import Response, times, weights_of
+from identify.gap.response import Response, dynamics_of, times, weights_of
 from identify.gap.spectra import Record
-from identify.kinematics import CORNER_HZ, integrated
-from identify.modal import receptance
 from rig.description import Body, Rig, Station
 from rig.modes import modes_of, participation
 from rig.oscillator import Oscillator
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Linear:
     """A rig's linear model laid against a record.
 
-    chain is what each sensor makes of an acceleration. residual is in standard deviations; where the base shakes, a
-    last row holds its acceleration in those of its own spectrum, and log_determinant is what that freedom costs. eta_m
-    lacks the slow part that integration loses. modal are the accelerations of each body's modes, by_force those
-    that the measured force alone makes at the sensors, holding_n the constant contact forces under static loads.
+    chain is what each sensor makes of an acceleration. by_input are the accelerations, in standard deviations, that
+    each unknown input makes: the contact forces, then a base that shakes, then the noise of the measured force.
+    residual is in standard deviations; where the base shakes, a last row holds its acceleration in those of its own
+    spectrum, and log_determinant is what that freedom costs. by_force are the accelerations that the measured force
+    alone makes at the sensors, pushes all known forces with their places.
     """
 
+    record: Record
     rig: Rig
     responses: tuple[Response, ...]
     chain: Complex[np.ndarray, "sensors lines"]
     spread: Float[np.ndarray, "sensors lines"]
-    unknown: Complex[np.ndarray, "lines sensors inputs"]
-    solve: Complex[np.ndarray, "lines inputs sensors"]
+    by_input: Complex[np.ndarray, "inputs sensors lines"]
     residual: Complex[np.ndarray, "rows lines"]
     contact_n: Complex[np.ndarray, "contacts lines"]
-    eta_m: Complex[np.ndarray, "contacts lines"]
-    modal: tuple[Complex[np.ndarray, "modes lines"], ...]
     by_force: Complex[np.ndarray, "sensors lines"]
-    holding_n: Float[np.ndarray, " contacts"]
+    pushes: tuple[tuple[Station, Complex[np.ndarray, " lines"]], ...]
     log_determinant: float
 
-    def projected(
-        self, change: Complex[np.ndarray, "sensors lines"]
-    ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
-        """The residual and the contact forces that something delivered beside what is known makes."""
-        return _split(self.unknown, self.solve, change / self.spread, len(self.rig.contacts))
+    @property
+    def unknown(self) -> Complex[np.ndarray, "lines sensors inputs"]:
+        """`by_input`, line by line."""
+        return self.by_input.transpose(2, 1, 0)
 
-    def projected_many(
-        self, changes: Complex[np.ndarray, "many sensors lines"]
-    ) -> tuple[Complex[np.ndarray, "many rows lines"], Complex[np.ndarray, "many contacts lines"]]:
-        """`projected` of many at once."""
+    @property
+    def solve(self) -> Complex[np.ndarray, "lines inputs sensors"]:
+        """The inputs from the accelerations in standard deviations, line by line."""
+        return self._to_inputs.transpose(2, 0, 1)
+
+    @cached_property
+    def _to_inputs(self) -> Complex[np.ndarray, "inputs sensors lines"]:
+        return _least_squares(self.by_input, self.by_input.conj(), len(self.rig.contacts))[0]
+
+    @property
+    def modal(self) -> tuple[Complex[np.ndarray, "modes lines"], ...]:
+        """The accelerations of each body's modes."""
+        forces = np.stack([*(force_n for _, force_n in self.pushes), *self.contact_n])
+        return tuple(r.accelerance * times(self._into(r).T, forces) for r in self.responses)
+
+    @cached_property
+    def eta_m(self) -> Complex[np.ndarray, "contacts lines"]:
+        """The relative displacements, without the slow part that integration loses."""
+        record, places = self.record, _places(self.record, self.rig)
+        forces = np.stack([*(force_n for _, force_n in self.pushes), *self.contact_n])
+        displacements = record.displaced / self.chain
+        eta = np.zeros((len(self.rig.contacts), record.omega.size), dtype=complex)
+        for response in self.responses:
+            into, over = self._into(response), across(self.rig, response)
+            weights = _across_weights(self.rig, response, places)
+            missed = over - weights @ response.shapes(places)
+            moved = np.einsum("icl,il->cl", response.transfer(missed, into), forces)
+            eta += times(weights, displacements) + moved * record.twice_integrated
+        return eta
+
+    @cached_property
+    def holding_n(self) -> Float[np.ndarray, " contacts"]:
+        """The constant contact forces under static loads."""
+        return _holding(self.rig, self.responses)
+
+    def _into(self, response: Response) -> Float[np.ndarray, "inputs modes"]:
+        """How known and contact forces drive a body's modes."""
+        pushed = response.shapes([station for station, _ in self.pushes])
+        return np.concatenate([pushed, -across(self.rig, response)])
+
+    def projected(
+        self, change: Complex[np.ndarray, "some lines"], sensors: list[int] | slice = slice(None)
+    ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
+        """The residual and the contact forces that something makes which some sensors deliver beside what is known."""
+        weighted = change / self.spread[sensors]
+        inputs = np.einsum("isl,sl->il", self._to_inputs[:, sensors], weighted)
+        left = _left(self.by_input, inputs, weighted, sensors)
         contacts = len(self.rig.contacts)
-        weighted = np.ascontiguousarray((changes / self.spread).transpose(2, 1, 0))
-        inputs = self.solve @ weighted
-        left = weighted - self.unknown @ inputs
-        rows = np.concatenate([left, inputs[:, contacts:]], axis=1).transpose(2, 1, 0)
-        return np.ascontiguousarray(rows), np.ascontiguousarray(inputs[:, :contacts].transpose(2, 1, 0))
+        return np.concatenate([left, inputs[contacts:]]), inputs[:contacts]
 
     def open_n(self, record: Record) -> Float[np.ndarray, " contacts"]:
         """Standard deviation over time of each contact force, by the errors of the accelerations."""
-        contacts = len(self.rig.contacts)
-        variance = np.sum(np.abs(self.solve[:, :contacts]) ** 2, axis=2)
-        return np.asarray(np.sqrt(2 * variance.sum(axis=0) / (record.length * record.samples)))
+        variance = np.sum(np.abs(self._to_inputs[: len(self.rig.contacts)]) ** 2, axis=(1, 2))
+        return np.asarray(np.sqrt(2 * variance / (record.length * record.samples)))
 
 
 def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray, "sensors lines"]) -> Linear:
@@ -81,58 +115,41 @@ def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray
     model_error is the share of each acceleration that no model of this kind explains. The noise of the measured force
     is a further unknown input, with a prior of its own size.
     """
-    omega, chain = record.omega, chain_of(record, rig)
-    displacements = record.displaced / chain
+    chain = chain_of(record, rig)
     responses = tuple(_response(record, rig, body) for body in rig.bodies)
-    named = {s.name: s for s in rig.sensors}
-    places: list[Station | None] = [named[s.name].station for s in record.sensors]
-    held = ground_forces(record, rig, responses, places, displacements)
-    forces = [record.force * np.exp(-1j * omega * rig.force_sensor.lag_s) / rig.force_sensor.gain]
-    forces += [record.spectrum(tone.force_n(record.sample_times_s)) for tone in rig.tones]
-    forces += [force_n for _, force_n in held]
-    pushed: list[Station | None] = [rig.force_at, *(tone.station for tone in rig.tones), *(at for at, _ in held)]
-    drives = [times(r.shapes(pushed).T, np.stack(forces)) for r in responses]
-    ends: list[list[Station | None]] = [[c.at for c in rig.contacts], [c.against for c in rig.contacts]]
-    across = [r.shapes(ends[0]) - r.shapes(ends[1]) for r in responses]
-    at = [r.shapes(places) for r in responses]
-    driven = [r.accelerance * d for r, d in zip(responses, drives, strict=True)]
-    known = times(np.concatenate(at, axis=1), np.concatenate(driven))
+    places = _places(record, rig)
+    pushes = _pushes(record, rig, responses, places, chain)
+    contacts = len(rig.contacts)
+    made = _accelerations(rig, responses, places, [at for at, _ in pushes], record.omega.size)
+    by_contacts, per_newton = made[len(pushes) :], made[0]
+    by_force = per_newton * pushes[0][1]
+    known = by_force
+    for by_push, (_, force_n) in zip(made[1 : len(pushes)], pushes[1:], strict=True):
+        known = known + by_push * force_n
     spread = np.sqrt(record.noise + model_error**2 * record.power)
     spread = np.maximum(spread, 1e-9 * spread.max())
-    sensed = (chain / spread).T
-    unknown = -_accelerances(responses, at, across) * sensed[:, :, None]
+    sensed = chain / spread
+    unknown = [-by_contacts]
     if rig.base_motion is not None:
-        unknown = np.concatenate(
-            [unknown, _base(record, rig, responses, at).T[:, :, None] * sensed[:, :, None]], axis=2
-        )
-    exciting = [r.accelerance * r.shapes([rig.force_at]).T for r in responses]
-    per_newton = times(np.concatenate(at, axis=1), np.concatenate(exciting))
+        unknown.append(_base(record, rig, responses, places)[None])
     if record.force_noise:
-        heard = np.sqrt(record.force_noise) / rig.force_sensor.gain * per_newton
-        unknown = np.concatenate([unknown, heard.T[:, :, None] * sensed[:, :, None]], axis=2)
-    contacts = len(rig.contacts)
-    solve, log_determinant = _least_squares(unknown, contacts)
-    residual, contact_n = _split(unknown, solve, record.delivered / spread - known * sensed.T, contacts)
-    modal = tuple(d - r.accelerance * times(c.T, contact_n) for r, d, c in zip(responses, driven, across, strict=True))
-    eta = np.zeros((contacts, omega.size), dtype=complex)
-    high_passed = integrated(omega, -2, CORNER_HZ)
-    for response, own, over, motion in zip(responses, at, across, modal, strict=True):
-        weights = weights_of(response, places, ends[0]) - weights_of(response, places, ends[1])
-        eta += times(weights, displacements) + times(over - weights @ own, motion) * high_passed
-    holding_n = _holding(rig, responses, across)
+        unknown.append((np.sqrt(record.force_noise) / rig.force_sensor.gain * per_newton)[None])
+    by_input = np.concatenate(unknown) * sensed
+    weighted = record.delivered / spread - known * sensed
+    adjoint = np.einsum("isl,sl->il", by_input.conj(), weighted)
+    inputs, log_determinant = _least_squares(by_input, adjoint[:, None], contacts)
+    left = _left(by_input, inputs[:, 0], weighted)
     return Linear(
+        record=record,
         rig=rig,
         responses=responses,
         chain=chain,
         spread=spread,
-        unknown=unknown,
-        solve=solve,
-        residual=residual,
-        contact_n=contact_n,
-        eta_m=eta,
-        modal=modal,
-        by_force=per_newton * forces[0],
-        holding_n=holding_n,
+        by_input=by_input,
+        residual=np.concatenate([left, inputs[contacts:, 0]]),
+        contact_n=inputs[:contacts, 0],
+        by_force=by_force,
+        pushes=pushes,
         log_determinant=log_determinant,
     )
 
@@ -140,12 +157,46 @@ def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray
 def chain_of(record: Record, rig: Rig) -> Complex[np.ndarray, "sensors lines"]:
     """What each sensor makes of an acceleration: its gain and delay."""
     named, omega = {s.name: s for s in rig.sensors}, record.omega
-    return np.stack(
-        [
-            s.gain * (np.exp(-1j * omega * s.delay_s) if s.delay_s else np.ones(omega.size, dtype=complex))
-            for s in (named[sensor.name] for sensor in record.sensors)
-        ]
-    )
+    found = np.empty((len(record.sensors), omega.size), dtype=complex)
+    for row, sensor in zip(found, record.sensors, strict=True):
+        own = named[sensor.name]
+        row[:] = own.gain * (np.exp(-1j * omega * own.delay_s) if own.delay_s else 1.0)
+    return found
+
+
+def across(rig: Rig, response: Response) -> Float[np.ndarray, "contacts modes"]:
+    """How a body's modes enter the relative displacements."""
+    return response.shapes([c.at for c in rig.contacts]) - response.shapes([c.against for c in rig.contacts])
+
+
+def _places(record: Record, rig: Rig) -> list[Station | None]:
+    """Where the rig has the record's sensors."""
+    named = {s.name: s for s in rig.sensors}
+    return [named[s.name].station for s in record.sensors]
+
+
+def _across_weights(
+    rig: Rig, response: Response, places: list[Station | None]
+) -> Float[np.ndarray, "contacts sensors"]:
+    """Relative displacements from the body's sensors."""
+    ends = weights_of(response, places, [*(c.at for c in rig.contacts), *(c.against for c in rig.contacts)])
+    return ends[: len(rig.contacts)] - ends[len(rig.contacts) :]
+
+
+def _pushes(
+    record: Record,
+    rig: Rig,
+    responses: tuple[Response, ...],
+    places: list[Station | None],
+    chain: Complex[np.ndarray, "sensors lines"],
+) -> tuple[tuple[Station, Complex[np.ndarray, " lines"]], ...]:
+    """The known forces: the measured one, tones, and springs and dampers to the ground by the measured motion."""
+    lagged = record.force * np.exp(-1j * record.omega * rig.force_sensor.lag_s) / rig.force_sensor.gain
+    tones = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in rig.tones]
+    held = []
+    if rig.springs or rig.dampers:
+        held = ground_forces(record, rig, responses, places, record.displaced / chain)
+    return ((rig.force_at, lagged), *tones, *held)
 
 
 def _response(record: Record, rig: Rig, body: Body) -> Response:
@@ -153,49 +204,35 @@ def _response(record: Record, rig: Rig, body: Body) -> Response:
     modes, count = modes_of(rig, body), body.most_modes
     natural_hz, zeta = modes.frequencies_hz(count), modes.damping_ratios(count)
     high_passed = isinstance(body, Oscillator) and not record.zero_known
-    accelerance = _accelerance(natural_hz.tobytes(), zeta.tobytes(), record.omega.tobytes(), high_passed)
-    return Response(body, modes, count, accelerance)
+    dynamics = dynamics_of(natural_hz.tobytes(), zeta.tobytes(), record.omega.tobytes(), high_passed)
+    return Response(body, modes, count, dynamics)
 
 
-@lru_cache(maxsize=16)
-def _accelerance(
-    natural_hz: bytes, damping_ratios: bytes, omega_rad_per_s: bytes, high_passed: bool
-) -> Complex[np.ndarray, "modes lines"]:
-    """Of the modes whose doubles are given; most candidates change those of one body at most."""
-    hz, zeta, omega = (np.frombuffer(values) for values in (natural_hz, damping_ratios, omega_rad_per_s))
-    if high_passed:
-        natural = 2 * np.pi * hz[:, None]
-        held = natural**2 * integrated(omega, -2, CORNER_HZ)
-        found = 1 / (1 + held + 2 * zeta[:, None] * natural * integrated(omega, -1, CORNER_HZ))
-    else:
-        found = -(omega**2) * receptance(hz, zeta, omega / (2 * np.pi))
-    found[hz == 0] = 1.0
-    found.flags.writeable = False
+def _accelerations(
+    rig: Rig, responses: tuple[Response, ...], places: list[Station | None], pushed: list[Station], lines: int
+) -> Complex[np.ndarray, "inputs sensors lines"]:
+    """At the sensors per newton, of forces at some places and then across the contacts."""
+    found = np.zeros((len(pushed) + len(rig.contacts), len(places), lines), dtype=complex)
+    for response in responses:
+        own = [i for i, place in enumerate(places) if place is not None and place.body == response.body.name]
+        into = np.concatenate([response.shapes(pushed), across(rig, response)])
+        driven = np.flatnonzero(np.any(into, axis=1))
+        if own and driven.size:
+            outputs = response.shapes([places[i] for i in own])
+            found[driven[:, None], own] = response.transfer(outputs, into[driven])
     return found
 
 
-def _accelerances(
-    responses: tuple[Response, ...],
-    at: list[Float[np.ndarray, "sensors modes"]],
-    across: list[Float[np.ndarray, "contacts modes"]],
-) -> Complex[np.ndarray, "lines sensors contacts"]:
-    products = [(s[:, None, :] * c[None]).reshape(-1, s.shape[1]) for s, c in zip(at, across, strict=True)]
-    found = times(np.concatenate(products, axis=1), np.concatenate([r.accelerance for r in responses]))
-    return found.T.reshape(found.shape[1], len(at[0]), len(across[0]))
-
-
-def _holding(
-    rig: Rig, responses: tuple[Response, ...], across: list[Float[np.ndarray, "contacts modes"]]
-) -> Float[np.ndarray, " contacts"]:
+def _holding(rig: Rig, responses: tuple[Response, ...]) -> Float[np.ndarray, " contacts"]:
     """The constant contact forces that hold static loads: of what floats by its balance, of a single mass the load."""
     held = np.zeros(len(rig.contacts))
-    for response, contacts in zip(responses, across, strict=True):
+    for response in responses if rig.loads else ():
         free = response.modes.frequencies_hz(response.count) == 0
         if isinstance(response.body, Oscillator):
             free[:] = True
-        push = np.sum([x.force_n * response.shapes([x.station])[0] for x in rig.loads] or [np.zeros(free.size)], axis=0)
+        push = np.array([x.force_n for x in rig.loads]) @ response.shapes([x.station for x in rig.loads])
         if np.any(push[free]):
-            held += np.linalg.lstsq(contacts[:, free].T, push[free], rcond=None)[0]
+            held += np.linalg.lstsq(across(rig, response)[:, free].T, push[free], rcond=None)[0]
     return held
 
 
@@ -208,21 +245,20 @@ def bent(
     less = ground_force_changes(record, model.rig, model.responses, places, record.displaced / model.chain, displaced)
     for station, force_n in less:
         for r in model.responses:
-            shape = r.shapes([station])[0]
-            found -= model.chain * times(r.shapes(places) * shape, r.accelerance * force_n)
+            found -= model.chain * (r.transfer(r.shapes(places), r.shapes([station]))[0] * force_n)
     return found
 
 
 def _base(
-    record: Record, rig: Rig, responses: tuple[Response, ...], at: list[Float[np.ndarray, "sensors modes"]]
+    record: Record, rig: Rig, responses: tuple[Response, ...], places: list[Station | None]
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Accelerations by a base motion of one standard deviation a line: a mode feels the base as an inertial load."""
     base = rig.base_motion
     assert base is not None
-    follows = np.ones((len(at[0]), record.omega.size), dtype=complex)
-    for response, sensors in zip(responses, at, strict=True):
+    follows = np.ones((len(places), record.omega.size), dtype=complex)
+    for response in responses:
         load = participation(rig, response.body, response.modes, response.count)
-        follows -= sensors @ (response.accelerance * load[:, None])
+        follows -= response.transfer(response.shapes(places), load[None])[0]
     hz = record.omega / (2 * np.pi)
     density = base.acceleration_rms_m_per_s2**2 / (base.high_hz - base.low_hz)
     size = np.sqrt(density * record.samples * record.sample_rate_hz / 2)
@@ -230,30 +266,42 @@ def _base(
 
 
 def _least_squares(
-    unknown: Complex[np.ndarray, "lines sensors inputs"], contacts: int
-) -> tuple[Complex[np.ndarray, "lines inputs sensors"], float]:
-    """The inputs from the weighted accelerations, line by line; those behind the contacts with a prior of one.
-
-    The logarithm is that of the determinant by which such inputs widen the residual's distribution.
-    """
-    adjoint = unknown.conj().transpose(0, 2, 1)
-    normal = adjoint @ unknown
-    inputs = normal.shape[1]
-    size = np.einsum("lii->li", normal).real
-    normal = normal + np.eye(inputs) * (1e-10 * size + 1e-300)[:, None, :]
-    if inputs == contacts:
-        return np.linalg.solve(normal, adjoint), 0.0
-    free = np.linalg.slogdet(normal[:, :contacts, :contacts])[1] if contacts else 0.0
-    normal[:, range(contacts, inputs), range(contacts, inputs)] += 1.0
-    return np.linalg.solve(normal, adjoint), float(np.sum(np.linalg.slogdet(normal)[1] - free))
-
-
-def _split(
-    unknown: Complex[np.ndarray, "lines sensors inputs"],
-    solve: Complex[np.ndarray, "lines inputs sensors"],
-    weighted: Complex[np.ndarray, "sensors lines"],
+    by_input: Complex[np.ndarray, "inputs sensors lines"],
+    right: Complex[np.ndarray, "inputs many lines"],
     contacts: int,
-) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
-    inputs = solve @ weighted.T[:, :, None]
-    left = weighted - (unknown @ inputs)[:, :, 0].T
-    return np.concatenate([left, inputs[:, contacts:, 0].T]), inputs[:, :contacts, 0].T
+) -> tuple[Complex[np.ndarray, "inputs many lines"], float]:
+    """The solution of the normal equations of the inputs, line by line; those behind the contacts have a prior of one.
+
+    By elimination: the matrix is Hermitian and positive. The logarithm is that of the determinant by which the inputs
+    with a prior widen the residual's distribution: of their pivots.
+    """
+    inputs = len(by_input)
+    normal = np.empty((inputs, *by_input.shape[::2]), dtype=complex)
+    for i, column in enumerate(by_input.conj()):
+        normal[i, i:] = np.einsum("sl,jsl->jl", column, by_input[i:])
+        normal[i, i] += 1e-10 * normal[i, i].real + 1e-300 + (i >= contacts)
+    found, log_determinant = right.copy(), 0.0
+    for i in range(inputs):
+        for j in range(i + 1, inputs):
+            ratio = normal[i, j].conj() / normal[i, i]
+            normal[j, j:] -= ratio * normal[i, j:]
+            found[j] -= ratio * found[i]
+    for i in reversed(range(inputs)):
+        for j in range(i + 1, inputs):
+            found[i] -= normal[i, j] * found[j]
+        found[i] /= normal[i, i]
+        if i >= contacts:
+            log_determinant += float(np.sum(np.log(normal[i, i].real)))
+    return found, log_determinant
+
+
+def _left(
+    by_input: Complex[np.ndarray, "inputs sensors lines"],
+    inputs: Complex[np.ndarray, "inputs lines"],
+    weighted: Complex[np.ndarray, "some lines"],
+    sensors: list[int] | slice = slice(None),
+) -> Complex[np.ndarray, "sensors lines"]:
+    """What some weighted accelerations are without that of the inputs."""
+    left = -np.einsum("isl,il->sl", by_input, inputs)
+    left[sensors] += weighted
+    return left

@@ -9,11 +9,10 @@ from jaxtyping import Complex, Float
 from msgspec.structs import replace
 
 from identify.gap.linear import Linear, bent
-from identify.gap.response import Response
+from identify.gap.response import Response, times
 from identify.gap.spectra import Record
-from identify.kinematics import CORNER_HZ, integrated
 from identify.modal import receptance
-from rig.description import Body, Contact, Rig
+from rig.description import Body, Rig
 from rig.model.tolerances import Tolerances
 from rig.oscillator import Oscillator
 
@@ -21,9 +20,6 @@ LIMIT = 6.0
 """No nuisance parameter goes further than so many standard deviations: beyond, something else is wrong."""
 BEYOND = 1.3
 """Modes up to this multiple of the highest frequency have parameters of their own."""
-
-TOGETHER = 24
-"""So many columns are projected at a time: more would not be faster, and take memory."""
 
 Kind = Literal["gain", "position", "delay", "high-pass", "force gain", "mass", "frequency", "damping"]
 
@@ -54,11 +50,12 @@ class Columns:
 
 @dataclass(frozen=True)
 class _Change:
-    """What one standard deviation of a parameter adds to what the sensors deliver, and to the displacements there."""
+    """What one standard deviation of a parameter adds to what some sensors deliver, and to the displacements there."""
 
     parameter: Nuisance
-    delivered: Complex[np.ndarray, "sensors lines"]
-    displaced: Complex[np.ndarray, "sensors lines"] | None = None
+    sensors: list[int]
+    delivered: Complex[np.ndarray, "some lines"]
+    displaced: Complex[np.ndarray, "some lines"] | None = None
 
 
 def columns_of(record: Record, model: Linear) -> Columns:
@@ -70,26 +67,29 @@ def columns_of(record: Record, model: Linear) -> Columns:
     changes = [*_of_sensors(record, model), *_of_force(record, model)]
     for response, motion in zip(model.responses, _measured(record, model), strict=True):
         changes += [*_of_positions(record, model, response, motion), *_of_modes(record, model, response, motion)]
-    rows, times = model.residual.shape[0], record.taken.stop - record.taken.start
-    contacts = len(model.rig.contacts)
-    residual = np.empty((len(changes), rows, times))
-    forces, eta = np.empty((len(changes), contacts, times)), np.zeros((len(changes), contacts, times))
-    for first in range(0, len(changes), TOGETHER):
-        some = slice(first, min(first + TOGETHER, len(changes)))
-        left, force = model.projected_many(np.stack([_delivered(record, model, c) for c in changes[some]]))
-        residual[some] = residual_scale(record) * record.in_time(left)
-        forces[some] = record.in_time(force)
+    count, contacts, samples = len(changes), len(model.rig.contacts), record.taken.stop - record.taken.start
+    residual = np.empty((count, len(model.residual), samples))
+    # those of the contacts lie sample by sample, as the normal equations take them
+    forces, eta = (np.zeros((contacts, samples, count)).transpose(2, 0, 1) for _ in range(2))
+    scale = residual_scale(record)
     for i, change in enumerate(changes):
+        left, force = _projected(record, model, change)
+        np.multiply(record.in_time(left), scale, out=residual[i])
+        forces[i] = record.in_time(force)
         if change.displaced is not None:
-            eta[i] = record.in_time(at_contacts(record, model, change.displaced))
+            eta[i] = record.in_time(at_contacts(record, model, change.displaced, change.sensors))
     return Columns(tuple(c.parameter for c in changes), residual, forces, eta)
 
 
-def _delivered(record: Record, model: Linear, change: _Change) -> Complex[np.ndarray, "sensors lines"]:
+def _projected(
+    record: Record, model: Linear, change: _Change
+) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
     """With what the springs do whose displacement is not the measured one."""
     if change.displaced is None or not (model.rig.springs or model.rig.dampers):
-        return change.delivered
-    return change.delivered + bent(record, model, change.displaced)
+        return model.projected(change.delivered, change.sensors)
+    displaced, delivered = np.zeros_like(model.chain), np.zeros_like(model.chain)
+    displaced[change.sensors], delivered[change.sensors] = change.displaced, change.delivered
+    return model.projected(delivered + bent(record, model, displaced))
 
 
 def _of_sensors(record: Record, model: Linear) -> Iterator[_Change]:
@@ -107,15 +107,14 @@ def _of_sensors(record: Record, model: Linear) -> Iterator[_Change]:
         }
         for kind, factor in factors.items():
             if np.any(factor):
-                one = np.zeros_like(explained), np.zeros_like(displaced)
-                one[0][i], one[1][i] = factor * explained[i], factor * displaced[i]
-                yield _Change(Nuisance(kind, sensor.name), *one)
+                yield _Change(Nuisance(kind, sensor.name), [i], factor * explained[[i]], factor * displaced[[i]])
 
 
 def _of_force(record: Record, model: Linear) -> Iterator[_Change]:
     """The measured force is gain times the true one."""
     if record.tolerances.force_gain:
-        yield _Change(Nuisance("force gain", "the force"), -record.tolerances.force_gain * model.chain * model.by_force)
+        change = -record.tolerances.force_gain * model.chain * model.by_force
+        yield _Change(Nuisance("force gain", "the force"), list(range(len(change))), change)
 
 
 def _measured(record: Record, model: Linear) -> list[Complex[np.ndarray, "modes lines"]]:
@@ -124,7 +123,6 @@ def _measured(record: Record, model: Linear) -> list[Complex[np.ndarray, "modes 
     found = []
     for response, motion in zip(model.responses, model.modal, strict=True):
         rows = [i for i, s in enumerate(record.sensors) if s.station.body == response.body.name]
-        motion = motion.copy()
         if rows:
             count = min(len(rows), response.count)
             shapes = response.shapes([record.sensors[i].station for i in rows])[:, :count]
@@ -140,7 +138,6 @@ def _of_positions(
     rows = [i for i, s in enumerate(record.sensors) if s.station.body == body.name]
     if not (body.length_m and rows):
         return
-    twice = integrated(record.omega, -2, CORNER_HZ)
     places = np.array([record.sensors[i].station.position_m for i in rows])
     step = 1e-4 * body.length_m
     right, left = np.minimum(places + step, body.length_m), np.maximum(places - step, 0.0)
@@ -149,9 +146,9 @@ def _of_positions(
     for i, slope in zip(rows, slopes @ motion, strict=True):
         tolerance = record.tolerances.of_sensor(record.sensors[i].name).position_m
         if tolerance:
-            change = np.zeros((len(record.sensors), slope.size), dtype=complex)
-            change[i] = tolerance * slope
-            yield _Change(Nuisance("position", record.sensors[i].name), model.chain * change, twice * change)
+            change = tolerance * slope[None]
+            moved = record.twice_integrated * change
+            yield _Change(Nuisance("position", record.sensors[i].name), [i], model.chain[i] * change, moved)
 
 
 def _of_modes(
@@ -159,9 +156,10 @@ def _of_modes(
 ) -> Iterator[_Change]:
     """The mass of a body; its frequencies and its damping together, and of each mode by itself."""
     body, omega, believed = response.body, record.omega, record.tolerances
-    shapes = response.shapes([s.station for s in record.sensors])
+    rows = [i for i, s in enumerate(record.sensors) if s.station.body == body.name]
+    shapes, chain = response.shapes([record.sensors[i].station for i in rows]), model.chain[rows]
     if believed.mass:
-        yield _Change(Nuisance("mass", body.name), -believed.mass * model.chain * (shapes @ motion))
+        yield _Change(Nuisance("mass", body.name), rows, -believed.mass * chain * times(shapes, motion))
     natural_hz, zeta = response.modes.frequencies_hz(response.count), response.modes.damping_ratios(response.count)
     flexible = receptance(natural_hz, zeta, omega / (2 * np.pi)) * motion
     natural = 2 * np.pi * natural_hz[:, None]
@@ -174,12 +172,11 @@ def _of_modes(
     elastic = np.flatnonzero(flexing & (natural_hz < BEYOND * omega[-1] / (2 * np.pi)))
     for kind, change in per_unit.items():
         if common := float(getattr(believed, kind)):
-            yield _Change(Nuisance(kind, body.name), common * model.chain * (shapes @ change))
+            yield _Change(Nuisance(kind, body.name), rows, common * chain * times(shapes, change))
         for m in elastic if not isinstance(body, Oscillator) else []:
             if own := float(getattr(believed.of_mode(body.name, int(m) + 1), kind)):
-                yield _Change(
-                    Nuisance(kind, body.name, int(m) + 1), own * model.chain * np.outer(shapes[:, m], change[m])
-                )
+                moved = own * chain * (shapes[:, m, None] * change[m])
+                yield _Change(Nuisance(kind, body.name, int(m) + 1), rows, moved)
 
 
 def apply_nuisance(
@@ -227,14 +224,12 @@ def residual_scale(record: Record) -> float:
 
 
 def at_contacts(
-    record: Record, model: Linear, displaced: Complex[np.ndarray, "sensors lines"]
+    record: Record,
+    model: Linear,
+    displaced: Complex[np.ndarray, "some lines"],
+    sensors: list[int] | slice = slice(None),
 ) -> Complex[np.ndarray, "contacts lines"]:
-    """Relative displacements from the sensors at the contacts."""
-
-    def of(contact: Contact) -> Complex[np.ndarray, " lines"]:
-        found = np.zeros(displaced.shape[1], dtype=complex)
-        for i, sensor in enumerate(record.sensors):
-            found += displaced[i] * ((sensor.station == contact.at) * 1.0 - (sensor.station == contact.against) * 1.0)
-        return found
-
-    return np.array([of(c) for c in model.rig.contacts], dtype=complex).reshape(-1, displaced.shape[1])
+    """Relative displacements from the sensors at the contacts, of which some are displaced."""
+    stations = [s.station for s in record.sensors]
+    signs = np.array([[(s == c.at) * 1.0 - (s == c.against) * 1.0 for s in stations] for c in model.rig.contacts])
+    return times(signs.reshape(-1, len(stations))[:, sensors], displaced)

@@ -19,7 +19,7 @@ def peaks_hz(base: Base, at: Residual, count: int) -> Float[np.ndarray, " peaks"
     over the duration.
     """
     times = at.linear.shape[1]
-    rows = np.concatenate([at.linear, [c.residual[:times] for c in at.contacts]])
+    rows = np.concatenate([at.linear, *(c.residual[None, :times] for c in at.contacts)])
     power = np.sum(np.abs(np.fft.rfft(rows * hann(times), 4 * times)) ** 2, axis=0)
     hz = np.fft.rfftfreq(4 * times, 1 / base.record.rate_hz)
     level = median_filter(power, max(3, round(AROUND_HZ / hz[1])))

@@ -4,6 +4,7 @@ cost = |linear residual|^2 + sum over contacts |contact residual|^2 + strictness
 """
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Float
@@ -21,7 +22,7 @@ from rig.description import Rig
 class Base:
     """A record and the rig about which it is linearised: what every residual of the record shares.
 
-    about are the nuisance parameters that are in the rig already where it is linearised.
+    put are the nuisance parameters that are in the rig already where it is linearised; None: all zero.
     """
 
     record: Record
@@ -29,9 +30,23 @@ class Base:
     scales: Scales
     model: Linear
     seen: tuple[Seen, ...]
-    columns: Columns
-    gram: Float[np.ndarray, "nuisances nuisances"]
-    about: Float[np.ndarray, " nuisances"]
+    put: Float[np.ndarray, " nuisances"] | None
+
+    @cached_property
+    def about(self) -> Float[np.ndarray, " nuisances"]:
+        """The nuisance parameters that are in the rig already where it is linearised."""
+        return np.zeros(len(self.columns.parameters)) if self.put is None else self.put
+
+    @cached_property
+    def gram(self) -> Float[np.ndarray, "nuisances nuisances"]:
+        """The products of the linear residual's columns."""
+        flat = self.columns.residual.reshape(len(self.columns.parameters), -1)
+        return np.asarray(flat @ flat.T)
+
+    @property
+    def columns(self) -> Columns:
+        """Kept for the bases that were used last, as they are large: those of others are computed again."""
+        return _columns(self.model)
 
 
 @dataclass(frozen=True)
@@ -91,17 +106,23 @@ def base_of(
     scales = scales or prior_scales(record)
     there, put = apply_nuisance(rig, about.parameters, about.nuisance, record.tolerances) if about else (rig, None)
     model = linear_model(record, there, scales.discrepancy)
-    columns = columns_of(record, model)
-    flat = columns.residual.reshape(len(columns.parameters), -1)
-    put = np.zeros(len(columns.parameters)) if put is None else put
     seen = seen or seen_contacts(record, model, scales.contacts)
-    return Base(record, rig, scales, model, seen, columns, flat @ flat.T, put)
+    return Base(record, rig, scales, model, seen, put)
+
+
+@lru_cache(maxsize=2)
+def _columns(model: Linear) -> Columns:
+    return columns_of(model.record, model)
 
 
 def rescaled(base: Base, at: Residual) -> Base:
     """The base with the scales that a residual of it shows."""
-    scales = estimated_scales(base.record, base.scales, at.linear, at.contact_levels)
-    return base_of(base.record, base.rig, at, scales)
+    return base_of(base.record, base.rig, at, scales_at(base, at))
+
+
+def scales_at(base: Base, at: Residual) -> Scales:
+    """Of what no model explains, as a residual shows them."""
+    return estimated_scales(base.record, base.scales, at.linear, at.contact_levels)
 
 
 def linear_of(base: Base, rig: Rig) -> Linear:
@@ -128,7 +149,7 @@ def residual_of(
     if like is not None and same_but_laws(like.rig, rig):
         model, laid, bare = like.model, like.laid, like.bare
     else:
-        model = linear_of(base, rig)
+        model = base.model if same_but_laws(base.rig, rig) else linear_of(base, rig)
         laid = laid_out(record, model)
         bare = residual_scale(record) * record.in_time(model.residual)
     if unknowns is None:

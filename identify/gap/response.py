@@ -1,12 +1,29 @@
 """One body of a linear model: its modes, and how its motion at some places follows from that at others."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Complex, Float
 
+from identify.kinematics import CORNER_HZ, integrated
+from identify.modal import receptance
 from rig.description import Body, Station
 from rig.modes import Modes
+
+
+@dataclass(frozen=True, eq=False)
+class Dynamics:
+    """Modes on the lines of a record; one object for the same modes, so that products of theirs are kept.
+
+    high_passed: their springs act on the high-passed displacement alone.
+    """
+
+    natural_hz: Float[np.ndarray, " modes"]
+    damping_ratios: Float[np.ndarray, " modes"]
+    omega: Float[np.ndarray, " lines"]
+    high_passed: bool
 
 
 @dataclass(frozen=True)
@@ -16,13 +33,60 @@ class Response:
     body: Body
     modes: Modes
     count: int
-    accelerance: Complex[np.ndarray, "modes lines"]
+    dynamics: Dynamics
 
-    def shapes(self, stations: list[Station | None]) -> Float[np.ndarray, "stations modes"]:
+    @property
+    def accelerance(self) -> Complex[np.ndarray, "modes lines"]:
+        return _accelerance(self.dynamics)
+
+    def shapes(self, stations: Sequence[Station | None]) -> Float[np.ndarray, "stations modes"]:
         """Zero at stations of other bodies and at the ground."""
-        own = np.array([s is not None and s.body == self.body.name for s in stations], dtype=float)
-        places = [s.position_m if s is not None and here else 0.0 for s, here in zip(stations, own, strict=True)]
-        return np.asarray(self.modes.shapes(np.array(places), self.count) * own[:, None])
+        found = np.zeros((len(stations), self.count))
+        own = [(i, s.position_m) for i, s in enumerate(stations) if s is not None and s.body == self.body.name]
+        if own:
+            rows, places = zip(*own, strict=True)
+            found[list(rows)] = self.modes.shapes(np.array(places), self.count)
+        return found
+
+    def transfer(
+        self, outputs: Float[np.ndarray, "outputs modes"], inputs: Float[np.ndarray, "inputs modes"]
+    ) -> Complex[np.ndarray, "inputs outputs lines"]:
+        """Accelerations along some shapes per force along others: sum over the modes of output, accelerance and input.
+
+        Kept, as most effects change one body at most.
+        """
+        return _transfer(self.dynamics, outputs.tobytes(), inputs.tobytes())
+
+
+@lru_cache(maxsize=16)
+def dynamics_of(natural_hz: bytes, damping_ratios: bytes, omega_rad_per_s: bytes, high_passed: bool) -> Dynamics:
+    """Of the modes whose doubles are given."""
+    hz, zeta, omega = (np.frombuffer(values) for values in (natural_hz, damping_ratios, omega_rad_per_s))
+    return Dynamics(hz, zeta, omega, high_passed)
+
+
+@lru_cache(maxsize=4)
+def _accelerance(modes: Dynamics) -> Complex[np.ndarray, "modes lines"]:
+    hz, zeta, omega = modes.natural_hz, modes.damping_ratios, modes.omega
+    if modes.high_passed:
+        natural = 2 * np.pi * hz[:, None]
+        held = natural**2 * integrated(omega, -2, CORNER_HZ)
+        found = 1 / (1 + held + 2 * zeta[:, None] * natural * integrated(omega, -1, CORNER_HZ))
+    else:
+        found = -(omega**2) * receptance(hz, zeta, omega / (2 * np.pi))
+    found[hz == 0] = 1.0
+    found.flags.writeable = False
+    return found
+
+
+@lru_cache(maxsize=8)
+def _transfer(dynamics: Dynamics, outputs: bytes, inputs: bytes) -> Complex[np.ndarray, "inputs outputs lines"]:
+    accelerance = _accelerance(dynamics)
+    modes, lines = accelerance.shape
+    to, by = (np.frombuffer(shapes).reshape(-1, modes) for shapes in (outputs, inputs))
+    found = times((by[:, None, :] * to[None]).reshape(-1, modes), accelerance)
+    found.flags.writeable = False
+    return found.reshape(len(by), len(to), lines)
 
 
 def weights_of(

@@ -122,6 +122,7 @@ class Unknown(msgspec.Struct, frozen=True, kw_only=True):
     position_m: float | None
     position_error_m: float | None
     sensor: str | None
+    contact: str | None = None
     frequency_hz: float | None
     band_hz: tuple[float, float]
     rms_n: float

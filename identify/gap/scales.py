@@ -4,7 +4,7 @@ Soc. B 63, 2001: the discrepancy of the model as an unknown whose size the data 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.signal.windows import hann
 
 from identify.gap.spectra import Record
@@ -49,7 +49,7 @@ def band_levels(record: Record, residual: Float[np.ndarray, "rows times"]) -> Fl
     return np.asarray(second_levels(record, residual).mean(axis=0))
 
 
-def band_of_lines(record: Record, bands: int) -> Float[np.ndarray, " lines"]:
+def band_of_lines(record: Record, bands: int) -> Int[np.ndarray, " lines"]:
     """The band of each line, as a whole number."""
     return np.minimum(record.omega / (2 * np.pi * BAND_HZ), bands - 1).astype(int)
 

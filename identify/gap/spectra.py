@@ -1,10 +1,11 @@
 """A recording as the diagnosis reads it: the spectra of force and accelerations, and how far noise explains them."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Complex, Float
-from scipy.fft import next_fast_len
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import uniform_filter1d
 
 from identify.answers import drift_of
@@ -87,18 +88,26 @@ class Record:
     def spectrum(self, course: Float[np.ndarray, " samples"]) -> Complex[np.ndarray, " lines"]:
         """Of a course over the recording's samples, windowed as they were."""
         lines = np.round(self.omega * self.length / (2 * np.pi * self.sample_rate_hz)).astype(int)
-        return np.asarray(np.fft.rfft(course * self.window, self.length)[lines])
+        return np.asarray(rfft(course * self.window, self.length)[lines])
 
     def finely(
-        self, eta: Complex[np.ndarray, "contacts lines"], derivative: int = 0
+        self, eta: Complex[np.ndarray, "contacts lines"], derivative: int = 0, beyond: bool = True
     ) -> Float[np.ndarray, "contacts fine"]:
-        """Relative displacements, or velocities, at `FINE_HZ` or more, within the samples that count."""
+        """Relative displacements, or velocities, at `FINE_HZ` or more, within the samples that count.
+
+        With what was measured beyond the lines; a change of a model has nothing there.
+        """
         fine = self.factor * self.finer
-        whole = np.concatenate([eta[:, :-1], self.eta_beyond], axis=1)
+        whole = np.concatenate([eta[:, :-1], self.eta_beyond if beyond else np.zeros_like(self.eta_beyond)], axis=1)
         if derivative:
             whole = whole * (2j * np.pi * self.sample_rate_hz / self.length * np.arange(whole.shape[1]))
-        moved = self.finer * np.fft.irfft(whole, self.length * self.finer)
-        return np.asarray(moved[:, self.taken.start * fine : (self.taken.stop - 1) * fine + 1])
+        moved = self.finer * irfft(whole, self.length * self.finer)
+        return moved[:, self.taken.start * fine : (self.taken.stop - 1) * fine + 1].copy()
+
+    @cached_property
+    def twice_integrated(self) -> Complex[np.ndarray, " lines"]:
+        """What makes a displacement of an acceleration, high-passed."""
+        return integrated(self.omega, -2, CORNER_HZ)
 
     @property
     def motion_m(self) -> float:
@@ -116,7 +125,7 @@ class Record:
 
     def in_time(self, spectra: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows times"]:
         """Back to time, at `rate_hz`, the samples that count."""
-        whole = np.fft.irfft(spectra, self.length // self.factor) / self.factor
+        whole = irfft(spectra, self.length // self.factor) / self.factor
         return np.asarray(whole[..., self.taken])
 
 
@@ -149,7 +158,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         shape = shape * shape[::-1]
 
     def spectrum(signals: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows all"]:
-        return np.asarray(np.fft.rfft(signals * shape, length))
+        return np.asarray(rfft(signals * shape, length))
 
     measured = spectrum(np.stack([_row(recording, s) for s in sensors]))
     beyond_rad = 2 * np.pi * rate / length * np.arange(lines - 1, measured.shape[1])

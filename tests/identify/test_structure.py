@@ -6,9 +6,8 @@ import pytest
 
 from identify.contact import identify_contact
 from identify.gap.candidates import candidates
-from identify.gap.doubts import doubts_of
 from identify.gap.linear import linear_model
-from identify.gap.residual import MODEL_ERROR
+from identify.gap.nuisance import columns_of
 from identify.gap.spectra import record_of
 from identify.tolerances import jittered
 from rig.description import Rig
@@ -60,12 +59,12 @@ def test_slopes_by_the_spline_leave_the_tolerances_what_they_are(recordings):
     np.testing.assert_allclose(numbers(data), numbers(beams), rtol=1e-3)
 
 
-def test_the_diagnosis_sees_the_same_residual_and_the_same_doubts(recordings):
+def test_the_diagnosis_sees_the_same_residual_and_the_same_nuisance_columns(recordings):
     both = []
     for recording in recordings:
         record = record_of(recording)
-        model = linear_model(record, recording.rig, MODEL_ERROR)
-        both.append((model, doubts_of(record, model, LABORATORY)))
+        model = linear_model(record, recording.rig, LABORATORY.unmodelled)
+        both.append((model, columns_of(record, model)))
     (beam, of_beam), (data, of_data) = both
     for one, other in (
         (data.residual, beam.residual),
@@ -73,7 +72,7 @@ def test_the_diagnosis_sees_the_same_residual_and_the_same_doubts(recordings):
         (data.eta_m, beam.eta_m),
     ):
         np.testing.assert_allclose(one, other, atol=1e-8 * np.abs(other).max())
-    assert of_data.names == of_beam.names
+    assert of_data.parameters == of_beam.parameters
     np.testing.assert_allclose(of_data.residual, of_beam.residual, atol=1e-3 * np.abs(of_beam.residual).max())
 
 

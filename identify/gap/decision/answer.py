@@ -24,6 +24,7 @@ from identify.gap.search.nominal import fit_nuisance
 from identify.gap.spectra import Record, record_of
 from identify.gap.unknown import UnknownForce, likeliest_force
 from identify.gap.unknown import sentence as described
+from identify.gap.unknown.play import Breathing, breathing
 from rig.description import Rig, to_json
 from rig.errors import RigError
 from rig.model.tolerances import LABORATORY, Tolerances
@@ -74,9 +75,10 @@ def diagnose(
     priors = log_priors(hypotheses, known)
     ranked = judged(record, reference, hypotheses, priors, lambda x: progress("causes", 0.7 + 0.2 * x))
     decision = decided(ranked, None, record.strictness, nulls, matters)
-    unknown = None
+    unknown, swinging = None, None
     if decision.verdict in ("partly_explained", "unknown"):
         unknown = _unknown(fit_record, record)
+        swinging = breathing(record, decision.nothing.residual)
         decision = decided(ranked, unknown, record.strictness, nulls, matters)
     progress("causes", 0.95)
     corrected = _corrected(decision, other.rig, believed)
@@ -102,7 +104,7 @@ def diagnose(
         probability_unknown=decision.unknown,
         nothing_minus_two_log=nothing.misfit.minus_two_log,
         unknown_gain=unknown_gain(unknown, record.strictness),
-        unknown=_described(unknown) if unknown else None,
+        unknown=_described(unknown, swinging),
         bands=_bands(without, after, nulls),
         equivalent=(tuple(alike),) if len(alike) > 1 else (),
         separate_by=tuple(f"{name}: {how}" for name, how in alike.items()) if len(alike) > 1 else (),
@@ -222,7 +224,27 @@ def _alike(causes: tuple[Cause, ...], ranked: list[Judged]) -> dict[str, str]:
     return {kind.name: kind.separated_by for kind in close}
 
 
-def _described(found: UnknownForce) -> Unknown:
+def _described(found: UnknownForce | None, swinging: Breathing | None) -> Unknown | None:
+    """The force, unless it explains little where a clearance swings clearly."""
+    if swinging and (found is None or found.validation_explained_share < swinging.share):
+        return Unknown(
+            sentence=swinging.sentence,
+            kind="contact",
+            body=None,
+            position_m=None,
+            position_error_m=None,
+            sensor=None,
+            contact=swinging.contact,
+            frequency_hz=swinging.frequency_hz,
+            band_hz=(swinging.frequency_hz, swinging.frequency_hz),
+            rms_n=0.0,
+            when="always",
+            against="none",
+            law=f"{1e3 * swinging.amplitude_m:.3g} mm at {swinging.frequency_hz:.4g} Hz",
+            explained=swinging.share,
+        )
+    if found is None:
+        return None
     at_place = found.kind in ("force", "pair")
     return Unknown(
         sentence=described(found),

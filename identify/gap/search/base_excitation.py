@@ -7,8 +7,8 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal.windows import hann
 
 from identify.gap.candidates import Candidate
-from identify.gap.nuisance import residual_scale
 from identify.gap.linear import linear_model
+from identify.gap.nuisance import residual_scale
 from identify.gap.residual import Base, Residual
 from identify.gap.spectra import SMOOTHED_HZ
 from rig.description import BaseMotion
@@ -37,15 +37,13 @@ def fit_base_excitation(
     everywhere = BaseMotion(acceleration_rms_m_per_s2=float(np.sqrt(high - low)), low_hz=low, high_hz=high)
     model = linear_model(record, changed(base.rig, base_motion=everywhere), base.scales.discrepancy)
     contacts = len(base.rig.contacts)
-    free = model.unknown[:, :, :contacts]
-    pattern = model.unknown[:, :, contacts]
-    pattern = pattern - (free @ (base.model.solve[:, :contacts] @ pattern[:, :, None]))[:, :, 0]
-    if len(record.sensors) <= contacts + 1:
-        return None  # nothing would be left to tell it by
-    y = _lines(base, at).T
-    size = np.sum(np.abs(pattern) ** 2, axis=1)
-    seen = np.abs(np.sum(pattern.conj() * y, axis=1)) ** 2 / np.maximum(size, 1e-300)
-    others = (np.sum(np.abs(y) ** 2, axis=1) - seen) / max(1, y.shape[1] - contacts - 1)
+    pattern = model.by_input[contacts]
+    by_contacts = base.model.projected(pattern * base.model.spread)[1]
+    pattern = pattern - np.einsum("isl,il->sl", model.by_input[:contacts], by_contacts)
+    y = _lines(base, at)
+    size = np.sum(np.abs(pattern) ** 2, axis=0)
+    seen = np.abs(np.sum(pattern.conj() * y, axis=0)) ** 2 / np.maximum(size, 1e-300)
+    others = (np.sum(np.abs(y) ** 2, axis=0) - seen) / max(1, len(y) - contacts - 1)
     level = uniform_filter1d(others, max(1, round(SMOOTHED_HZ * record.length / record.sample_rate_hz)))
     level = np.maximum(level, 1e-300)
     seen, size = seen / level, size / level

@@ -1,7 +1,7 @@
 """The search over the library, jointly: single effects, and pairs that do not depend on which of the two came first."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
 
@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.gap.candidates import Candidate
-from identify.gap.fit import fit
+from identify.gap.fit import Fit, fit
 from identify.gap.likelihood import Misfit, Reference, misfit
 from identify.gap.nuisance import LIMIT
-from identify.gap.residual import Base, Residual, base_of, rescaled, residual_of, same_but_laws
+from identify.gap.residual import Base, Residual, base_of, rescaled, residual_of, scales_at, same_but_laws
 from identify.gap.search.base_excitation import fit_base_excitation
 from identify.gap.search.nominal import fitted, singly_bent
 from identify.gap.search.screening import Screened, grid_screening, score_screening
@@ -24,8 +24,8 @@ BY_SCORE, BY_GRID, FRESH = 5, 3, 3
 WORTH = 10.0
 """What no effect gains of -2 ln p is not looked at: the library's size alone makes an effect less likely than none by
 more than that."""
-SHORT = 3
-"""Steps of a first fit."""
+SHORT, ROUNDS, SETTLED = 3, 4, 1.0
+"""Steps of a first fit; at most so many rounds to the end, until one gains less than this of -2 ln p."""
 KEPT, RIVAL = 3, 0.5
 """So many of those are fitted to the end, if they gained this share of what the best one did."""
 FIRSTS, SECONDS = 2, 2
@@ -143,7 +143,7 @@ def _singles(begun: Search, nothing: Hypothesis) -> list[Hypothesis]:
         if one.gain < WORTH * base.record.strictness:
             continue
         try:
-            tried = _fitted(begun, (one.candidate,), one.values, start, SHORT)
+            tried = _fitted(begun, (one.candidate,), one.values, start)
         except RigError:
             continue
         if one.candidate.name not in found or _cost(tried) < _cost(found[one.candidate.name]):
@@ -153,7 +153,7 @@ def _singles(begun: Search, nothing: Hypothesis) -> list[Hypothesis]:
             found[candidate.name] = shaken
     best = sorted(found.values(), key=_cost)
     best = [one for one in best[:KEPT] if _cost(nothing) - _cost(one) > WORTH / 2 and _cost(nothing) - _cost(one) > RIVAL * (_cost(nothing) - _cost(best[0]))]
-    return sorted((_refined(begun, one) for one in best), key=_cost)
+    return sorted((refined(begun, one) for one in best), key=_cost)
 
 
 def _seconds(begun: Search, first: Hypothesis) -> list[Hypothesis]:
@@ -179,10 +179,10 @@ def _seconds(begun: Search, first: Hypothesis) -> list[Hypothesis]:
 
 
 def _together(begun: Search, first: Hypothesis, second: Screened, start: Residual) -> Hypothesis:
-    """Both fitted, from where the first stands; a stochastic first effect keeps its values."""
+    """Both fitted, from where the first stands."""
     parts = (*first.parts, second.candidate)
     values = np.concatenate([first.values, second.values])
-    return _refined(begun, _fitted(begun, parts, values, _straightened(start), SHORT, first.base))
+    return refined(begun, _fitted(begun, parts, values, _straightened(start), first.base))
 
 
 def _alone(begun: Search, pair: Hypothesis, first: Hypothesis) -> Hypothesis | None:
@@ -191,7 +191,14 @@ def _alone(begun: Search, pair: Hypothesis, first: Hypothesis) -> Hypothesis | N
     if len(others) != 1 or others[0][0].kind.stochastic:
         return None
     (part, values) = others[0]
-    return _refined(begun, _fitted(begun, (part,), values, _straightened(begun.at), SHORT))
+    return fit_effects(begun, (part,), values, begun.at)
+
+
+def fit_effects(
+    begun: Search, parts: tuple[Candidate, ...], values: Float[np.ndarray, " parameters"], start: Residual
+) -> Hypothesis:
+    """Effects fitted to the end from some values, and from the nuisance parameters and drifts of a residual."""
+    return refined(begun, _fitted(begun, parts, values, _straightened(start)))
 
 
 def _fitted(
@@ -199,40 +206,37 @@ def _fitted(
     parts: tuple[Candidate, ...],
     values: Float[np.ndarray, " parameters"],
     start: Residual | None,
-    steps: int,
-    like: Base | None = None,
+    about: Base | None = None,
 ) -> Hypothesis:
-    """Gauss-Newton for a few steps, at the scales of the base given, or of the believed rig's."""
-    build, own = _builder(begun, parts, values)
-    about = like or begun.base
+    """Gauss-Newton for a few steps at the scales of a base (the believed rig's unless one is given).
+
+    Without a start, nothing was bent to do without the effects: then the linearisation is about their values.
+    """
+    about, build = about or begun.base, partial(applied, begun.base.rig, parts)
     if start is None:
-        about = base_of(about.record, build(own), None, about.scales, about.seen)
-    done = fit(about, build, own, _steps(parts), _bounds(parts), start, steps) if own.size else fitted(about, start)
-    return _hypothesis(begun, parts, values, about, done.values, done.covariance, done.residual)
+        about = base_of(about.record, build(values), None, about.scales, about.seen)
+    done = fit(about, build, values, _steps(parts), _bounds(parts), start, SHORT)
+    return _hypothesis(begun, parts, about, done)
 
 
-def _refined(begun: Search, one: Hypothesis) -> Hypothesis:
-    """Fitted to the end, with scales and linearisation renewed about where the parameters have come to."""
-    for _ in range(2 + singly_bent(begun.base.rig)):
-        build, own = _builder(begun, one.parts, one.values)
-        base = rescaled(one.base, one.residual)
-        about = base_of(base.record, build(own), one.residual, base.scales)
-        done = fit(about, build, own, _steps(one.parts), _bounds(one.parts), one.residual) if own.size else None
-        if done is None:
-            return one
-        better = _hypothesis(begun, one.parts, one.values, about, done.values, done.covariance, done.residual)
+def refined(begun: Search, one: Hypothesis) -> Hypothesis:
+    """Fitted to the end, with scales and linearisation renewed about where the parameters have come to.
+
+    What is known by its spectrum alone keeps its values.
+    """
+    if any(p.kind.stochastic for p in one.parts):
+        return one
+    build = partial(applied, begun.base.rig, one.parts)
+    for _ in range(ROUNDS + singly_bent(begun.base.rig)):
+        scales = scales_at(one.base, one.residual)
+        about = base_of(one.base.record, build(one.values), one.residual, scales)
+        done = fit(about, build, one.values, _steps(one.parts), _bounds(one.parts), one.residual)
+        better = _hypothesis(begun, one.parts, about, done)
         gained = _cost(one) - _cost(better)
         one = better if gained > 0 else one
-        if gained < 1.0:
+        if gained < SETTLED:
             break
     return one
-
-
-def _builder(
-    begun: Search, parts: tuple[Candidate, ...], values: Float[np.ndarray, " parameters"]
-) -> tuple[Callable[[Float[np.ndarray, " own"]], Rig], Float[np.ndarray, " own"]]:
-    """The rig as a function of the parameters that a fit over time finds, and their values."""
-    return partial(applied, begun.base.rig, parts), values
 
 
 def _steps(parts: tuple[Candidate, ...]) -> Float[np.ndarray, " parameters"]:
@@ -244,17 +248,9 @@ def _bounds(parts: tuple[Candidate, ...]) -> tuple[Float[np.ndarray, " parameter
     return low, high
 
 
-def _hypothesis(
-    begun: Search,
-    parts: tuple[Candidate, ...],
-    _: Float[np.ndarray, " parameters"],
-    base: Base,
-    values: Float[np.ndarray, " parameters"],
-    covariance: Float[np.ndarray, "parameters parameters"],
-    residual: Residual,
-) -> Hypothesis:
-    left = misfit(base.record, begun.reference, base, residual)
-    return Hypothesis(parts, values, covariance, base, residual, left)
+def _hypothesis(begun: Search, parts: tuple[Candidate, ...], base: Base, done: Fit) -> Hypothesis:
+    left = misfit(base.record, begun.reference, base, done.residual)
+    return Hypothesis(parts, done.values, done.covariance, base, done.residual, left)
 
 
 def _stochastic(begun: Search, nothing: Hypothesis, candidate: Candidate) -> Hypothesis | None:
@@ -279,8 +275,6 @@ def _straightened(at: Residual) -> Residual:
 
     They stay as they are where none is at its limit.
     """
-    from dataclasses import replace
-
     if np.max(np.abs(at.pulls), initial=0.0) < LIMIT - 1e-6:
         return at
     straight = tuple(replace(c, unknowns=np.append(c.unknowns[:-3], np.zeros(3))) for c in at.contacts)

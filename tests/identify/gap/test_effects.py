@@ -1,16 +1,16 @@
 """Every new effect, recorded on one mass between stops: its derivative is right, and a fit finds it."""
 
-from functools import partial
-
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from identify.gap.candidates import candidates, scale_of
-from identify.gap.fit import derivative, fit
+from identify.gap.fit import derivative
+from identify.gap.likelihood import reference_of
 from identify.gap.peaks import peaks_hz
 from identify.gap.residual import base_of, residual_of
-from identify.gap.search import refined, settled
+from identify.gap.search.joint import Search, fit_effects
+from identify.gap.search.nominal import fit_nuisance
 from identify.gap.spectra import record_of
 from rig.excitation import force_history
 from rig.reference import Sdof
@@ -63,7 +63,7 @@ def test_the_derivative_by_the_strength_foretells_the_residual_on_its_other_side
     step = np.zeros(truth.size)
     step[0] = 0.1 * candidate.steps[0]
     column = stacked(*derivative(base, candidate.applied(RIG, truth + step), at))
-    there = residual_of(base, candidate.applied(RIG, truth - step), at.doubts, tuple(c.unknowns for c in at.contacts))
+    there = residual_of(base, candidate.applied(RIG, truth - step), at.nuisance, tuple(c.unknowns for c in at.contacts))
     grown = stacked(there.linear, [c.residual for c in there.contacts]) - stacked(
         at.linear, [c.residual for c in at.contacts]
     )
@@ -73,19 +73,17 @@ def test_the_derivative_by_the_strength_foretells_the_residual_on_its_other_side
 
 def test_a_fit_from_a_third_of_its_strength_finds_it(recorded):
     candidate, truth, record = recorded
-    base, believed = settled(record, RIG)
+    base, believed = fit_nuisance(record, RIG)
     neutral = [p.neutral for p in candidate.parameters.values()]
     start = np.array([t if n is None else n + 0.3 * (t - n) for t, n in zip(truth, neutral, strict=True)])
-    build = partial(candidate.applied, RIG)
-    found = refined(
-        base, build, fit(base, build, start, candidate.steps, candidate.bounds), candidate.steps, candidate.bounds
-    )
-    assert found.cost < 0.2 * believed.cost
+    begun = Search(reference_of(base_of(record, RIG)), base, believed, ())
+    found = fit_effects(begun, (candidate,), start, believed)
+    assert found.misfit.minus_two_log < begun.nothing().misfit.minus_two_log
     np.testing.assert_allclose(found.values, truth, rtol=0.05, atol=1e-12)
 
 
 def test_the_frequency_of_a_tone_stands_out_of_the_residual():
     _, truth, record = case("tone:mass")
-    base, believed = settled(record, RIG)
+    base, believed = fit_nuisance(record, RIG)
     found = peaks_hz(base, believed, 3)
     assert np.min(np.abs(found - truth[2])) < 0.5 / SETTINGS.duration_s

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.gap.doubts import moved
+from identify.gap.nuisance import apply_nuisance
 from identify.gap.residual import base_of, residual_of
 from identify.gap.spectra import record_of
 from rig.excitation import force_history
@@ -22,11 +22,12 @@ def base():
     return base_of(record_of(modal(RIG, RIG, force_n, 1)), RIG)
 
 
-def test_every_doubt_about_a_single_mass_and_its_sensor_moves_the_rig(base):
-    doubts = np.arange(1.0, 1.0 + len(base.doubts.names))
-    found, put = moved(RIG, base.doubts.names, doubts, LABORATORY)
-    np.testing.assert_array_equal(put, doubts)
-    by_name = dict(zip(base.doubts.names, doubts, strict=True))
+def test_nuisance_parameters_of_a_single_mass_and_its_sensor_are_put_into_the_rig(base):
+    values = np.arange(1.0, 1.0 + len(base.columns.parameters))
+    found, put = apply_nuisance(RIG, base.columns.parameters, values, LABORATORY)
+    by_name = {p.name: v for p, v in zip(base.columns.parameters, values, strict=True)}
+    taken = [p.kind in ("frequency", "damping", "gain") for p in base.columns.parameters]
+    np.testing.assert_array_equal(put, np.where(taken, values, 0.0))
     (body,), (sensor,) = RIG.bodies, RIG.sensors
     assert found.bodies == (
         replace(
@@ -40,7 +41,7 @@ def test_every_doubt_about_a_single_mass_and_its_sensor_moves_the_rig(base):
     )
 
 
-def test_doubts_are_what_a_moved_rig_leaves_through_a_sensor_that_reads_wrong():
+def test_columns_are_what_another_rig_leaves_through_a_sensor_that_reads_wrong():
     settings = BarrelCradle(sensors="acceleration", duration_s=12.0, rms_n=1.0)
     believed = settings.rig()
     sensors = tuple(replace(s, gain=0.5 if i == 2 else 1.0, delay_s=0.0) for i, s in enumerate(believed.sensors))
@@ -52,5 +53,6 @@ def test_doubts_are_what_a_moved_rig_leaves_through_a_sensor_that_reads_wrong():
         modulus = body.youngs_modulus_pa * (1 + small * LABORATORY.frequency) ** 2
         bodies = tuple(replace(b, youngs_modulus_pa=modulus) if b == body else b for b in rig.bodies)
         change = residual_of(base, rig).bare - residual_of(base, replace(rig, bodies=bodies)).bare
-        expected = small * base.doubts.residual[base.doubts.names.index(f"frequency of {body.name}")]
+        names = [p.name for p in base.columns.parameters]
+        expected = small * base.columns.residual[names.index(f"frequency of {body.name}")]
         assert np.linalg.norm(change - expected) < 0.02 * np.linalg.norm(change)
