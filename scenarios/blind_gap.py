@@ -6,6 +6,7 @@ python -m scenarios.blind_gap score --cases out/blind --found out/found --out ou
 """
 
 import hashlib
+import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated
@@ -31,6 +32,8 @@ app = typer.Typer(pretty_exceptions_enable=False, no_args_is_help=True)
 Cases = Annotated[Path, typer.Option("--cases", help="Folder that `make` wrote.")]
 Found = Annotated[Path, typer.Option("--found", help="Folder that `diagnose` wrote.")]
 Also = Annotated[list[str] | None, typer.Option("--also", help="More folders, as CASES:FOUND; may be repeated.")]
+
+WIDTH = 170
 
 
 @app.callback()
@@ -101,7 +104,7 @@ def score(
     reliability = {name: calibrated(compared) for name, compared in groups.items()}
     _written(out / "score.json", _json({"worlds": boards, "calibration": reliability}))
     figures = score_figures.drawn(every, out)
-    console = Console()
+    console = _wide_console()
     console.print(shown(boards, f"{len(every)} blind cases"))
     for name, board in boards.items():
         console.print(f"{name}: {calibration_told(reliability[name])}", soft_wrap=True)
@@ -131,7 +134,12 @@ def sensitivity(
         worlds = by_world([(cases, out / name)], out / name / "best")
         boards[name] = scored([c for compared in worlds.values() for c in compared])
     _written(out / "sensitivity.json", _json(boards))
-    Console().print(table_of(boards))
+    _wide_console().print(table_of(boards))
+
+
+def _wide_console() -> Console:
+    """As wide as the tables where no terminal sets a width."""
+    return Console() if sys.stdout.isatty() else Console(width=WIDTH)
 
 
 def _json(value: object) -> bytes:

@@ -3,8 +3,7 @@
 import re
 
 from identify.gap.results import Cause, Unknown
-from scenarios.worlds.machine import Place
-from scenarios.worlds.truth import Case, EffectTruth, Expected
+from scenarios.worlds.truth import EffectTruth, Expected
 
 FIELDS = ("contact", "body", "beam", "sensor", "side")
 WITHIN_M = 0.05
@@ -45,19 +44,20 @@ def place_right(effect: EffectTruth, cause: Cause) -> bool:
     return all(field_right(field) for field in place_fields(effect))
 
 
-def description_right(truth: Case, unknown: Unknown | None) -> bool:
-    """Whether the unmeasured force is described as the effect outside the library is: where, and by what law."""
-    expected = truth.expected
-    if unknown is None or expected is None or not _where_right(truth, expected, unknown):
+def description_right(expected: Expected | None, unknown: Unknown | None) -> bool:
+    """Whether what is unknown is described as the effect outside the library is: where, and by what law or frequency.
+
+    Of a sensor that is right no frequency is asked for: its resonance may lie beyond the band.
+    """
+    if unknown is None or expected is None or not _where_right(expected, unknown):
         return False
-    both = (expected.frequency_hz, unknown.frequency_hz)
-    if both[0] is not None and both[1] is not None:
-        return abs(both[0] - both[1]) <= WITHIN_HZ
-    return law_right(expected.law, unknown)
+    if expected.frequency_hz is not None and unknown.frequency_hz is not None:
+        return abs(expected.frequency_hz - unknown.frequency_hz) <= WITHIN_HZ
+    return expected.contact is None and law_right(expected.law, unknown)
 
 
 def law_right(law: str, unknown: Unknown) -> bool:
-    """Where no short formula holds (a rattling mass, a clearance that breathes), none must be given."""
+    """Where no short formula holds (a rattling mass), none must be given."""
     if law == "drag":
         power = POWER.search(unknown.law)
         by_power = power is not None and SQUARE[0] <= float(power[1]) <= SQUARE[1]
@@ -69,20 +69,15 @@ def law_right(law: str, unknown: Unknown) -> bool:
     return not unknown.law
 
 
-def _where_right(truth: Case, expected: Expected, unknown: Unknown) -> bool:
+def _where_right(expected: Expected, unknown: Unknown) -> bool:
     if expected.where == "contact pair":
-        contact = next(c for c in truth.nominal.contacts if c.name == expected.contact)
-        return unknown.kind == "pair" and any(_near(unknown, p) for p in (contact.at, contact.against) if p)
+        return unknown.contact == expected.contact
     if unknown.kind != expected.where:
         return False
     if expected.sensor is not None:
         return unknown.sensor == expected.sensor
     if expected.body is None or expected.position_m is None:
         return True
-    return _near(unknown, Place(expected.body, expected.position_m))
-
-
-def _near(unknown: Unknown, place: Place) -> bool:
-    if unknown.body != place.body or unknown.position_m is None:
+    if unknown.body != expected.body or unknown.position_m is None:
         return False
-    return abs(unknown.position_m - place.position_m) <= WITHIN_M
+    return abs(unknown.position_m - expected.position_m) <= WITHIN_M

@@ -15,7 +15,7 @@ def shown(boards: Mapping[str, Score], title: str) -> Table:
     for name, board in boards.items():
         table.add_column(f"{name}, {board.cases} cases", justify="right")
     for rates in zip(*(board.rates for board in boards.values()), strict=True):
-        table.add_row(rates[0].name, *(told(rate) for rate in rates))
+        table.add_row(rates[0].name, *(_told(rate) for rate in rates))
     several = boards.values()
     table.add_row("closed, of what the true effect closes, median", *(_closure(b) for b in several))
     table.add_row(
@@ -26,7 +26,7 @@ def shown(boards: Mapping[str, Score], title: str) -> Table:
     return table
 
 
-def told(rate: Rate) -> str:
+def _told(rate: Rate) -> str:
     """So many of so many, the share and its interval."""
     if not rate.of:
         return "none"

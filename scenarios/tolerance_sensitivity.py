@@ -6,10 +6,18 @@ from msgspec.structs import replace
 from rich.table import Table
 
 from rig.model.tolerances import LABORATORY, Tolerances
-from scenarios.score_table import told
 from scenarios.scoreboard import Score
 
 FACTORS = {"doubled": 2.0, "halved": 0.5}
+COLUMNS = {
+    "single effect right, above its limit": "singles",
+    "both of a pair": "pairs",
+    "outside: unknown or partly explained": "outside",
+    "outside: description right": "described",
+    "null: an effect named": "false alarms",
+    "parameter in its 95 % interval": "parameters",
+}
+"""The rates of the table, with its headings."""
 
 
 def settings(only: str | None = None) -> Iterator[tuple[str, Tolerances]]:
@@ -24,13 +32,11 @@ def settings(only: str | None = None) -> Iterator[tuple[str, Tolerances]]:
 
 def table_of(boards: Mapping[str, Score]) -> Table:
     """A row a setting, a column a rate."""
-    table = Table(title="each tolerance doubled and halved")
-    table.add_column("")
-    first = next(iter(boards.values()))
-    previous = ""
-    for rate in first.rates:
-        previous = rate.name if not rate.name.startswith("...") else previous
-        table.add_column(rate.name if rate.name == previous else f"{previous}, {rate.name[4:]}")
+    table = Table(title="each tolerance doubled and halved: right of so many")
+    table.add_column("", no_wrap=True)
+    for heading in COLUMNS.values():
+        table.add_column(heading, justify="right")
     for name, board in boards.items():
-        table.add_row(name.replace("_", " "), *(told(rate) for rate in board.rates))
+        rates = {rate.name: rate for rate in board.rates}
+        table.add_row(name.replace("_", " "), *(f"{rates[c].count} of {rates[c].of}" for c in COLUMNS))
     return table

@@ -83,7 +83,7 @@ def gap(verdict, *causes, nothing=0.1, unknown=0.0, force=None, nothing_minus_tw
     )
 
 
-def force(kind, body=None, position_m=None, sensor=None, law="", against="none", frequency_hz=None):
+def force(kind, body=None, position_m=None, sensor=None, contact=None, law="", against="none", frequency_hz=None):
     return Unknown(
         sentence="a force",
         kind=kind,
@@ -91,6 +91,7 @@ def force(kind, body=None, position_m=None, sensor=None, law="", against="none",
         position_m=position_m,
         position_error_m=None if position_m is None else 0.01,
         sensor=sensor,
+        contact=contact,
         frequency_hz=frequency_hz,
         band_hz=(1.0, 200.0),
         rms_n=1.0,
