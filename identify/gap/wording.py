@@ -7,7 +7,7 @@ from identify.gap.results import Cause, Gap, Left, Value
 from identify.wording import percent
 
 VERDICTS = {
-    "no_gap": "no gap that matters",
+    "no_gap": "no gap",
     "explained": "explained",
     "partly_explained": "explained in part",
     "unknown": "unknown cause",

@@ -1,8 +1,6 @@
 """What to do next, in concrete sentences by verdict."""
 
-from itertools import groupby
-
-from identify.gap.results import Band, Gap, Unknown
+from identify.gap.results import Gap, Unknown
 from identify.gap.wording import cause_name, closes_some, joined, leaves
 from identify.wording import percent
 
@@ -11,12 +9,15 @@ USUAL = 0.05
 WIDEST = 3
 """Ranges of frequency that are named."""
 
+BRIDGED_HZ = 10.0
+"""Ranges closer than this are one."""
+
 _BY_DEPENDENCE = {
-    "displacement": "Push or pull there with known static forces and measure the displacement: it grows with it.",
-    "clearance": "Push or pull there until it touches something: it acts beyond a clearance.",
-    "velocity": "Record a free decay, or record at two levels of force: it grows with the velocity.",
-    "velocity squared": "Record at two levels of force: it grows with the square of the velocity.",
-    "acceleration": "Fix a known mass there and record again: it grows with the acceleration.",
+    "displacement": "The force grows with the displacement: push there with known static forces, measure how far it gives.",
+    "clearance": "The force acts beyond a clearance: push there until something touches, and measure the way.",
+    "velocity": "The force grows with the velocity: record a free decay, or record at two levels of force.",
+    "velocity squared": "The force grows with the square of the velocity: record at two levels of force.",
+    "acceleration": "The force grows with the acceleration: fix a known mass there and record again.",
 }
 
 
@@ -29,11 +30,12 @@ def next_steps(gap: Gap) -> list[str]:
 
 def rest_hz(gap: Gap) -> list[tuple[float, float]]:
     """Ranges of frequency, widest first, in which what is left exceeds what matters and what null simulations leave."""
-    ranges = []
-    for beyond, bands in groupby(gap.bands, lambda b: b.after > max(b.usual, gap.matters.motion)):
-        run: list[Band] = list(bands)
-        if beyond:
-            ranges.append((run[0].low_hz, run[-1].high_hz))
+    ranges: list[tuple[float, float]] = []
+    for band in gap.bands:
+        if band.after <= max(band.usual, gap.matters.motion):
+            continue
+        near = ranges and band.low_hz - ranges[-1][1] < BRIDGED_HZ
+        ranges.append((ranges.pop()[0] if near else band.low_hz, band.high_hz))
     return sorted(ranges, key=lambda r: r[0] - r[1])
 
 
@@ -54,7 +56,7 @@ def _no_gap(gap: Gap) -> list[str]:
 
 def _explained(gap: Gap) -> list[str]:
     best = gap.causes[0]
-    steps = [f"Take the corrected rig.json of this folder: it holds {cause_name(best)}."]
+    steps = [f"Simulate with the corrected rig.json (--out writes it): it holds {cause_name(best)}."]
     if gap.after.p_value < USUAL:
         steps.append(f"What is left is {leaves(gap.after)}: more than tolerances and noise leave, too little to matter.")
     else:
@@ -65,14 +67,14 @@ def _explained(gap: Gap) -> list[str]:
 def _partly(gap: Gap) -> list[str]:
     best = gap.causes[0]
     steps = [
-        f"Take the corrected rig.json of this folder as the better rig, not as the right one: with {cause_name(best)} it "
-        f"still leaves {leaves(gap.after)}."
+        f"Take the corrected rig.json (--out writes it) as the better rig, not as the right one: with {cause_name(best)} "
+        f"it still leaves {leaves(gap.after)}."
     ]
     return steps + _rest(gap) + (_where_to_look(gap.unknown) if gap.unknown else []) + _tell_apart(gap)
 
 
 def _unknown(gap: Gap) -> list[str]:
-    steps = ["Do not correct the rig yet: the rig.json of this folder is the one that is believed."]
+    steps = ["Keep rig.json as it is for now: no effect of the library would make it right."]
     steps += _where_to_look(gap.unknown) if gap.unknown else _rest(gap)
     if gap.causes and closes_some(gap.causes[0]):
         return steps + _tell_apart(gap)

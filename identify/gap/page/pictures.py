@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from identify.gap.page import attribution_pictures, unknown_pictures
 from identify.gap.page.axes import BLUE, GREEN, GREY, INK, RED, lying_bars, plain_decades, stacked
 from identify.gap.results import Curve, Gap
-from identify.gap.wording import cause_name, closes_some, others, probability
+from identify.gap.wording import cause_name, closes, closes_some, others, probability
 from rig.description import Rig
 
 Draw = Callable[[Any], None]
@@ -73,26 +73,12 @@ def _bands(figure: Any, gap: Gap) -> None:
     """Unexplained shares over frequency, in per cent; zeros of a logarithmic axis are not drawn."""
     edges = [b.low_hz for b in gap.bands] + [gap.bands[-1].high_hz]
     axes = figure.subplots()
-    axes.stairs(
-        100 * np.array([b.usual for b in gap.bands]),
-        edges,
-        baseline=None,
-        color=GREEN,
-        lw=1.4,
-        label="19 of 20 null simulations stay below",
-    )
-    axes.stairs(
-        100 * np.array([b.before for b in gap.bands]), edges, baseline=None, color=RED, lw=1.4, label="believed rig"
-    )
+    rows = [("believed rig", RED, [b.before for b in gap.bands])]
     if gap.causes and closes_some(gap.causes[0]):
-        axes.stairs(
-            100 * np.array([b.after for b in gap.bands]),
-            edges,
-            baseline=None,
-            color=BLUE,
-            lw=1.4,
-            label="with the likeliest cause",
-        )
+        rows.append(("with the likeliest cause", BLUE, [b.after for b in gap.bands]))
+    rows.append(("nineteen of twenty null simulations stay below", GREEN, [b.usual for b in gap.bands]))
+    for label, colour, shares in rows:
+        axes.stairs(100 * np.array(shares), edges, baseline=None, color=colour, lw=1.4, label=label)
     axes.axhline(100 * gap.matters.motion, color=INK, lw=1.2, ls="--", label="what matters")
     axes.set_yscale("log", nonpositive="mask")
     axes.set_xlim(edges[0], edges[-1])
@@ -118,26 +104,24 @@ def _probability(figure: Any, gap: Gap) -> None:
 def _closes(figure: Any, gap: Gap) -> None:
     """The fraction of the gap that each of the likeliest causes closes, with its 95 % interval."""
     shown = gap.causes[:MOST_CAUSES]
-    middle = 100 * np.clip([c.explained for c in shown], 0, 1)
+    sizes = [100 * min(max(c.explained, 0.0), 1.0) for c in shown]
     ends = 100 * np.clip([c.interval_95 for c in shown], 0, 1)
-    axes = figure.subplots()
-    rows = np.arange(len(shown))
-    axes.barh(rows, middle, height=0.62, color=BLUE)
-    axes.hlines(rows, ends[:, 0], ends[:, 1], color=INK, lw=2.0, label="95 % interval")
-    axes.set_yticks(rows, [stacked(cause_name(c)) for c in shown])
+    names = [stacked(cause_name(c)) for c in shown]
+    axes = lying_bars(figure, names, sizes, [""] * len(shown), BLUE)
+    for row, (cause, (low, high)) in enumerate(zip(shown, ends, strict=True)):
+        axes.plot([low, high], [row, row], color=INK, lw=2.0, marker="|", ms=8)
+        axes.annotate(closes(cause), (max(high, sizes[row]), row), (6, 0), textcoords="offset points", va="center")
+    axes.set(xlim=(0, 190), xticks=range(0, 101, 25), xlabel="share of the gap that it closes, %")
     axes.set_ylim(len(shown) - 0.4, -0.6)
-    axes.grid(axis="y", visible=False)
-    axes.set(xlim=(0, 103), xticks=range(0, 101, 25), xlabel="share of the gap that it closes, %")
-    figure.suptitle("What each cause closes on the validation record", fontsize=10)
-    figure.legend(loc="outside lower center")
+    figure.suptitle("What each cause closes, with its 95 % interval", fontsize=10)
 
 
 def _curve(figure: Any, curve: Curve) -> None:
     axes = figure.subplots()
     for values, colour, width, label in (
         (curve.measured, GREY, 2.4, "measured"),
-        (curve.believed, RED, 1.0, "simulated as believed"),
-        (curve.corrected, BLUE, 1.0, "simulated with the likeliest cause"),
+        (curve.believed, RED, 1.0, "believed rig"),
+        (curve.corrected, BLUE, 1.0, "with the likeliest cause"),
     ):
         axes.plot(curve.x, values, color=colour, lw=width, ls="--" if colour == RED else "-", label=label)
     if curve.logarithmic:

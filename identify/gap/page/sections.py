@@ -38,7 +38,7 @@ def how_large(gap: Gap) -> str:
         "<p>The share of a signal's rms that the rig does not explain, beyond sensor noise, on the validation record: a "
         "recording that no parameter was fitted to.</p>"
     )
-    text += page.table((*head, "what matters, from"), rows)
+    text += page.table((*head, "what matters"), rows)
     text += f"<p>{escape(_chance('The believed rig', gap.before))}"
     text += f" {escape(_chance('With the likeliest cause, the rig', gap.after))}</p>" if _helps(gap) else "</p>"
     if ranges := rest_hz(gap)[:3]:
@@ -54,7 +54,7 @@ def causes(gap: Gap) -> str:
     """Probabilities, what each cause closes and leaves, its parameters and places."""
     shown, further = gap.causes[:MOST], gap.causes[MOST:]
     contacts = list(gap.before.contact_shares)
-    head = ("cause", "probability", "closes", "leaves of the acceleration", *(f"of {name}" for name in contacts))
+    head = ("cause", "probability", "closes", "leaves of the acceleration", *(f"leaves of {name}" for name in contacts))
     rest = [(name, probability(p), *[""] * (2 + len(contacts))) for name, p in others(gap)]
     folded = sum(c.probability for c in further)
     if further:
@@ -85,7 +85,7 @@ def unknown_force(unknown: Unknown) -> str:
     if unknown.body is not None:
         rows.append(("where", place(unknown)))
     if unknown.position_m is not None and unknown.position_error_m is not None:
-        rows.append(("place ± 95 %, by noise", interval(Value(unknown.position_m, unknown.position_error_m, "m"))))
+        rows.append(("from the left end", interval(Value(unknown.position_m, unknown.position_error_m, "m"))))
         rows.append(("second record alone", "the same place" if unknown.same_place else "another place: doubt it"))
     rows += [(f"stiffness of the {body}, change", _change(growth)) for body, growth in unknown.growth.items()]
     unit = "m/s^2" if unknown.kind == "sensor" else "N"

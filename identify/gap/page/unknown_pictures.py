@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from identify.gap.page.axes import BLUE, GREY, INK, RED
+from identify.gap.page.axes import BLUE, GREY, INK, RED, plain_decades
 from identify.gap.results import MeanForce, Unknown
 from identify.gap.unknown.location import offset_m
 from identify.wording import COVERED
@@ -137,6 +137,7 @@ def _spectrum(figure: Any, unknown: Unknown) -> None:
     if unknown.frequency_hz is not None:
         axes.axvline(unknown.frequency_hz, color=RED, lw=1.2, ls="--", label=f"{unknown.frequency_hz:.2f} Hz")
     axes.set_xlim(0, float(middle[-1] + middle[0]))
+    plain_decades(axes.yaxis)
     axes.set(xlabel="frequency, Hz", ylabel=f"spectral density, {unit}")
     figure.suptitle("Its spectrum", fontsize=10)
     figure.legend(loc="outside lower center", ncols=2)
