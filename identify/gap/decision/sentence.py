@@ -27,7 +27,7 @@ def _verdict(gap: Gap) -> str:
     best = gap.causes[0]
     one = len(best.effects) == 1
     explains, it_closes = ("explains", "it closes") if one else ("explain", "together they close")
-    how = f"{it_closes} {closes(best)} and {'leaves' if one else 'leave'} {leaves(gap.after)}"
+    how = f"{it_closes} {closes(best)} and {'leaves' if one else 'leave'} {leaves(gap.after)} unexplained"
     if gap.verdict == "explained":
         return f"{cause_name(best)} {explains} the gap: {how}."
     return f"{cause_name(best)} {explains} the gap in part: {how}. The rest{rest}"

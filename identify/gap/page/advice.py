@@ -13,7 +13,7 @@ BRIDGED_HZ = 10.0
 """Ranges closer than this are one."""
 
 _BY_DEPENDENCE = {
-    "displacement": "The force grows with the displacement: push there with known static forces, measure how far it gives.",
+    "displacement": "The force grows with the displacement: push there with known static forces and measure how far it gives.",
     "clearance": "The force acts beyond a clearance: push there until something touches, and measure the way.",
     "velocity": "The force grows with the velocity: record a free decay, or record at two levels of force.",
     "velocity squared": "The force grows with the square of the velocity: record at two levels of force.",
@@ -58,7 +58,9 @@ def _explained(gap: Gap) -> list[str]:
     best = gap.causes[0]
     steps = [f"Simulate with the corrected rig.json (--out writes it): it holds {cause_name(best)}."]
     if gap.after.p_value < USUAL:
-        steps.append(f"What is left is {leaves(gap.after)}: more than tolerances and noise leave, too little to matter.")
+        steps.append(
+            f"What is left is {leaves(gap.after)}: more than tolerances and noise leave, too little to matter."
+        )
     else:
         steps.append("Look for no further cause: what is left is what tolerances and noise leave.")
     return steps + _tell_apart(gap)
@@ -89,13 +91,17 @@ def _rest(gap: Gap) -> list[str]:
             return []
         return [f"Look at {share[0]}: the rest lies in its force, of which {percent(share[1])} is unexplained."]
     said = joined([f"{low:g} to {high:g} Hz" for low, high in sorted(ranges)])
-    return [f"Look for something that acts from {said}: there the rest is more than what matters and what noise leaves."]
+    return [
+        f"Look for something that acts from {said}: there the rest is more than what matters and what noise leaves."
+    ]
 
 
 def _where_to_look(unknown: Unknown) -> list[str]:
     """Where, and what to measure there."""
     if unknown.kind == "sensor":
-        return [f"Look at sensor {unknown.sensor}, its mounting and its cable. Exchange it with another and record again."]
+        return [
+            f"Look at sensor {unknown.sensor}, its mounting and its cable. Exchange it with another and record again."
+        ]
     if unknown.kind == "distributed":
         bodies = joined([f"the {body}" for body in unknown.growth])
         return [f"Measure the temperature of {bodies} along the record, and record again after it has settled."]

@@ -37,7 +37,7 @@ def in_short(unknown: Unknown) -> str:
     unit = "m/s^2" if unknown.kind == "sensor" else "N"
     when = "" if unknown.when == "always" else f", {WHEN[unknown.when]}"
     return (
-        f"{number(unknown.rms_n, 3)} {unit} rms, mostly from {number(low, 3)} to {number(high, 3)} Hz{when}; it explains "
+        f"{number(unknown.rms_n, 3)} {unit} rms, mostly from {low:.3g} to {high:.3g} Hz{when}; it explains "
         f"{percent(unknown.explained)} of the linear residual's mean square"
     )
 

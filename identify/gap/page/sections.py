@@ -61,20 +61,22 @@ def causes(gap: Gap) -> str:
         rest.insert(0, (f"{len(further)} further causes", probability(folded), *[""] * (2 + len(contacts))))
     text = (
         "<p>Effects of the library, alone and in pairs, beside no gap and something that the library does not hold. The "
-        "probabilities sum to one. A cause closes the share of the gap by which it makes the gap smaller on the "
-        "validation record (95 % interval in brackets).</p>"
+        "probabilities sum to one. Closes: by which share the effects make the gap smaller on the validation record, "
+        "with everything else that the tolerances leave open held (95 % interval in brackets).</p>"
     )
     text += page.table(head, [*(_cause_row(c) for c in shown), *rest])
     if gap.equivalent:
         text += "<h3>What this recording hardly tells apart</h3>"
         text += page.listed(" / ".join(names) for names in gap.equivalent)
-    if any(c.parameters or c.places for c in shown):
+    closing = [c for c in shown if closes_some(c)]
+    if closing:
         text += "<h3>Parameters and places</h3><p>Value ± 1.96 standard errors: the 95 % interval.</p>"
-    text += "".join(_parameters(c) for c in shown)
-    if further:
-        table = page.table(head, [_cause_row(c) for c in further])
-        every = "".join(_parameters(c) for c in further)
-        text += f"<details><summary>Further causes</summary>{table}{every}</details>"
+        text += "".join(_parameters(c) for c in closing)
+    idle = [c for c in shown if not closes_some(c)]
+    if idle or further:
+        table = page.table(head, [_cause_row(c) for c in further]) if further else ""
+        every = "".join(_parameters(c) for c in (*idle, *further))
+        text += f"<details><summary>Other causes that were judged</summary>{table}{every}</details>"
     return text
 
 
@@ -92,7 +94,7 @@ def unknown_force(unknown: Unknown) -> str:
     if unknown.frequency_hz is not None:
         rows.append(("frequency", f"{number(unknown.frequency_hz)} Hz"))
     low, high = unknown.band_hz
-    rows.append(("90 % of its power lies from", f"{number(low, 3)} to {number(high, 3)} Hz"))
+    rows.append(("90 % of its power lies from", f"{low:.3g} to {high:.3g} Hz"))
     rows.append(("size", f"{number(unknown.rms_n, 3)} {unit} rms"))
     if unknown.amplitude_n is not None:
         rows.append(("amplitude", f"{number(unknown.amplitude_n, 3)} {unit}"))
@@ -154,12 +156,9 @@ def _shares(left: Left) -> list[str]:
 
 def _chance(rig: str, left: Left) -> str:
     """What the p-value says."""
-    if left.p_value >= USUAL:
-        return f"{rig} leaves what tolerances and noise explain: alone they leave as much in {percent(left.p_value)} of all cases."
-    return (
-        f"{rig} leaves more than tolerances and noise explain: alone they leave as much in {percent(left.p_value)} of all "
-        "cases."
-    )
+    what = "what" if left.p_value >= USUAL else "more than"
+    alone = f"alone they leave as much in {percent(left.p_value)} of all cases (p-value)"
+    return f"{rig} leaves {what} tolerances and noise explain: {alone}."
 
 
 def _cause_row(cause: Cause) -> tuple[str, ...]:

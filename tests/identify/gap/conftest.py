@@ -96,8 +96,10 @@ def cause(effects, probability, explained, interval, left, parameters, **places)
     )
 
 
-BEFORE, SMALL, REST = left(0.067, 0.109, 0.021, p_value=1e-9), left(4e-4, 4e-3, 0.0, p_value=0.31), left(
-    0.0123, 0.041, 0.0, p_value=2e-7
+BEFORE, SMALL, REST = (
+    left(0.067, 0.109, 0.021, p_value=1e-9),
+    left(4e-4, 4e-3, 0.0, p_value=0.31),
+    left(0.0123, 0.041, 0.0, p_value=2e-7),
 )
 MASS = cause(
     ("added_mass",),
@@ -247,7 +249,9 @@ GAPS = {
         separate_by=("added_mass: weigh the part", "clamp_compliance: measure close to the clamp"),
         channel_faults={"cradle_3": "dead"},
     ),
-    "pair": gap("explained", "tolerances and noise leave as much in 31 % of all cases", (PAIR, CLAMP, CUBIC), 0.1, None),
+    "pair": gap(
+        "explained", "tolerances and noise leave as much in 31 % of all cases", (PAIR, CLAMP, CUBIC), 0.1, None
+    ),
     "partly_explained": gap(
         "partly_explained",
         "what is left is 2.8 times what matters",

@@ -141,7 +141,9 @@ def test_what_is_left_is_named_by_its_frequencies(gaps):
     gap = gaps["partly_explained"]
     bands = tuple(
         Band(low_hz=2.0 * i, high_hz=2.0 * i + 2, before=0.1, after=after, usual=usual)
-        for i, (after, usual) in enumerate([(0.1, 0.2), (0.1, 0.01), (0.1, 0.01), (0.001, 0.0), (0.1, 0.0)] + 8 * [(0, 0)])
+        for i, (after, usual) in enumerate(
+            [(0.1, 0.2), (0.1, 0.01), (0.1, 0.01), (0.001, 0.0), (0.1, 0.0)] + 8 * [(0, 0)]
+        )
     )
     assert rest_hz(replace(gap, bands=bands)) == [(2.0, 10.0)]
     assert rest_hz(replace(gap, bands=bands[:1])) == []
