@@ -71,13 +71,13 @@ def gap(
                 recording, validation, simulating, kept, show, believed, Matters(matters / 100, matters_contact / 100)
             )
     if out is not None:
-        from identify.gap.report import write_all
+        from identify.gap.page.report import write_all
 
         write_all(found, corrected, f"{recording.rig.name}: {real.name}", out)
     if as_json:
         sys.stdout.buffer.write(msgspec.json.encode(found) + b"\n")
     else:
-        from identify.gap.report import shown
+        from identify.gap.page.screen import shown
 
         Console().print(shown(found))
 

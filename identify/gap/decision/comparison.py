@@ -128,9 +128,8 @@ def probabilities(log_posteriors: Float[np.ndarray, " hypotheses"]) -> Float[np.
 
 
 def size(left: Misfit, matters: Matters) -> float:
-    """The size of a gap in units of what matters: sqrt((share / matters)^2 + sum over contacts of the same)."""
-    contacts = np.sum((left.contact_shares / matters.contact) ** 2)
-    return float(np.sqrt((left.share / matters.motion) ** 2 + contacts))
+    """The size of a gap in units of what matters."""
+    return matters.times(left.share, left.contact_shares.tolist())
 
 
 def closed(without: Misfit, after: Misfit, matters: Matters) -> float:
