@@ -33,11 +33,15 @@ def gap(
     ] = "modal",
     nulls: Annotated[
         Path | None,
-        typer.Option(help="File of the null reference, made where it is not there or of another rig; else beside REAL."),
+        typer.Option(
+            help="File of the null reference, made where it is not there or of another rig; else beside REAL."
+        ),
     ] = None,
     tolerances: Annotated[
         str | None,
-        typer.Option(help="How exactly rig.json is believed: laboratory, exact, or a TOML file; else as it says itself."),
+        typer.Option(
+            help="How exactly rig.json is believed: laboratory, exact, or a TOML file; else as it says itself."
+        ),
     ] = None,
     matters: Annotated[
         float, typer.Option(min=0.0, help="A gap below this share of the acceleration does not matter, %.")

@@ -85,9 +85,7 @@ def diagnose(
     figures, curves = compared(other, other.rig, _likeliest(decision, other.rig), simulator.simulate)
     progress("causes", 1.0)
     causes = tuple(
-        _cause(j, p, nulls, matters)
-        for j, p in zip(ranked, decision.probabilities, strict=True)
-        if j.hypothesis.parts
+        _cause(j, p, nulls, matters) for j, p in zip(ranked, decision.probabilities, strict=True) if j.hypothesis.parts
     )
     alike = _alike(causes)
     nothing = decision.nothing
@@ -116,7 +114,9 @@ def diagnose(
     return sentence(gap, decision.criterion), corrected
 
 
-def searched(record: Record, progress: Callable[[float], None] = lambda _: None) -> tuple[list[Hypothesis], list[Candidate]]:
+def searched(
+    record: Record, progress: Callable[[float], None] = lambda _: None
+) -> tuple[list[Hypothesis], list[Candidate]]:
     """Hypotheses on a record, and the candidates among which they were found."""
     base, reference = _laid(record)
     base, at = fit_nuisance(record, record.rig)
@@ -274,4 +274,3 @@ def _described(found: UnknownForce | None, swinging: Breathing | None) -> Unknow
         spectrum_hz=found.spectrum_hz,
         spectrum=found.spectrum,
     )
-

@@ -5,9 +5,9 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
+from identify.gap.likelihood import Misfit
 from identify.gap.linear import Linear
 from identify.gap.residual import Base, Residual
-from identify.gap.likelihood import Misfit
 from identify.gap.results import Attribution, Share, Surface
 from identify.gap.spectra import Record
 from rig.oscillator import Oscillator
