@@ -97,7 +97,7 @@ def achieved(task: ToLay) -> Best:
     _, validation, _ = sound(read(Path(task.fit)), read(Path(task.validate)))
     record = record_of(validation, tolerances=task.tolerances or validation.rig.tolerances or LABORATORY)
     reference, matters = reference_of(base_of(record, record.rig)), Matters()
-    alone = misfit(record, reference, *fit_nuisance(record, record.rig, rounds=1))
+    alone = misfit(record, reference, fit_nuisance(record, record.rig, rounds=1)[1])
     before = size(alone, matters)
     if not task.effects:
         return Best(before, 0.0, ())
@@ -129,4 +129,4 @@ def _laid(record: Record, reference: Reference, effects: Sequence[str], alone: M
     for text in effects:
         rig = effect_named(text).applied_to(rig)
     base, at = fit_nuisance(record, rig, rounds=1)
-    return misfit(record, reference, base, at), left_without(record, reference, base, at) or alone
+    return misfit(record, reference, at), left_without(record, reference, base, at) or alone

@@ -116,7 +116,7 @@ class Curve(msgspec.Struct, frozen=True):
 
 
 class MeanForce(msgspec.Struct, frozen=True):
-    """The mean of a force over the displacement (rows) and velocity (columns) at its place, positive against the motion;
+    """The mean of a force over displacement (rows) and velocity (columns) at its place, positive against the motion;
     edges of the cells, and zero where the motion never was."""
 
     displacement_m: tuple[float, ...]
@@ -169,7 +169,7 @@ class Matters(msgspec.Struct, frozen=True):
     contact: float = 3e-2
 
     def times(self, share: float, contact_shares: Iterable[float]) -> float:
-        """The size of a gap in units of what matters: sqrt((share / motion)^2 + sum over contacts of (share / contact)^2)."""
+        """The size of a gap in units of what matters: sqrt((share / motion)^2 + sum of (contact share / contact)^2)."""
         return math.hypot(share / self.motion, *(one / self.contact for one in contact_shares))
 
 

@@ -16,8 +16,8 @@ SEGMENT_S = 1.0
 
 @dataclass(frozen=True)
 class Scales:
-    """discrepancy: share of each acceleration that no model explains, by sensor and line; contacts: the variance of each
-    contact residual, in units of what noise and the tolerated share of the force make of it."""
+    """The share of each acceleration that no model explains, by sensor and line; and the variance of each contact
+    residual, in units of what noise and the tolerated share of the force make of it."""
 
     discrepancy: Float[np.ndarray, "sensors lines"]
     contacts: tuple[float, ...]

@@ -16,7 +16,7 @@ from identify.gap.decision.verdict import Decision, decided, unknown_gain
 from identify.gap.faults import sound_channels
 from identify.gap.likelihood import Misfit, Reference, reference_of
 from identify.gap.nuisance import apply_nuisance
-from identify.gap.residual import Base, base_of
+from identify.gap.residual import base_of
 from identify.gap.results import Band, Cause, Gap, Left, Matters, MeanForce, Unknown, Value
 from identify.gap.scales import BAND_HZ
 from identify.gap.search.joint import Hypothesis, Search, search
@@ -35,6 +35,8 @@ FIT_SHARE = 0.55
 ALIKE = 0.05
 """Single effects that are likelier than this beside the best one cannot be told apart from it."""
 AT_LIMIT = 1e-3
+"""A parameter within this share of its range from an end stands there."""
+MATTERS = Matters()
 
 Progress = Callable[[str, float], None]
 
@@ -54,13 +56,13 @@ def diagnose(
     kept: Path | None = None,
     progress: Progress = lambda *_: None,
     tolerances: Tolerances | None = None,
-    matters: Matters = Matters(),
+    matters: Matters = MATTERS,
 ) -> tuple[Gap, Rig]:
     """The diagnosis, and the rig corrected by it (the believed one, if no effect explains the gap at least in part).
 
-    The null reference is made by the simulator, or read from `kept` (see `null_reference`); tolerances say how exactly the rig is
-    believed (else the rig itself does, else they are a laboratory's). Raises RigError if the records do not fit together
-    or allow no diagnosis.
+    The null reference is made by the simulator, or read from `kept` (see `null_reference`); tolerances say how exactly
+    the rig is believed (else the rig itself does, else they are a laboratory's). Raises RigError if the records do not
+    fit together or allow no diagnosis.
     """
     if validation is None:
         recording, validation = _halves(recording)
@@ -71,7 +73,7 @@ def diagnose(
     fit_record, record = (record_of(part, tolerances=believed) for part in (fit_part, other))
     nulls = null_reference(other, believed, simulator.simulate, simulator.name, lambda x: progress("nulls", x), kept)
     hypotheses, known = searched(fit_record, lambda x: progress("causes", 0.7 * x))
-    base, reference = _laid(record)
+    reference = _reference(record)
     priors = log_priors(hypotheses, known)
     ranked = judged(record, reference, hypotheses, priors, lambda x: progress("causes", 0.7 + 0.2 * x))
     decision = decided(ranked, None, record.strictness, nulls, matters)
@@ -118,15 +120,14 @@ def searched(
     record: Record, progress: Callable[[float], None] = lambda _: None
 ) -> tuple[list[Hypothesis], list[Candidate]]:
     """Hypotheses on a record, and the candidates among which they were found."""
-    base, reference = _laid(record)
+    reference = _reference(record)
     base, at = fit_nuisance(record, record.rig)
     known = candidates(scale_of(record, record.rig), [s.name for s in record.sensors], record.zero_known)
     return search(Search(reference, base, at, tuple(known)), progress), known
 
 
-def _laid(record: Record) -> tuple[Base, Reference]:
-    base = base_of(record, record.rig)
-    return base, reference_of(base)
+def _reference(record: Record) -> Reference:
+    return reference_of(base_of(record, record.rig))
 
 
 def sound(recording: Recording, validation: Recording) -> tuple[Recording, Recording, dict[str, str]]:

@@ -1,4 +1,4 @@
-"""Where the gap lies: shares of the believed rig's residual, beyond noise and tolerated shares, by every way of cutting it."""
+"""Where the gap lies: shares of the believed rig's residual, beyond noise and tolerated shares, cut in every way."""
 
 from itertools import pairwise
 

@@ -61,14 +61,14 @@ def judged(
     """
     found = []
     believed = fit_nuisance(record, record.rig, rounds=1)
-    alone = misfit(record, reference, *believed)
+    alone = misfit(record, reference, believed[1])
     for i, one in enumerate(hypotheses):
         try:
             rig = _of_this_record(record, one)
             base, at = fit_nuisance(record, rig, rounds=1) if one.parts else believed
         except RigError:
             continue
-        left = misfit(record, reference, base, at)
+        left = misfit(record, reference, at)
         without = (left_without(record, reference, base, at) if one.parts else None) or alone
         found.append(Judged(one, rig, base, at, left, without, priors[one.key]))
         progress((i + 1) / len(hypotheses))
@@ -83,7 +83,7 @@ def left_without(record: Record, reference: Reference, base: Base, at: Residual)
     if (base.rig.base_motion is None) != (record.rig.base_motion is None):
         return None
     unknowns = tuple(c.unknowns for c in at.contacts)
-    return misfit(record, reference, base, residual_of(base, record.rig, at.nuisance, unknowns))
+    return misfit(record, reference, residual_of(base, record.rig, at.nuisance, unknowns))
 
 
 def _of_this_record(record: Record, one: Hypothesis) -> Rig:

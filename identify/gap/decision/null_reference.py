@@ -153,7 +153,7 @@ def _high_passed(row: Float[np.ndarray, " samples"], corner_hz: float, rate_hz: 
 def _left(recording: Recording, tolerances: Tolerances) -> Null:
     record = record_of(recording, tolerances=tolerances)
     reference = reference_of(base_of(record, record.rig))
-    left = misfit(record, reference, *fit_nuisance(record, record.rig, rounds=1))
+    left = misfit(record, reference, fit_nuisance(record, record.rig, rounds=1)[1])
     return Null(left.minus_two_log, tuple(left.shares.tolist()), left.share, tuple(left.contact_shares.tolist()))
 
 

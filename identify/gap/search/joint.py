@@ -81,7 +81,7 @@ class Search:
 
     def nothing(self) -> Hypothesis:
         none = np.zeros(0)
-        left = misfit(self.base.record, self.reference, self.base, self.at)
+        left = misfit(self.base.record, self.reference, self.at)
         return Hypothesis((), none, np.zeros((0, 0)), self.base, self.at, left)
 
 
@@ -252,7 +252,7 @@ def _bounds(parts: tuple[Candidate, ...]) -> tuple[Float[np.ndarray, " parameter
 
 
 def _hypothesis(begun: Search, parts: tuple[Candidate, ...], base: Base, done: Fit) -> Hypothesis:
-    left = misfit(base.record, begun.reference, base, done.residual)
+    left = misfit(base.record, begun.reference, done.residual)
     return Hypothesis(parts, done.values, done.covariance, base, done.residual, left)
 
 
@@ -271,7 +271,7 @@ def _stochastic(begun: Search, nothing: Hypothesis, candidate: Candidate) -> Hyp
     at = fitted(base, nothing.residual).residual
     base = rescaled(base, at)
     at = fitted(base, at).residual
-    left = misfit(base.record, begun.reference, base, at)
+    left = misfit(base.record, begun.reference, at)
     return Hypothesis((candidate,), values, np.diag(spread**2), base, at, left)
 
 
