@@ -116,8 +116,10 @@ class Curve(msgspec.Struct, frozen=True):
 
 
 class MeanForce(msgspec.Struct, frozen=True):
-    """The mean of a force over displacement (rows) and velocity (columns) at its place, positive against the motion;
-    edges of the cells, and zero where the motion never was."""
+    """The mean of a force, positive against the motion, over displacement (rows) and velocity (columns) at its place.
+
+    Edges of the cells; zero where the motion never was.
+    """
 
     displacement_m: tuple[float, ...]
     velocity_m_per_s: tuple[float, ...]
@@ -134,7 +136,7 @@ class Unknown(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     sentence: str
-    kind: Literal["force", "pair", "sensor", "distributed"]
+    kind: Literal["force", "pair", "sensor", "distributed", "contact"]
     body: str | None
     position_m: float | None
     position_error_m: float | None
@@ -169,7 +171,7 @@ class Matters(msgspec.Struct, frozen=True):
     contact: float = 3e-2
 
     def times(self, share: float, contact_shares: Iterable[float]) -> float:
-        """The size of a gap in units of what matters: sqrt((share / motion)^2 + sum of (contact share / contact)^2)."""
+        """The size of a gap: sqrt((share / motion)^2 + sum over contacts of (share / contact)^2); 1 is what matters."""
         return math.hypot(share / self.motion, *(one / self.contact for one in contact_shares))
 
 

@@ -13,7 +13,7 @@ BRIDGED_HZ = 10.0
 """Ranges closer than this are one."""
 
 _BY_DEPENDENCE = {
-    "displacement": "The force grows with the displacement: push there with known static forces and measure how far it gives.",
+    "displacement": "The force grows with the displacement: push there with known weights and measure the way.",
     "clearance": "The force acts beyond a clearance: push there until something touches, and measure the way.",
     "velocity": "The force grows with the velocity: record a free decay, or record at two levels of force.",
     "velocity squared": "The force grows with the square of the velocity: record at two levels of force.",
@@ -49,8 +49,8 @@ def _no_gap(gap: Gap) -> list[str]:
         ]
     return [
         *steps,
-        "To find smaller gaps, state tighter tolerances where you have measured them (--tolerances), record for longer, "
-        "or excite more strongly.",
+        "To find smaller gaps, state tighter tolerances where you have measured them (--tolerances), record for "
+        "longer, or excite more strongly.",
     ]
 
 
@@ -69,8 +69,8 @@ def _explained(gap: Gap) -> list[str]:
 def _partly(gap: Gap) -> list[str]:
     best = gap.causes[0]
     steps = [
-        f"Take the corrected rig.json (--out writes it) as the better rig, not as the right one: with {cause_name(best)} "
-        f"it still leaves {leaves(gap.after)}."
+        "Take the corrected rig.json (--out writes it) as the better rig, not as the right one: with "
+        f"{cause_name(best)} it still leaves {leaves(gap.after)} unexplained."
     ]
     return steps + _rest(gap) + (_where_to_look(gap.unknown) if gap.unknown else []) + _tell_apart(gap)
 
@@ -91,17 +91,13 @@ def _rest(gap: Gap) -> list[str]:
             return []
         return [f"Look at {share[0]}: the rest lies in its force, of which {percent(share[1])} is unexplained."]
     said = joined([f"{low:g} to {high:g} Hz" for low, high in sorted(ranges)])
-    return [
-        f"Look for something that acts from {said}: there the rest is more than what matters and what noise leaves."
-    ]
+    return [f"Look for something that acts from {said}: there more is left than what matters and what noise leaves."]
 
 
 def _where_to_look(unknown: Unknown) -> list[str]:
     """Where, and what to measure there."""
     if unknown.kind == "sensor":
-        return [
-            f"Look at sensor {unknown.sensor}, its mounting and its cable. Exchange it with another and record again."
-        ]
+        return [f"Look at sensor {unknown.sensor}, its mounting and its cable; exchange it and record again."]
     if unknown.kind == "distributed":
         bodies = joined([f"the {body}" for body in unknown.growth])
         return [f"Measure the temperature of {bodies} along the record, and record again after it has settled."]

@@ -16,8 +16,8 @@ CAPTIONS = {
     "large_bands": "The share of the measured acceleration that each rig leaves unexplained, in bands of frequency. "
     "Nineteen of twenty null simulations (the believed rig within its tolerances) stay below the green line; a share "
     "below the dashed line is too small to matter.",
-    "unknown_place": "The bodies seen from the side, with what is unknown in red: a dot where it acts, the double arrow "
-    "along the direction in which it pushes and pulls.",
+    "unknown_place": "The bodies seen from the side, with what is unknown in red: a dot where it acts, the double "
+    "arrow along the direction in which it pushes and pulls.",
 }
 """Of the pictures that are shown wide; the others carry their titles."""
 

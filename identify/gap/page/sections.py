@@ -35,8 +35,8 @@ def how_large(gap: Gap) -> str:
         columns.append(_shares(gap.after))
     rows = list(zip(names, *columns, [percent(limit) for limit in limits], strict=True))
     text = (
-        "<p>The share of a signal's rms that the rig does not explain, beyond sensor noise, on the validation record: a "
-        "recording that no parameter was fitted to.</p>"
+        "<p>The share of a signal's rms that the rig does not explain, beyond sensor noise, on the validation record: "
+        "a recording that no parameter was fitted to.</p>"
     )
     text += page.table((*head, "what matters"), rows)
     text += f"<p>{escape(_chance('The believed rig', gap.before))}"
@@ -60,9 +60,9 @@ def causes(gap: Gap) -> str:
     if further:
         rest.insert(0, (f"{len(further)} further causes", probability(folded), *[""] * (2 + len(contacts))))
     text = (
-        "<p>Effects of the library, alone and in pairs, beside no gap and something that the library does not hold. The "
-        "probabilities sum to one. Closes: by which share the effects make the gap smaller on the validation record, "
-        "with everything else that the tolerances leave open held (95 % interval in brackets).</p>"
+        "<p>Effects of the library, alone and in pairs, beside no gap and something that the library does not hold. "
+        "The probabilities sum to one. A cause closes the share by which its effects alone make the gap smaller on the "
+        "validation record, what the tolerances leave open held (95 % interval in brackets).</p>"
     )
     text += page.table(head, [*(_cause_row(c) for c in shown), *rest])
     if gap.equivalent:
@@ -107,8 +107,8 @@ def unknown_force(unknown: Unknown) -> str:
     text = f"<p>{escape(said)}.</p>" + page.table(("", ""), rows)
     if unknown.law:
         text += (
-            '<p class="dim">The formula gives the force against the motion at that place: w is its displacement in m, v '
-            "its velocity in m/s.</p>"
+            '<p class="dim">The formula gives the force against the motion at that place: w is its displacement in m, '
+            "v its velocity in m/s.</p>"
         )
     return text
 
@@ -129,8 +129,8 @@ def where(found: Attribution) -> str:
     largest = [(name, part, percent(share)) for name, (part, share) in tops.items()]
     every = [(name, part, percent(share)) for name, shares in cuts.items() for part, share in shares.items()]
     return (
-        "<p>Of what the believed rig leaves unexplained: the largest share by every way of cutting the record. Each way "
-        "sums to 100 %.</p>"
+        "<p>Of what the believed rig leaves unexplained: the largest share by every way of cutting the record. Each "
+        "way sums to 100 %.</p>"
         + page.table(("by", "largest", "share"), largest)
         + f"<details><summary>All shares</summary>{page.table(('by', 'part', 'share'), every)}</details>"
     )

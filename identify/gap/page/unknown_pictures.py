@@ -50,7 +50,7 @@ def left_ends_m(rig: Rig) -> dict[str, float]:
 
 
 def _place(figure: Any, unknown: Unknown, rig: Rig) -> None:
-    """Bodies side by side, what touches and drives them, and the unknown in red, along the direction that is measured."""
+    """Bodies side by side, what touches and drives them, and the unknown in red, along the measured direction."""
     axes = figure.subplots()
     ends = left_ends_m(rig)
     rows = {body.name: -float(i) for i, body in enumerate(rig.bodies)}

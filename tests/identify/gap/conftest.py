@@ -1,4 +1,4 @@
-"""Diagnoses made by hand: explained, by a pair, in part, by an unknown force, a null, and of one mass without contacts."""
+"""Diagnoses made by hand: explained, by a pair, in part, an unknown force, a null, and one mass without contacts."""
 
 import numpy as np
 import pytest
