@@ -22,8 +22,10 @@ TEMPERATURES = (0.05, 500.0)
 
 
 class Bin(msgspec.Struct, frozen=True):
-    """So many of so many that were given about this probability are right."""
+    """So many of so many that were given a probability from low to high are right; probability is its mean."""
 
+    low: float
+    high: float
     probability: float
     right: int
     of: int
@@ -112,7 +114,7 @@ def calibrated(compared: Sequence[Compared]) -> Calibration:
         inside = (said >= low) & ((said < high) | (high == EDGES[-1]))
         if np.any(inside):
             count, of = int(right[inside].sum()), int(inside.sum())
-            bins.append(Bin(float(said[inside].mean()), count, of, wilson(count, of)))
+            bins.append(Bin(low, high, float(said[inside].mean()), count, of, wilson(count, of)))
     return Calibration(tuple(bins), brier(now), brier(before))
 
 

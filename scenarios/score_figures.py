@@ -70,6 +70,8 @@ def _power(compared: Sequence[Compared]) -> Figure:
     grid = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)
     for axes in grid.flat[len(names) :]:
         axes.set_visible(False)
+    for axes in grid.flat[max(len(names) - across, 0) : len(names)]:
+        axes.tick_params(labelbottom=True)
     for axes, name in zip(grid.flat, names, strict=False):
         chosen = [c for c in singles if c.label == name]
         strength = np.array([c.effects[0].strength for c in chosen])
@@ -107,19 +109,24 @@ def _curve(axes: Axes, strength: np.ndarray, right: np.ndarray) -> None:
 
 
 def _calibration(compared: Sequence[Compared]) -> Figure:
-    """How often the likeliest hypothesis (a cause, nothing, something unknown) is right, against its probability."""
+    """How often the likeliest hypothesis (a cause, nothing, something unknown) is right, beside its probability.
+
+    Bins stand side by side, as most probabilities are near one.
+    """
     found = calibrated(compared)
-    figure = Figure(figsize=(4.2, 4), layout="constrained")
+    figure = Figure(figsize=(5.2, 4), layout="constrained")
     axes = figure.subplots()
-    axes.plot([0, 1], [0, 1], color=GREY, lw=0.8)
-    for one in found.bins:
-        share, (low, high) = one.right / one.of, one.interval_95
-        axes.errorbar(
-            one.probability, share, yerr=[[share - low], [high - share]], fmt="o", color=BLUE, capsize=2, clip_on=False
-        )
-        axes.annotate(f"{one.of} ", (one.probability, share), ha="right", va="top", fontsize=8)
+    at = np.arange(len(found.bins))
+    share = np.array([one.right / one.of for one in found.bins])
+    ends = np.array([one.interval_95 for one in found.bins]).reshape(-1, 2)
+    said = [one.probability for one in found.bins]
+    axes.plot(at, said, "_", color=RED, ms=28, mew=2, label="probability that was given, mean")
+    bars = np.maximum(np.abs(ends - share[:, None]).T, 0.0)
+    axes.errorbar(at, share, yerr=bars, fmt="o", color=BLUE, capsize=3, clip_on=False, label="share that was right")
+    axes.set_xticks(at, [f"{b.low:g} to {b.high:g}\n{b.right} of {b.of}" for b in found.bins])
     axes.set_title(f"Brier score {found.brier:.3f}; of the rule before {found.brier_before:.3f}", fontsize=9)
-    axes.set(xlim=(0, 1.02), ylim=(0, 1.02), xlabel="probability of the likeliest", ylabel="share that was right")
+    axes.set(xlim=(-0.6, len(at) - 0.4), ylim=(0, 1.02), xlabel="probability of the likeliest; right of so many")
+    figure.legend(frameon=False, loc="outside lower center", ncols=2)
     return figure
 
 

@@ -70,6 +70,7 @@ def test_bins_hold_every_case():
     ]
     found = calibrated(some)
     assert [(b.right, b.of) for b in found.bins] == [(1, 1), (0, 1), (1, 2), (1, 1), (2, 2)]
+    assert all(b.low <= b.probability <= b.high for b in found.bins)
     assert found.bins[2].probability == pytest.approx(0.95)
     assert found.brier == pytest.approx(brier(told))
 
