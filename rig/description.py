@@ -318,4 +318,4 @@ def from_json(text: bytes, source: str) -> Rig:
     try:
         return msgspec.json.decode(text, type=Rig)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise RigError(f"{source}: not a rig description: {error}; see the README on rig.json") from error
+        raise RigError(f"{source}: not a rig description: {error}; see rig/README.md") from error
