@@ -104,7 +104,7 @@ def diagnose(
         probability_unknown=decision.unknown,
         nothing_minus_two_log=nothing.misfit.minus_two_log,
         unknown_gain=unknown_gain(unknown, record.strictness),
-        unknown=_described(unknown, swinging),
+        unknown=_described(other.rig, unknown, swinging),
         bands=_bands(without, after, nulls),
         equivalent=(tuple(alike),) if len(alike) > 1 else (),
         separate_by=_experiments(causes, ranked),
@@ -227,15 +227,18 @@ def _experiments(causes: tuple[Cause, ...], ranked: list[Judged]) -> tuple[str, 
     return tuple(f"{name}: {kinds[name].separated_by}" for name in names)
 
 
-def _described(found: UnknownForce | None, swinging: Breathing | None) -> Unknown | None:
+def _described(rig: Rig, found: UnknownForce | None, swinging: Breathing | None) -> Unknown | None:
     """The force, unless it explains little where a clearance swings clearly."""
     if swinging and (found is None or found.validation_explained_share < swinging.share):
+        contact = rig.contact(swinging.contact)
         return Unknown(
             sentence=swinging.sentence,
             kind="contact",
-            body=None,
-            position_m=None,
-            position_error_m=None,
+            body=contact.at.body,
+            position_m=contact.at.position_m,
+            position_error_m=0.0,
+            against_body=contact.against.body if contact.against else None,
+            against_position_m=contact.against.position_m if contact.against else None,
             sensor=None,
             contact=swinging.contact,
             frequency_hz=swinging.frequency_hz,

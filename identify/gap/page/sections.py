@@ -16,6 +16,7 @@ _KINDS = {
     "pair": "a pair of opposite forces between two bodies",
     "sensor": "a fault of a sensor",
     "distributed": "a stiffness that changes over the record",
+    "contact": "a clearance that swings",
 }
 
 

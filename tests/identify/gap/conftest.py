@@ -93,6 +93,8 @@ def cause(effects, probability, explained, interval, left, parameters, **places)
         explained=explained,
         interval_95=interval,
         left=left,
+        log_prior=-5.0,
+        minus_two_log=900.0,
     )
 
 
@@ -213,6 +215,8 @@ def gap(verdict, criterion, causes, nothing, unknown, before=BEFORE, after=SMALL
             matters=Matters(),
             causes=causes,
             probability_nothing=nothing,
+            nothing_minus_two_log=1500.0,
+            unknown_gain=None,
             probability_unknown=max(1 - nothing - sum(c.probability for c in causes), 0.0),
             unknown=unknown,
             bands=bands(before.share, after.share),
