@@ -50,7 +50,9 @@ def contact(
     window: Annotated[str, typer.Option(help=f"Window: {', '.join(POWERS)}.")] = "hann",
     tolerances: Annotated[
         str | None,
-        typer.Option(help="How exactly rig.json is believed: laboratory, exact, or a TOML file; else as it says itself."),
+        typer.Option(
+            help="How exactly rig.json is believed: laboratory, exact, or a TOML file; else as it says itself."
+        ),
     ] = None,
     band: Annotated[tuple[float, float] | None, typer.Option(help="Band of NIFO, Hz; otherwise the force's.")] = None,
     stretch: Annotated[

@@ -80,6 +80,11 @@ def picture(name: str, png: bytes) -> str:
     return f'<img alt="{escape(name.replace("_", " "))}" src="data:image/png;base64,{b64encode(png).decode()}">\n'
 
 
+def figure(name: str, png: bytes, caption: str) -> str:
+    """A picture with what it shows below it."""
+    return f"<figure><div>{picture(name, png)}</div><figcaption>{escape(caption)}</figcaption></figure>\n"
+
+
 def listed(items: Iterable[str]) -> str:
     return "<ul>" + "".join(f"<li>{escape(item)}</li>" for item in items) + "</ul>"
 

@@ -111,8 +111,7 @@ def _refused(found: Identification) -> str:
 
 
 def _figure(name: str, png: bytes) -> str:
-    caption = escape(_CAPTIONS[name])
-    return f"<figure><div>{page.picture(name, png)}</div><figcaption>{caption}</figcaption></figure>\n"
+    return page.figure(name, png, _CAPTIONS[name])
 
 
 def _methods(found: Identification) -> str:

@@ -3,7 +3,6 @@
 import resource
 import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -68,6 +67,7 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
     nulls_cpu_s: float
     memory_mib: float
     key: str
+    tolerances: Tolerances | None
 
 
 def diagnosed_cases(
@@ -77,7 +77,7 @@ def diagnosed_cases(
     nulls_of: Path | None = None,
     dask: str | None = None,
 ) -> list[Found]:
-    """Every case of a folder of recordings; what is kept in `out` is not computed again."""
+    """Every case of a folder of recordings, also written to found.json; what `out` keeps is not computed again."""
     fits = sorted(p for p in recordings.glob("*.mcap") if not p.stem.endswith("_validate"))
     if not fits:
         raise RigError(f"{recordings}: has no recordings; make the cases first")
@@ -91,7 +91,11 @@ def diagnosed_cases(
     ]
     cost = {made.key: made.cpu_s for made in run_tasks(nulls_made, to_make, NullsMade, out / "tasks", dask)}
     found = run_tasks(diagnosed, tasks, Found, out / "tasks", dask)
-    return [replace(f, nulls_cpu_s=cost[f.key]) for f in found]
+    found = [replace(f, nulls_cpu_s=cost[f.key]) for f in found]
+    part = out / "found.json.part"
+    part.write_bytes(msgspec.json.format(msgspec.json.encode(found), indent=2))
+    part.replace(out / "found.json")
+    return found
 
 
 def nulls_made(task: NullsToMake) -> NullsMade:
@@ -116,6 +120,7 @@ def diagnosed(task: ToDiagnose) -> Found:
         nulls_cpu_s=0.0,
         memory_mib=_memory_mib(),
         key=task.key,
+        tolerances=task.tolerances,
     )
 
 

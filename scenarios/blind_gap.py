@@ -6,26 +6,34 @@ python -m scenarios.blind_gap score --cases out/blind --found out/found --out ou
 """
 
 import hashlib
-from collections.abc import Sequence
+import sys
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated
 
 import msgspec
 import typer
 from rich.console import Console
 
 from rig.command_line import Force, refuse_existing, run
-from rig.errors import RigError
 from rig.model.tolerances import tolerances_named
-from scenarios.blind_diagnosis import Found, diagnosed_cases
+from scenarios import score_figures
+from scenarios.blind_comparison import by_world, check_recordings, pairs_of
+from scenarios.blind_diagnosis import diagnosed_cases
+from scenarios.calibration import calibrated, calibrated_temperature, hypotheses_of
+from scenarios.score_table import calibration_told, limits_told, shown, temperature_told
+from scenarios.scoreboard import scored
 from scenarios.tasks import Dask, run_tasks
-from scenarios.worlds.making import made, planned, sha256_of
+from scenarios.tolerance_sensitivity import settings, table_of
+from scenarios.worlds.making import made, planned
 from scenarios.worlds.truth import Case, Key, World
 
-T = TypeVar("T")
 app = typer.Typer(pretty_exceptions_enable=False, no_args_is_help=True)
 Cases = Annotated[Path, typer.Option("--cases", help="Folder that `make` wrote.")]
+Found = Annotated[Path, typer.Option("--found", help="Folder that `diagnose` wrote.")]
+Also = Annotated[list[str] | None, typer.Option("--also", help="More folders, as CASES:FOUND; may be repeated.")]
+
+WIDTH = 170
 
 
 @app.callback()
@@ -53,7 +61,7 @@ def make(
     answers = run_tasks(made, plans, Case, out / "sealed" / "tasks", dask)
     check_recordings(out, answers)
     answered = Key(world=world, seed=seed, nulls_only=nulls_only, duration_s=duration, cases=tuple(answers))
-    key = msgspec.json.format(msgspec.json.encode(answered), indent=2)
+    key = _json(answered)
     _written(key_path, key)
     digest = hashlib.sha256(key).hexdigest()
     _written(hash_path, f"{digest}\n".encode())
@@ -78,42 +86,68 @@ def diagnose(
     """Diagnoses every case from its recordings alone; run again after an interruption, it goes on."""
     believed = tolerances_named(tolerances) if tolerances else None
     found = diagnosed_cases(cases / "recordings", out, believed, nulls_of, dask)
-    _written(out / "found.json", msgspec.json.format(msgspec.json.encode(found), indent=2))
     Console().print(f"{len(found)} diagnoses in {out / 'found.json'}", soft_wrap=True)
 
 
-def opened(folder: Path) -> Key:
-    """The sealed answers; raises RigError if they are not those whose hash was published."""
-    path, hash_path = folder / "sealed" / "key.json", folder / "key.sha256"
-    for wanted in (path, hash_path):
-        if not wanted.exists():
-            raise RigError(f"{wanted}: is missing; make the cases first")
-    if sha256_of(path) != hash_path.read_text().strip():
-        raise RigError(f"{path}: is not what was sealed: its hash differs from {hash_path}; make the cases anew")
-    return _decoded(path, Key)
+@app.command()
+def score(
+    cases: Cases,
+    found: Found,
+    out: Annotated[Path, typer.Option(help="Folder for score.json and the figures.")],
+    also: Also = None,
+) -> None:
+    """Opens the sealed answers, if they are those that were hashed, and compares."""
+    worlds = by_world(pairs_of(cases, found, also or ()), out / "tasks")
+    every = [c for compared in worlds.values() for c in compared]
+    groups = worlds | {"all": every} if len(worlds) > 1 else worlds
+    boards = {name: scored(compared) for name, compared in groups.items()}
+    reliability = {name: calibrated(compared) for name, compared in groups.items()}
+    _written(out / "score.json", _json({"worlds": boards, "calibration": reliability}))
+    figures = score_figures.drawn(every, out)
+    console = _wide_console()
+    console.print(shown(boards, f"{len(every)} blind cases"))
+    for name, board in boards.items():
+        console.print(f"{name}: {calibration_told(reliability[name])}", soft_wrap=True)
+        console.print(f"{name}: detection limits, of the default magnitude: {limits_told(board)}", soft_wrap=True)
+    console.print(f"figures: {', '.join(p.name for p in figures)} in {out}", soft_wrap=True)
 
 
-def check_recordings(folder: Path, answers: Sequence[Case]) -> None:
-    """Raises RigError unless every recording is the one that the answers were written for."""
-    for answer in answers:
-        for name, digest in answer.sha256.items():
-            path = folder / "recordings" / name
-            if not path.exists():
-                raise RigError(f"{path}: is missing; make the cases anew in another folder")
-            if sha256_of(path) != digest:
-                raise RigError(f"{path}: is not the recording that was sealed; make the cases anew in another folder")
+@app.command()
+def calibrate(cases: Cases, found: Found, also: Also = None) -> None:
+    """The temperature of the posterior at which tuning cases find their right answers likeliest."""
+    worlds = by_world(pairs_of(cases, found, also or ()), found / "best")
+    tempered = calibrated_temperature([hypotheses_of(c) for compared in worlds.values() for c in compared])
+    Console().print(temperature_told(tempered), soft_wrap=True)
 
 
-def _decoded(path: Path, kind: type[T]) -> T:
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=kind)
-    except OSError as error:
-        raise RigError(f"{path}: cannot be read ({error.strerror}); give the right place") from error
-    except msgspec.DecodeError as error:
-        raise RigError(f"{path}: {error}; make it anew") from error
+@app.command()
+def sensitivity(
+    cases: Cases,
+    out: Annotated[Path, typer.Option(help="Folder for what is found with each tolerance, and the scores.")],
+    only: Annotated[str | None, typer.Option(help="One tolerance alone, by its name.")] = None,
+    dask: Dask = None,
+) -> None:
+    """Diagnoses and scores the cases with each default tolerance doubled and halved; it takes hours, and goes on."""
+    boards = {}
+    for name, tolerances in settings(only):
+        diagnosed_cases(cases / "recordings", out / name, tolerances, dask=dask)
+        worlds = by_world([(cases, out / name)], out / name / "best")
+        boards[name] = scored([c for compared in worlds.values() for c in compared])
+    _written(out / "sensitivity.json", _json(boards))
+    _wide_console().print(table_of(boards))
+
+
+def _wide_console() -> Console:
+    """As wide as the tables where no terminal sets a width."""
+    return Console() if sys.stdout.isatty() else Console(width=WIDTH)
+
+
+def _json(value: object) -> bytes:
+    return msgspec.json.format(msgspec.json.encode(value), indent=2)
 
 
 def _written(path: Path, data: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(path.name + ".part")
     part.write_bytes(data)
     part.replace(path)

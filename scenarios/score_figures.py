@@ -1,6 +1,6 @@
 """Figures of the scoreboard: confusion, power, calibration, parameter errors."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib as mpl
@@ -11,7 +11,8 @@ from scipy.optimize import minimize
 from scipy.special import expit
 from scipy.stats import norm
 
-from scenarios.scoreboard import Best, Compared, confusion, detection_limits, parameter_errors, wilson
+from scenarios.calibration import calibrated
+from scenarios.scoreboard import Compared, confusion, detection_limits, parameter_errors
 
 FAINTEST, STRONGEST = 0.005, 12.0
 """Where the axis of strengths begins and ends; limits below stand at its begin."""
@@ -19,12 +20,12 @@ BLUE, RED, GREY = "#1f5fa8", "#b8323a", "#8a8a8a"
 STYLE = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
 
 
-def drawn(compared: Sequence[Compared], best: Mapping[str, Best], folder: Path) -> list[Path]:
+def drawn(compared: Sequence[Compared], folder: Path) -> list[Path]:
     """Writes every figure; their paths."""
     with mpl.rc_context(STYLE):
         figures = {
             "confusion": _confusion(compared),
-            "power": _power(compared, best),
+            "power": _power(compared),
             "calibration": _calibration(compared),
             "parameters": _parameters(compared),
         }
@@ -59,9 +60,9 @@ def _confusion(compared: Sequence[Compared]) -> Figure:
     return figure
 
 
-def _power(compared: Sequence[Compared], best: Mapping[str, Best]) -> Figure:
+def _power(compared: Sequence[Compared]) -> Figure:
     singles = [c for c in compared if c.truth.kind == "single"]
-    limits = detection_limits(singles, best)
+    limits = detection_limits(singles)
     names = sorted({c.label for c in singles}) or ["no single effects"]
     across = min(len(names), 4)
     down = -(-len(names) // across)
@@ -69,9 +70,11 @@ def _power(compared: Sequence[Compared], best: Mapping[str, Best]) -> Figure:
     grid = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)
     for axes in grid.flat[len(names) :]:
         axes.set_visible(False)
+    for axes in grid.flat[max(len(names) - across, 0) : len(names)]:
+        axes.tick_params(labelbottom=True)
     for axes, name in zip(grid.flat, names, strict=False):
         chosen = [c for c in singles if c.label == name]
-        strength = np.array([c.truth.strengths[0] for c in chosen])
+        strength = np.array([c.effects[0].strength for c in chosen])
         right = np.array([float(c.right) for c in chosen])
         axes.plot(strength, right, "o", color=BLUE, ms=4, alpha=0.7, clip_on=False)
         if len({*right}) == 2:
@@ -106,22 +109,24 @@ def _curve(axes: Axes, strength: np.ndarray, right: np.ndarray) -> None:
 
 
 def _calibration(compared: Sequence[Compared]) -> Figure:
-    """Of all verdicts "effect": how often the likeliest cause is right, against the probability it was given."""
-    named = [c for c in compared if c.named]
-    said = np.array([c.found.causes[0].probability for c in named])
-    right = np.array([c.right for c in named])
-    figure = Figure(figsize=(4.2, 4), layout="constrained")
+    """How often the likeliest hypothesis (a cause, nothing, something unknown) is right, beside its probability.
+
+    Bins stand side by side, as most probabilities are near one.
+    """
+    found = calibrated(compared)
+    figure = Figure(figsize=(5.2, 4), layout="constrained")
     axes = figure.subplots()
-    axes.plot([0, 1], [0, 1], color=GREY, lw=0.8)
-    for part in np.array_split(np.argsort(said), min(5, max(1, said.size // 5))):
-        if part.size:
-            share = right[part].mean()
-            low, high = wilson(int(right[part].sum()), part.size)
-            axes.errorbar(
-                said[part].mean(), share, yerr=[[share - low], [high - share]], fmt="o", color=BLUE, capsize=2
-            )
-            axes.annotate(f" {part.size}", (said[part].mean(), share), va="top", fontsize=8)
-    axes.set(xlim=(0, 1.02), ylim=(0, 1.02), xlabel="probability of the likeliest cause", ylabel="share that was right")
+    at = np.arange(len(found.bins))
+    share = np.array([one.right / one.of for one in found.bins])
+    ends = np.array([one.interval_95 for one in found.bins]).reshape(-1, 2)
+    said = [one.probability for one in found.bins]
+    axes.plot(at, said, "_", color=RED, ms=28, mew=2, label="probability that was given, mean")
+    bars = np.maximum(np.abs(ends - share[:, None]).T, 0.0)
+    axes.errorbar(at, share, yerr=bars, fmt="o", color=BLUE, capsize=3, clip_on=False, label="share that was right")
+    axes.set_xticks(at, [f"{b.low:g} to {b.high:g}\n{b.right} of {b.of}" for b in found.bins])
+    axes.set_title(f"Brier score {found.brier:.3f}; of the rule before {found.brier_before:.3f}", fontsize=9)
+    axes.set(xlim=(-0.6, len(at) - 0.4), ylim=(0, 1.02), xlabel="probability of the likeliest; right of so many")
+    figure.legend(frameon=False, loc="outside lower center", ncols=2)
     return figure
 
 

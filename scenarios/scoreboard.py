@@ -1,70 +1,24 @@
 """What a diagnosis found against the sealed answers: shares of right answers with their intervals."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import permutations
-from typing import Any, Literal
+from functools import cached_property
 
 import msgspec
 import numpy as np
-from scipy.stats import binomtest, quantile_test
+from scipy.stats import binomtest
 
+from identify.gap.results import Gap
+from scenarios.blind_diagnosis import Found
+from scenarios.score_places import description_right, place_fields, place_right
+from scenarios.true_effect import Best, named_now
 from scenarios.worlds.drawing import DRAWABLE
 from scenarios.worlds.outside import OUTSIDE
 from scenarios.worlds.truth import Case, EffectTruth
 
-PLACES = ("contact", "body", "beam", "sensor")
-WITHIN = 0.1
-"""A place on a body is right within this share of its length."""
-OVERLAP = 0.5
-"""A band is right if what it shares with the true one is this much of what both cover."""
-
-
-class Value(msgspec.Struct, frozen=True):
-    """A fitted parameter."""
-
-    value: float
-    standard_error: float
-    unit: str = "1"
-
-
-class Cause(msgspec.Struct, frozen=True):
-    """Effects that together explain the gap; parameters and places are named EFFECT.FIELD."""
-
-    effects: tuple[str, ...]
-    probability: float
-    parameters: dict[str, Value] = {}
-    places: dict[str, str] = {}
-
-
-class Closure(msgspec.Struct, frozen=True):
-    """The gap on the validation recording; no fraction where the gap was at the floor before."""
-
-    before: float
-    floor: float
-    after: float
-    closed_fraction: float | None = None
-    interval_95: tuple[float, float] | None = None
-
-
-class Where(msgspec.Struct, frozen=True):
-    """Each with its share of the gap."""
-
-    channels: dict[str, float] = {}
-    positions_m: Any = None
-    contact_state: Any = None
-    band_hz: Any = None
-
-
-class Diagnosis(msgspec.Struct, frozen=True):
-    """One case diagnosed; causes likeliest first, `equivalent` classes of effects that cannot be told apart."""
-
-    verdict: Literal["no_gap", "effect", "none_of_these"]
-    causes: tuple[Cause, ...] = ()
-    equivalent: tuple[tuple[str, ...], ...] = ()
-    where: Where = Where()
-    closure: Closure | None = None
-    cpu_s: float = 0.0
+NAMING = ("explained", "partly_explained")
+"""The verdicts that name a cause."""
+KINDS = ("null", "single", "pair", "outside")
 
 
 class Rate(msgspec.Struct, frozen=True):
@@ -76,29 +30,45 @@ class Rate(msgspec.Struct, frozen=True):
     interval_95: tuple[float, float]
 
 
-class Score(msgspec.Struct, frozen=True):
-    """The scoreboard; limits are the detection limits, the median over an effect's cases, in default magnitudes."""
+class Score(msgspec.Struct, frozen=True, kw_only=True):
+    """The scoreboard; limits are the detection limits, the median over an effect's cases, in default magnitudes.
 
+    share_of_true_closure is the median over causes that are right and above their limit. The costs: a case without its
+    null reference, a null reference where one was made, and the largest memory of either.
+    """
+
+    cases: int
     rates: tuple[Rate, ...]
-    median_closed_fraction: float | None
-    closed_interval_95: tuple[float, float] | None
-    closed_cases: int
     share_of_true_closure: float | None
+    closures: int
     cpu_s_median: float
     cpu_s_largest: float
+    nulls_cpu_s_median: float | None
+    nulls_cpu_s_largest: float | None
+    memory_mib_largest: float
     limits: dict[str, float]
 
 
 @dataclass(frozen=True)
 class Compared:
-    """An answer beside what was found."""
+    """An answer beside what was found, what the truth achieves, and the gap that nulls of the world leave (median)."""
 
     truth: Case
-    found: Diagnosis
+    found: Found
+    best: Best
+    usual: float
+
+    @property
+    def gap(self) -> Gap:
+        return self.found.gap
+
+    @cached_property
+    def effects(self) -> tuple[EffectTruth, ...]:
+        return tuple(named_now(effect) for effect in self.truth.effects)
 
     @property
     def names(self) -> tuple[str, ...]:
-        return tuple(effect.name for effect in self.truth.effects)
+        return tuple(effect.name for effect in self.effects)
 
     @property
     def label(self) -> str:
@@ -107,148 +77,118 @@ class Compared:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """The effects of the likeliest cause, none unless the verdict is an effect."""
-        return self.found.causes[0].effects if self.found.verdict == "effect" and self.found.causes else ()
+        """The effects of the likeliest cause, none unless the verdict names it."""
+        return self.gap.causes[0].effects if self.gap.verdict in NAMING and self.gap.causes else ()
 
-    @property
-    def exact(self) -> bool:
-        return self.truth.kind != "outside" and bool(self.names) and sorted(self.named) == sorted(self.names)
+    def is_truth(self, effects: Sequence[str]) -> bool:
+        """Whether these are the true effects, all of the library."""
+        return self.truth.kind in ("single", "pair") and sorted(effects) == sorted(self.names)
 
     @property
     def right(self) -> bool:
-        """Whether the named effects are the true ones, or each shares a class of `equivalent` with one of them."""
-        return self.truth.kind != "outside" and bool(self.names) and self._alike(self.named, self.names)
-
-    def _alike(self, named: Sequence[str], true: Sequence[str]) -> bool:
-        def same(one: str, other: str) -> bool:
-            return one == other or any(one in c and other in c for c in self.found.equivalent)
-
-        return len(named) == len(true) and any(
-            all(same(n, t) for n, t in zip(order, true, strict=True)) for order in permutations(named)
-        )
-
-
-class Best(msgspec.Struct, frozen=True):
-    """What the true effects of a case achieve: the size of the gap on the validation record without and with them.
-
-    gain is by how much they lower the cost on the fit record. `needed` is what it must exceed to be no null's: below it
-    an effect is below its detection limit.
-    """
-
-    before: float
-    after: float
-    gain: float
-    needed: float
+        return self.is_truth(self.named)
 
     @property
-    def detectable(self) -> bool:
-        return self.gain > self.needed
+    def first_right(self) -> bool:
+        """Whether the likeliest cause is right, whatever the verdict."""
+        return bool(self.gap.causes) and self.is_truth(self.gap.causes[0].effects)
 
-    def limit(self, strength: float) -> float:
-        """The strength of the limit, by that of the case: a gain grows with its square."""
-        return float(strength * np.sqrt(self.needed / self.gain)) if self.gain > 0 else np.inf
+    @property
+    def above(self) -> bool:
+        """Whether the truth is above its limit: for outside the library, whether it leaves more than nulls, by what
+        matters."""
+        return self.best.before - self.usual > 1 if self.truth.kind == "outside" else self.best.above
+
+    @property
+    def nothing_right(self) -> bool:
+        """No gap is the right answer to a null, and to what is below its limit."""
+        return self.truth.kind == "null" or not self.above
+
+    @property
+    def unknown_right(self) -> bool:
+        return self.truth.kind == "outside"
 
 
-def scored(compared: Sequence[Compared], best: Mapping[str, Best]) -> Score:
-    """The scoreboard of all cases; `best` is what the truth achieves, by case."""
-    by_kind = {kind: [c for c in compared if c.truth.kind == kind] for kind in ("null", "single", "pair", "outside")}
-    singles, pairs = by_kind["single"], by_kind["pair"]
-    placed = [c for c in singles if c.exact and place_fields(c.truth.effects[0])]
-    sensors = [c for c in singles if c.names[0].startswith("sensor_") and c.found.where.channels]
+def compared_cases(rows: Sequence[tuple[Case, Found, Best]]) -> list[Compared]:
+    """Of one world: every answer with what was found and what the truth achieves."""
+    nulls = [best.before for case, _, best in rows if case.kind == "null"]
+    usual = float(np.median(nulls)) if nulls else 0.0
+    return [Compared(*row, usual) for row in rows]
+
+
+def scored(compared: Sequence[Compared]) -> Score:
+    """The scoreboard of all cases."""
+    nulls, singles, pairs, outside = ([c for c in compared if c.truth.kind == kind] for kind in KINDS)
+    placed = [c for c in singles if c.right and place_fields(c.effects[0])]
     rates = (
         _rate("single effect right", (c.right for c in singles)),
+        _rate("single effect right, above its limit", (c.right for c in singles if c.above)),
+        _rate("single effect likeliest, by any verdict", (c.first_right for c in singles)),
+        _rate("single effect likeliest, above its limit", (c.first_right for c in singles if c.above)),
+        _rate("both of a pair", (c.right for c in pairs)),
+        _rate("both of a pair, both above their limit", (c.right for c in pairs if c.above)),
+        _rate("at least one of a pair", (bool({*c.named} & {*c.names}) for c in pairs)),
+        _rate("outside: unknown or partly explained", (_not_mistaken(c) for c in outside)),
+        _rate("outside: that, above its limit", (_not_mistaken(c) for c in outside if c.above)),
+        _rate("outside: description right", (description_right(c.truth.expected, c.gap.unknown) for c in outside)),
         _rate(
-            "single effect right, above its limit",
-            (c.right for c in singles if c.truth.case in best and best[c.truth.case].detectable),
+            "outside: description right, above its limit",
+            (description_right(c.truth.expected, c.gap.unknown) for c in outside if c.above),
         ),
-        _rate("single effect named itself", (c.exact for c in singles)),
-        _rate("false alarm without effect", (c.found.verdict != "no_gap" for c in by_kind["null"])),
-        _rate("outside the library rejected", (c.found.verdict == "none_of_these" for c in by_kind["outside"])),
-        _rate("outside the library mislabelled", (c.found.verdict == "effect" for c in by_kind["outside"])),
-        _rate("both effects of a pair", (c.right for c in pairs)),
-        _rate("at least one effect of a pair", (bool({*c.named} & {*c.names}) for c in pairs)),
-        _rate("place right, of those named", (place_right(c) for c in placed)),
-        _rate("faulty sensor first among channels", (_first_channel_right(c) for c in sensors)),
-        _rate("parameter within its 95 % interval", (abs(z) < 1.96 for _, z in parameter_errors(compared))),
+        _rate("null: an effect named", (c.gap.verdict in NAMING for c in nulls)),
+        _rate("null: any verdict but no gap", (c.gap.verdict != "no_gap" for c in nulls)),
+        _rate("place right, of single effects right", (place_right(c.effects[0], c.gap.causes[0]) for c in placed)),
+        _rate("parameter in its 95 % interval", (abs(z) < 1.96 for _, z in parameter_errors(compared))),
     )
-    right = [(c, c.found.closure) for c in compared if c.right and c.found.closure]
-    closed = [f.closed_fraction for _, f in right if f.closed_fraction is not None]
-    shares = [
-        (f.before - f.after) / (f.before - best[c.truth.case].after)
-        for c, f in right
-        if f.closed_fraction is not None and c.truth.case in best
-    ]
-    between = quantile_test(closed, p=0.5).confidence_interval(0.95) if len(closed) > 1 else None
+    closures = [c.gap.causes[0].explained / c.best.closes for c in compared if c.right and c.above]
+    made = list({c.found.key: c.found.nulls_cpu_s for c in compared if c.found.nulls_cpu_s > 0}.values())
+    cpu_s = [c.found.cpu_s for c in compared]
     return Score(
+        cases=len(compared),
         rates=rates,
-        median_closed_fraction=float(np.median(closed)) if closed else None,
-        closed_interval_95=(float(between.low), float(between.high)) if between else None,
-        closed_cases=len(closed),
-        share_of_true_closure=float(np.median(shares)) if shares else None,
-        cpu_s_median=float(np.median([c.found.cpu_s for c in compared])),
-        cpu_s_largest=max(c.found.cpu_s for c in compared),
-        limits=detection_limits(singles, best),
+        share_of_true_closure=float(np.median(closures)) if closures else None,
+        closures=len(closures),
+        cpu_s_median=float(np.median(cpu_s)),
+        cpu_s_largest=max(cpu_s),
+        nulls_cpu_s_median=float(np.median(made)) if made else None,
+        nulls_cpu_s_largest=max(made) if made else None,
+        memory_mib_largest=max(c.found.memory_mib for c in compared),
+        limits=detection_limits(compared),
     )
 
 
-def detection_limits(singles: Sequence[Compared], best: Mapping[str, Best]) -> dict[str, float]:
-    """Of every effect the median over its cases of which is known what the truth achieves."""
-    known = [c for c in singles if c.truth.case in best]
-    names = sorted({c.label for c in known})
-    by_name = {n: [best[c.truth.case].limit(c.truth.strengths[0]) for c in known if c.label == n] for n in names}
-    return {name: float(np.median(limits)) for name, limits in by_name.items()}
+def detection_limits(compared: Iterable[Compared]) -> dict[str, float]:
+    """Of every single effect, the median over its cases of the strength that what it achieves asks for."""
+    found: dict[str, list[float]] = {}
+    for c in compared:
+        if c.truth.kind == "single":
+            found.setdefault(c.label, []).append(c.best.effects[0].limit(c.effects[0].strength))
+    medians = {name: float(np.median(limits)) for name, limits in sorted(found.items())}
+    return {name: limit for name, limit in medians.items() if np.isfinite(limit)}
 
 
 def parameter_errors(compared: Iterable[Compared]) -> list[tuple[str, float]]:
-    """Of every effect that was named itself: EFFECT.PARAMETER and its error in standard errors."""
+    """Of all effects that were named rightly: EFFECT.PARAMETER and its error in standard errors."""
     errors = []
     for c in compared:
-        if not c.exact:
+        if not c.right:
             continue
-        for effect in c.truth.effects:
+        for effect in c.effects:
             for field, true in effect.parameters.items():
                 name = f"{effect.name}.{field}"
-                if found := c.found.causes[0].parameters.get(name):
+                if (found := c.gap.causes[0].parameters.get(name)) and found.standard_error > 0:
                     errors.append((name, (found.value - true) / found.standard_error))
     return errors
-
-
-def place_fields(effect: EffectTruth) -> tuple[str, ...]:
-    """The fields that say where the effect acts; a clamp and all bodies at once have no choice."""
-    if effect.name == "clamp_compliance":
-        return ()
-    chosen = [field for field in PLACES if effect.place.get(field, "all") != "all"]
-    return (*chosen, *(field for field in ("relative_position", "low_hz") if field in effect.parameters))
-
-
-def place_right(c: Compared) -> bool:
-    """Whether the likeliest cause of a single effect acts where the truth does, in every field that says so."""
-    effect, cause = c.truth.effects[0], c.found.causes[0]
-
-    def found(field: str) -> float:
-        value = cause.parameters.get(f"{effect.name}.{field}")
-        return value.value if value else float("nan")
-
-    def field_right(field: str) -> bool:
-        if field == "low_hz":
-            low, high = (effect.parameters[f] for f in ("low_hz", "high_hz"))
-            shared = min(high, found("high_hz")) - max(low, found("low_hz"))
-            return shared / (max(high, found("high_hz")) - min(low, found("low_hz"))) >= OVERLAP
-        if field == "relative_position":
-            return abs(found(field) - effect.parameters[field]) <= WITHIN
-        return cause.places.get(f"{effect.name}.{field}") == effect.place[field]
-
-    return all(field_right(field) for field in place_fields(effect))
 
 
 def confusion(compared: Iterable[Compared]) -> tuple[list[str], list[str], np.ndarray]:
     """Rows: what is true (pairs left out); columns: what was named; and how often."""
     rows = [*DRAWABLE, *OUTSIDE, "null"]
-    columns = [*DRAWABLE, "two effects", "none_of_these", "no_gap"]
+    columns = [*DRAWABLE, "two effects", "unknown", "no_gap"]
     counts = np.zeros((len(rows), len(columns)), dtype=int)
     for c in compared:
         if c.truth.kind != "pair":
-            said = c.found.verdict if not c.named else c.named[0] if len(c.named) == 1 else "two effects"
+            said = c.gap.verdict if not c.named else c.named[0] if len(c.named) == 1 else "two effects"
             counts[rows.index(c.label), columns.index(said)] += 1
     return rows, columns, counts
 
@@ -261,9 +201,8 @@ def wilson(count: int, of: int) -> tuple[float, float]:
     return float(between.low), float(between.high)
 
 
-def _first_channel_right(c: Compared) -> bool:
-    channels = c.found.where.channels
-    return max(channels, key=lambda name: channels[name]) == c.truth.effects[0].place.get("sensor")
+def _not_mistaken(c: Compared) -> bool:
+    return c.gap.verdict in ("unknown", "partly_explained")
 
 
 def _rate(name: str, answers: Iterable[bool]) -> Rate:

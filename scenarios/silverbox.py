@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 from scipy.signal import welch
 
 from identify.gap.decision.answer import Simulator, diagnose
-from identify.gap.report import write_all
+from identify.gap.page.report import write_all
 from identify.kinematics import kinematics
 from identify.results import write_json
 from identify.spectra import force_band

@@ -1,71 +1,132 @@
-"""What the true effects of a blind case achieve at their true parameters: what nobody can better."""
+"""What the true effects of a blind case achieve at their true parameters: what nobody can better, and their limits."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
-from identify.gap.closure import size
-from identify.gap.faults import sound_channels
-from identify.gap.floor import MARGIN, Floors, read_floors
-from identify.gap.search import settled
+from identify.gap.candidates import candidates, scale_of
+from identify.gap.decision.answer import sound
+from identify.gap.decision.comparison import TEMPERATURE, closed, left_without, log_prior, size
+from identify.gap.likelihood import Misfit, Reference, misfit, reference_of
+from identify.gap.residual import base_of
+from identify.gap.results import Matters
+from identify.gap.search.nominal import fit_nuisance
 from identify.gap.spectra import Record, record_of
 from rig.description import Rig
 from rig.effects import effect_named
-from rig.errors import RigError
+from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import read
-from scenarios.scoreboard import Best, Compared
 from scenarios.tasks import run_tasks
-from scenarios.worlds.truth import Case
+from scenarios.worlds.truth import Case, EffectTruth
+
+OLD_NAMES = {"actuator_lag": ("force_shift", {"lag_s": "shift_s"})}
+"""Names that sealed answers may bear, with what the library calls them and their parameters."""
 
 
-class Told(msgspec.Struct, frozen=True):
-    """The recordings of a case, its true effects, and the file of the floors."""
+class ToLay(msgspec.Struct, frozen=True):
+    """The recordings of a case, and its true effects if the library has them."""
 
     fit: str
     validate: str
     effects: tuple[str, ...]
-    floor: str
+    tolerances: Tolerances | None
 
 
-def achieved(told: Told) -> Best:
+class Effect(msgspec.Struct, frozen=True):
+    """What one true effect achieves on the validation record, beside the other of a pair.
+
+    made is what it changes, in units of what matters; gain by how much it lowers -2 ln p, and needed by how much it
+    must to be likelier than without it.
+    """
+
+    made: float
+    gain: float
+    needed: float | None
+    """None where the library does not offer the effect for such a record."""
+
+    @property
+    def above(self) -> bool:
+        """Above its limit."""
+        return self.made >= 1 and self.needed is not None and self.gain > self.needed
+
+    def limit(self, strength: float) -> float:
+        """The strength of the limit, by that of the case: changes grow with it, gains with its square."""
+        if self.needed is None or self.gain <= 0 or self.made <= 0:
+            return float("inf")
+        return float(strength * max(np.sqrt(self.needed / self.gain), 1 / self.made))
+
+
+class Best(msgspec.Struct, frozen=True):
+    """before is the size of the gap, in units of what matters, closes the share of it that all true effects close."""
+
+    before: float
+    closes: float
+    effects: tuple[Effect, ...]
+
+    @property
+    def above(self) -> bool:
+        """Whether every effect is above its limit; never without effects of the library."""
+        return bool(self.effects) and all(e.above for e in self.effects)
+
+
+def named_now(effect: EffectTruth) -> EffectTruth:
+    """An effect of sealed answers as the library calls it."""
+    if effect.name not in OLD_NAMES:
+        return effect
+    name, fields = OLD_NAMES[effect.name]
+    return msgspec.structs.replace(
+        effect, name=name, parameters={fields.get(k, k): v for k, v in effect.parameters.items()}
+    )
+
+
+def best_of(cases: Sequence[Case], recordings: Path, kept: Path, tolerances: Tolerances | None = None) -> list[Best]:
+    """Of every case; of nulls and of effects outside the library it is the gap alone."""
+    tasks = []
+    for case in cases:
+        fit, validate = (str(recordings / f"{case.case}{end}.mcap") for end in ("", "_validate"))
+        inside = [named_now(e) for e in case.effects] if case.kind != "outside" else []
+        tasks.append(ToLay(fit, validate, tuple(e.text for e in inside), tolerances))
+    return run_tasks(achieved, tasks, Best, kept)
+
+
+def achieved(task: ToLay) -> Best:
     """What the diagnosis would have found, had it been told."""
-    floors = read_floors(Path(told.floor), read(Path(told.fit)).rig)
-    fit, validation = (_record(Path(path)) for path in (told.fit, told.validate))
-    gain, _, _ = _with_truth(fit, told.effects, floors)
-    _, before, after = _with_truth(validation, told.effects, floors)
-    needed = sum(MARGIN * floors.of(fit).gains.get(effect_named(text).name, 0.0) for text in told.effects)
-    return Best(before, after, gain, needed)
+    _, validation, _ = sound(read(Path(task.fit)), read(Path(task.validate)))
+    record = record_of(validation, tolerances=task.tolerances or validation.rig.tolerances or LABORATORY)
+    reference, matters = reference_of(base_of(record, record.rig)), Matters()
+    alone = misfit(record, reference, fit_nuisance(record, record.rig, rounds=1)[1])
+    before = size(alone, matters)
+    if not task.effects:
+        return Best(before, 0.0, ())
+    left, without = _laid(record, reference, task.effects, alone)
+    known = candidates(scale_of(record, record.rig), [s.name for s in record.sensors], record.zero_known)
+    placed = Counter(c.kind.name for c in known)
+    found = []
+    for k in range(len(task.effects)):
+        others = task.effects[:k] + task.effects[k + 1 :]
+        rest = _laid(record, reference, others, alone)[0] if others else alone
+        # of a single effect, what the believed rig leaves with its nuisance parameters, as the verdict has it
+        behind = size(rest if others else without, matters)
+        made = float(np.sqrt(max(behind**2 - size(left, matters) ** 2, 0.0)))
+        found.append(Effect(made, rest.minus_two_log - left.minus_two_log, _needed(task.effects, others, placed)))
+    return Best(before, closed(without, left, matters), tuple(found))
 
 
-def _record(path: Path) -> Record:
-    return record_of(sound_channels(read(path))[0])
+def _needed(effects: Sequence[str], others: Sequence[str], placed: Mapping[str, int]) -> float | None:
+    """2 TEMPERATURE (ln prior without the effect - ln prior with it)."""
+    names, fewer = ([text.partition(":")[0] for text in texts] for texts in (effects, others))
+    if not all(placed.get(name) for name in names):
+        return None
+    return 2 * TEMPERATURE * (log_prior(fewer, placed) - log_prior(names, placed))
 
 
-def _with_truth(record: Record, effects: Sequence[str], floors: Floors) -> tuple[float, float, float]:
-    """By how much the true effects lower the cost; the size of the gap without and with them."""
-    floor = floors.of(record)
-    judge, before = settled(record, record.rig, levels=floor.contacts)
-    true: Rig = record.rig
+def _laid(record: Record, reference: Reference, effects: Sequence[str], alone: Misfit) -> tuple[Misfit, Misfit]:
+    """What the rig with these effects leaves, and the believed one with its nuisance parameters."""
+    rig: Rig = record.rig
     for text in effects:
-        true = effect_named(text).applied_to(true)
-    _, after = settled(record, true, judge.seen)
-    return before.cost - after.cost, size(judge, before, floor), size(judge, after, floor)
-
-
-def best_of(compared: Sequence[Compared], recordings: Path, floor: Path, kept: Path) -> Mapping[str, Best]:
-    """By case, of every single effect and every pair that the library can put into a rig."""
-    cases = [c.truth for c in compared if c.truth.kind in ("single", "pair") and _is_known(c.truth)]
-    paths = [[str(recordings / f"{c.case}{end}.mcap") for end in ("", "_validate")] for c in cases]
-    tasks = [
-        Told(fit, other, tuple(e.text for e in c.effects), str(floor))
-        for c, (fit, other) in zip(cases, paths, strict=True)
-    ]
-    return {c.case: best for c, best in zip(cases, run_tasks(achieved, tasks, Best, kept), strict=True)}
-
-
-def _is_known(truth: Case) -> bool:
-    try:
-        return all(effect_named(effect.text) for effect in truth.effects)
-    except RigError:
-        return False
+        rig = effect_named(text).applied_to(rig)
+    base, at = fit_nuisance(record, rig, rounds=1)
+    return misfit(record, reference, at), left_without(record, reference, base, at) or alone

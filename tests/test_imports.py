@@ -29,7 +29,7 @@ def test_the_contracts_on_imports_hold():
     ("package", "spared"),
     [
         ("rig", ("rig.blueprint", "rig.contact_view", "rig.drawing", "rig.viewing")),
-        ("identify", ("identify.plots", "identify.gap.pictures")),
+        ("identify", ("identify.plots", "identify.gap.page.pictures")),
     ],
 )
 def test_importing_a_package_pulls_in_nothing_heavy(package, spared):

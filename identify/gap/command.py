@@ -33,11 +33,15 @@ def gap(
     ] = "modal",
     nulls: Annotated[
         Path | None,
-        typer.Option(help="File of the null reference, made where it is not there or of another rig; else beside REAL."),
+        typer.Option(
+            help="File of the null reference, made where it is not there or of another rig; else beside REAL."
+        ),
     ] = None,
     tolerances: Annotated[
         str | None,
-        typer.Option(help="How exactly rig.json is believed: laboratory, exact, or a TOML file; else as it says itself."),
+        typer.Option(
+            help="How exactly rig.json is believed: laboratory, exact, or a TOML file; else as it says itself."
+        ),
     ] = None,
     matters: Annotated[
         float, typer.Option(min=0.0, help="A gap below this share of the acceleration does not matter, %.")
@@ -71,13 +75,13 @@ def gap(
                 recording, validation, simulating, kept, show, believed, Matters(matters / 100, matters_contact / 100)
             )
     if out is not None:
-        from identify.gap.report import write_all
+        from identify.gap.page.report import write_all
 
         write_all(found, corrected, f"{recording.rig.name}: {real.name}", out)
     if as_json:
         sys.stdout.buffer.write(msgspec.json.encode(found) + b"\n")
     else:
-        from identify.gap.report import shown
+        from identify.gap.page.screen import shown
 
         Console().print(shown(found))
 

@@ -1,15 +1,15 @@
 """The one statistic of the diagnosis: how likely a record is under a rig whose model errs by an unknown scale.
 
 With L_bi the mean square of the linear residual of sensor i in band b and L_j that of contact j, both in the variances
-that noise and the tolerated shares of the unmodelled make, and an inverse-gamma prior of the true variances around them,
+that noise and the tolerated shares of the unmodelled make, and an inverse-gamma prior of the true variances around,
 
     -2 ln p = sum_bi N_b ln((1 + L_bi) / 2) + sum_j N_j ln((1 + L_j) / 2) + pulls^2 + drift + freedom
 
 A variance that is not known makes a residual ten times too large cost N ln 100 / 2, not N * 50: what lasts (a shape
 that is slightly wrong, a cable) is one error, however many samples show it. N are the samples that count as
 independent; drift is what the prior of the slow motion costs, freedom what inputs cost that are known by their spectrum
-alone (their own squares, and the determinant of their marginal likelihood). Kennedy and O'Hagan, J. R. Stat. Soc. B 63, 2001; the Student form
-is that of Lange et al., J. Am. Stat. Assoc. 84, 1989.
+alone (their own squares, and the determinant of their marginal likelihood). Kennedy and O'Hagan, J. R. Stat. Soc. B 63,
+2001; the Student form is that of Lange et al., J. Am. Stat. Assoc. 84, 1989.
 """
 
 from dataclasses import dataclass, replace
@@ -136,7 +136,7 @@ class Misfit:
         )
 
 
-def misfit(record: Record, reference: Reference, base: Base, at: Residual) -> Misfit:
+def misfit(record: Record, reference: Reference, at: Residual) -> Misfit:
     """What a fitted residual leaves, whatever scales it was fitted at."""
     levels = second_levels(record, at.linear)
     seconds, bands = levels.shape[:2]

@@ -1,5 +1,7 @@
 """What a diagnosis says: the structure of gap.json."""
 
+import math
+from collections.abc import Iterable
 from typing import Literal
 
 import msgspec
@@ -113,24 +115,52 @@ class Curve(msgspec.Struct, frozen=True):
     """Whether y is best drawn over decades."""
 
 
+class MeanForce(msgspec.Struct, frozen=True):
+    """The mean of a force, positive against the motion, over displacement (rows) and velocity (columns) at its place.
+
+    Edges of the cells; zero where the motion never was.
+    """
+
+    displacement_m: tuple[float, ...]
+    velocity_m_per_s: tuple[float, ...]
+    force_n: tuple[tuple[float, ...], ...]
+
+
 class Unknown(msgspec.Struct, frozen=True, kw_only=True):
-    """A force, or a fault of a sensor, that no effect of the library is: what is found of it."""
+    """A force, or a fault of a sensor, that no effect of the library is: what is found of it.
+
+    A pair of forces acts at `position_m` of `body` and, opposite, at `against_position_m` of `against_body`; growth is
+    by how much the stiffness of each body changes over the record, relative. by_time is the force's rms in equal parts
+    of the time, before_excitation its rms before the measured force begins over that after (0 without a quiet start).
+    spectrum is one-sided, N^2/Hz, of a sensor (m/s^2)^2/Hz.
+    """
 
     sentence: str
-    kind: str
+    kind: Literal["force", "pair", "sensor", "distributed", "contact"]
     body: str | None
     position_m: float | None
     position_error_m: float | None
+    against_body: str | None = None
+    against_position_m: float | None = None
     sensor: str | None
     contact: str | None = None
+    growth: dict[str, Value] = {}
+    same_place: bool = True
+    """Whether the validation record alone shows it at the same place."""
     frequency_hz: float | None
     band_hz: tuple[float, float]
     rms_n: float
-    when: str
+    amplitude_n: float | None = None
+    when: Literal["always", "in contact", "growing with time"]
+    before_excitation: float = 0.0
+    by_time: tuple[float, ...] = ()
     against: str
     law: str
     explained: float
     """The share of the linear residual's mean square that it explains on the validation record."""
+    over_motion: MeanForce | None = None
+    spectrum_hz: tuple[float, ...] = ()
+    spectrum: tuple[float, ...] = ()
 
 
 class Matters(msgspec.Struct, frozen=True):
@@ -139,6 +169,10 @@ class Matters(msgspec.Struct, frozen=True):
 
     motion: float = 5e-3
     contact: float = 3e-2
+
+    def times(self, share: float, contact_shares: Iterable[float]) -> float:
+        """The size of a gap: sqrt((share / motion)^2 + sum over contacts of (share / contact)^2); 1 is what matters."""
+        return math.hypot(share / self.motion, *(one / self.contact for one in contact_shares))
 
 
 class Gap(msgspec.Struct, frozen=True, kw_only=True):
@@ -166,6 +200,7 @@ class Gap(msgspec.Struct, frozen=True, kw_only=True):
     bands: tuple[Band, ...]
     equivalent: tuple[tuple[str, ...], ...]
     separate_by: tuple[str, ...]
+    """Experiments that confirm or refute the likeliest effects, as "EFFECT: what to do"."""
     attribution: Attribution
     figures: tuple[Figure, ...] = ()
     curves: tuple[Curve, ...] = ()

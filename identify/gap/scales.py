@@ -16,8 +16,8 @@ SEGMENT_S = 1.0
 
 @dataclass(frozen=True)
 class Scales:
-    """discrepancy: share of each acceleration that no model explains, by sensor and line; contacts: the variance of each
-    contact residual, in units of what noise and the tolerated share of the force make of it."""
+    """The share of each acceleration that no model explains, by sensor and line; and the variance of each contact
+    residual, in units of what noise and the tolerated share of the force make of it."""
 
     discrepancy: Float[np.ndarray, "sensors lines"]
     contacts: tuple[float, ...]
@@ -54,7 +54,9 @@ def band_of_lines(record: Record, bands: int) -> Int[np.ndarray, " lines"]:
     return np.minimum(record.omega / (2 * np.pi * BAND_HZ), bands - 1).astype(int)
 
 
-def by_band(record: Record, values: Float[np.ndarray, "sensors lines"], bands: int) -> Float[np.ndarray, "bands sensors"]:
+def by_band(
+    record: Record, values: Float[np.ndarray, "sensors lines"], bands: int
+) -> Float[np.ndarray, "bands sensors"]:
     """Means over the lines of each band."""
     at = band_of_lines(record, bands)
     counts = np.maximum(np.bincount(at, minlength=bands), 1)

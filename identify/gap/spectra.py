@@ -43,10 +43,10 @@ class Record:
 
     delivered is what each sensor gave, turned into an acceleration by powers of i omega, its believed gain and delay
     still in it; displaced the same as a displacement, high-passed where it had to be integrated. noise is the variance
-    of each of its lines by the sensor's noise alone, power its smoothed size; force_noise that of the force's lines. eta_beyond is each relative displacement
-    as measured on the lines from `high_hz` on, drifts what is known of its slow part (None where nothing is lost).
-    window is what samples were multiplied by.
-    excited_s is when the force begins, tolerances how exactly the rig is believed.
+    of each of its lines by the sensor's noise alone, power its smoothed size; force_noise the variance of the force's
+    lines by its channel's noise. eta_beyond is each relative displacement as measured on the lines from `high_hz` on,
+    drifts what is known of its slow part (None where nothing is lost). window is what samples were multiplied by,
+    excited_s when the force begins, tolerances how exactly the rig is believed.
     """
 
     rig: Rig

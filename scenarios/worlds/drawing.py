@@ -18,8 +18,6 @@ from scenarios.worlds.truth import WORLDS, CaseKind, EffectTruth, Expected, Worl
 DECK: tuple[CaseKind, ...] = ("null",) * 2 + ("single",) * 3 + ("pair",) * 2 + ("outside",) * 2
 """Every nine cases in a row have these kinds, shuffled."""
 DRAWABLE = tuple(name for name in EFFECTS if name not in UNSEEN)
-ALIKE = ({"actuator_lag", "force_shift"},)
-"""Pairs that are one effect."""
 PAIRS_FROM = 0.35
 """Effects of pairs leave out so much of the lower end of the logarithmic range."""
 HUNG = 1 / 3
@@ -104,11 +102,10 @@ def _dealt(names: tuple[str, ...], number: int, world: World, seed: int, stream:
 
 
 def _pair(number: int, world: World, seed: int) -> tuple[str, str]:
-    """Two names that differ; the second is dealt again where both are one effect."""
+    """Two names that differ."""
     first = _dealt(DRAWABLE, number, world, seed, 1004)
     rng = _rng(world, seed, number, 1005)
-    others = [n for n in DRAWABLE if n != first and {n, first} not in ALIKE]
-    return first, str(rng.choice(others))
+    return first, str(rng.choice([n for n in DRAWABLE if n != first]))
 
 
 def perturbed(machine: Machine, world: World, rng: np.random.Generator) -> Machine:

@@ -26,13 +26,8 @@ def _contact(truth: EffectTruth) -> str:
     return str(truth.place["contact"])
 
 
-def _actuator_lag(machine: Machine, truth: EffectTruth) -> Machine:
-    late = truth.parameters["lag_s"]  # the true force comes late: the measured one is early
-    return replace(machine, cell=replace(machine.cell, delay_s=machine.cell.delay_s - late))
-
-
 def _force_shift(machine: Machine, truth: EffectTruth) -> Machine:
-    late = truth.parameters["shift_s"]
+    late = truth.parameters["shift_s"]  # the true force comes late: the measured one is early
     return replace(machine, cell=replace(machine.cell, delay_s=machine.cell.delay_s - late))
 
 
@@ -213,7 +208,6 @@ def _working_force(_rng: np.random.Generator, _value: float, rms_n: float) -> di
 EFFECTS: dict[str, Kind] = {
     kind.name: kind
     for kind in (
-        Kind("actuator_lag", Size("lag_s", 5e-5, 1.5e-3, 5e-4), "", _actuator_lag),
         Kind("added_mass", Size("mass_kg", 0.02, 0.6, 0.2), "body", _added_mass),
         Kind("asymmetric_clearance", Size("shift_m", 5e-5, 1.5e-3, 5e-4, BOTH), "contact", _asymmetric_clearance),
         Kind("base_motion", Size("acceleration_rms_m_per_s2", 0.05, 1.5, 0.5), "", _base_motion, _band),

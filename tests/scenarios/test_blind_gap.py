@@ -1,15 +1,24 @@
 """The blind check from beginning to end, with a diagnosis that always says no."""
 
 import shutil
+from pathlib import Path
 
 import msgspec
 import pytest
 from typer.testing import CliRunner
 
 from rig.errors import RigError
-from scenarios import blind_gap
-from scenarios.blind_gap import app, opened
-from scenarios.scoreboard import Best, Diagnosis, Score
+from rig.model.tolerances import EXACT, LABORATORY
+from scenarios import blind_comparison, blind_diagnosis
+from scenarios.blind_comparison import opened, pairs_of
+from scenarios.blind_diagnosis import Found, NullsMade, NullsToMake, without_curves
+from scenarios.blind_gap import app
+from scenarios.scoreboard import Score
+from scenarios.tolerance_sensitivity import settings
+from scenarios.true_effect import Best
+from tests.scenarios.blind_cases import ABOVE, gap
+
+CASES = ["case_000", "case_001", "case_002"]
 
 
 @pytest.fixture(scope="module")
@@ -26,60 +35,157 @@ def ran(*words):
 
 
 @pytest.fixture
-def copied(made, tmp_path):
+def cases(made, tmp_path):
     shutil.copytree(made, tmp_path / "cases")
     return tmp_path / "cases"
 
 
-def diagnosed(cases, monkeypatch):
-    monkeypatch.setattr(blind_gap, "diagnosis_of", lambda *_: Diagnosis("no_gap"))
-    monkeypatch.setattr(blind_gap, "floors_of", lambda *_: None)
-    best = {f"case_{i:03d}": Best(1.0, 1.0, gain=1.0, needed=2.0) for i in range(3)}
-    monkeypatch.setattr(blind_gap, "best_of", lambda *_: best)
+def run_here(function, parameters, _result_type, folder, _dask=None):
+    """One after another in this process: what is put in place of the diagnosis holds here alone."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return [function(p) for p in parameters]
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Diagnoses at once, and lets every effect be above its limit; the calls of either."""
+    calls = []
+
+    def diagnosed(fit, _validate, nulls, tolerances):
+        calls.append((fit.samples, nulls, tolerances))
+        return gap("no_gap", nothing=0.9)
+
+    def best(answers, *_):
+        return [Best(0.0 if a.kind == "null" else 2.0, 0.9, (ABOVE,) * len(a.effects)) for a in answers]
+
+    monkeypatch.setattr(blind_diagnosis, "run_tasks", run_here)
+    monkeypatch.setattr(blind_diagnosis, "gap_of", diagnosed)
+    monkeypatch.setattr(blind_diagnosis, "nulls_made", lambda task: NullsMade(task.key, 30.0, 400.0))
+    monkeypatch.setattr(blind_comparison, "best_of", best)
+    return calls
+
+
+def diagnosed(cases):
     ran("diagnose", "--cases", cases, "--out", cases.parent / "found")
     return cases.parent / "found"
 
 
-def test_what_is_made_is_sealed_and_scored(copied, monkeypatch, tmp_path):
-    key = opened(copied)
-    assert sorted(c.case for c in key.cases) == ["case_000", "case_001", "case_002"]
-    assert len(list((copied / "recordings").iterdir())) == 6
-    found = diagnosed(copied, monkeypatch)
-    text = ran("score", "--cases", copied, "--found", found, "--out", tmp_path / "score")
-    assert "false alarm without effect" in text
-    board = msgspec.json.decode((tmp_path / "score" / "score.json").read_bytes(), type=Score)
-    nulls = sum(c.kind == "null" for c in key.cases)
-    assert (board.rates[3].count, board.rates[3].of) == (0, nulls)
+def read(folder):
+    return msgspec.json.decode((folder / "found.json").read_bytes(), type=list[Found])
 
 
-def test_diagnosing_needs_no_answers(copied, monkeypatch):
-    shutil.rmtree(copied / "sealed")
-    found = msgspec.json.decode((diagnosed(copied, monkeypatch) / "found.json").read_bytes())
-    assert [f["case"] for f in found] == ["case_000", "case_001", "case_002"]
+@pytest.mark.usefixtures("quick")
+def test_what_is_made_is_sealed_and_scored(cases, tmp_path):
+    key = opened(cases)
+    assert sorted(c.case for c in key.cases) == CASES
+    assert len(list((cases / "recordings").iterdir())) == 6
+    folder = diagnosed(cases)
+    text = ran("score", "--cases", cases, "--found", folder, "--out", tmp_path / "score")
+    assert "wide, 3 cases" in text
+    told = msgspec.json.decode((tmp_path / "score" / "score.json").read_bytes())
+    board = msgspec.convert(told["worlds"]["wide"], Score)
+    rates = {r.name: (r.count, r.of) for r in board.rates}
+    assert rates["null: any verdict but no gap"] == (0, sum(c.kind == "null" for c in key.cases))
+    below = sum(c.kind == "null" for c in key.cases)
+    assert told["calibration"]["wide"]["brier"] == pytest.approx((below * 0.1**2 + (3 - below) * 0.9**2) / 3)
+    assert "temperature" in ran("calibrate", "--cases", cases, "--found", folder)
 
 
+@pytest.mark.usefixtures("quick")
+def test_folders_of_one_world_are_scored_together(cases, tmp_path):
+    folder = diagnosed(cases)
+    text = ran("score", "--cases", cases, "--found", folder, "--out", tmp_path / "s", "--also", f"{cases}:{folder}")
+    assert "wide, 6 cases" in text
+    with pytest.raises(RigError, match="is not CASES:FOUND"):
+        pairs_of(cases, folder, ["somewhere"])
+
+
+@pytest.mark.usefixtures("quick")
+def test_diagnosing_needs_no_answers(cases):
+    shutil.rmtree(cases / "sealed")
+    assert [f.case for f in read(diagnosed(cases))] == CASES
+
+
+def test_cases_of_one_level_share_a_null_reference(cases, quick):
+    some = read(diagnosed(cases))
+    assert {f.nulls_cpu_s for f in some} == {30.0}
+    assert len({f.key for f in some}) < 3
+    assert {(nulls, tolerances) for _, nulls, tolerances in quick} == {(cases.parent / "found" / "nulls", None)}
+
+
+def test_tolerances_and_null_references_of_others(cases, quick, tmp_path):
+    ran("diagnose", "--cases", cases, "--out", tmp_path / "a", "--tolerances", "exact", "--nulls-of", tmp_path / "kept")
+    assert all((nulls, tolerances) == (tmp_path / "kept", EXACT) for _, nulls, tolerances in quick)
+    ran("diagnose", "--cases", cases, "--out", tmp_path / "b")
+    assert {f.key for f in read(tmp_path / "a")}.isdisjoint(f.key for f in read(tmp_path / "b"))
+
+
+def test_a_null_reference_that_is_there_costs_nothing(cases, monkeypatch, tmp_path):
+    asked = []
+    monkeypatch.setattr(blind_diagnosis, "null_reference", lambda *_, kept: asked.append(kept))
+    fit, other = (str(cases / "recordings" / f"case_000{end}.mcap") for end in ("", "_validate"))
+    task = NullsToMake(key="0123456789abcdefgh", fit=fit, validate=other, nulls=str(tmp_path), tolerances=None)
+    assert blind_diagnosis.nulls_made(task).cpu_s > 0
+    (tmp_path / "0123456789abcdef.json").touch()
+    assert blind_diagnosis.nulls_made(task).cpu_s == 0
+    assert asked == [Path(tmp_path)] * 2
+
+
+def test_what_is_large_is_not_stored():
+    one = gap("no_gap")
+    full = msgspec.structs.replace(
+        one,
+        attribution=msgspec.structs.replace(one.attribution, positions_m={"barrel": {"0.1": 1.0}}, channels={"a": 1.0}),
+    )
+    kept = without_curves(full).attribution
+    assert (kept.positions_m, kept.channels) == ({}, {"a": 1.0})
+
+
+def test_each_tolerance_is_doubled_and_halved(cases, quick, tmp_path):
+    every = dict(settings())
+    assert every["default"] == LABORATORY
+    assert every["damping_halved"].damping == LABORATORY.damping / 2
+    assert every["gain_doubled"].gain == 2 * LABORATORY.gain
+    assert not any(name.startswith("force_noise_density") for name in every)
+    text = ran("sensitivity", "--cases", cases, "--out", tmp_path / "s", "--only", "damping")
+    assert "damping halved" in text
+    boards = msgspec.json.decode((tmp_path / "s" / "sensitivity.json").read_bytes(), type=dict[str, Score])
+    assert list(boards) == ["default", "damping_doubled", "damping_halved"]
+    assert {tolerances.damping for _, _, tolerances in quick} == {0.15, 0.3, 0.6}
+
+
+@pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("changed", ["sealed/key.json", "recordings/case_001_validate.mcap"])
-def test_a_changed_byte_is_refused(copied, monkeypatch, tmp_path, changed):
-    found = diagnosed(copied, monkeypatch)
-    path = copied / changed
+def test_a_changed_byte_is_refused(cases, tmp_path, changed):
+    folder = diagnosed(cases)
+    path = cases / changed
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
     path.write_bytes(data)
     with pytest.raises(RigError, match=r"is not (what|the recording that) was sealed"):
-        ran("score", "--cases", copied, "--found", found, "--out", tmp_path / "score")
+        ran("score", "--cases", cases, "--found", folder, "--out", tmp_path / "score")
 
 
-def test_a_diagnosis_of_other_recordings_is_refused(copied, monkeypatch, tmp_path):
-    found = diagnosed(copied, monkeypatch) / "found.json"
-    one, *others = msgspec.json.decode(found.read_bytes())
-    found.write_bytes(msgspec.json.encode([{**one, "sha256": {}}, *others]))
+@pytest.mark.usefixtures("quick")
+def test_unsealed_answers_are_refused(cases, tmp_path):
+    folder = diagnosed(cases)
+    (cases / "key.sha256").unlink()
+    with pytest.raises(RigError, match=r"key\.sha256: is missing"):
+        ran("score", "--cases", cases, "--found", folder, "--out", tmp_path / "score")
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_diagnosis_of_other_recordings_is_refused(cases, tmp_path):
+    path = diagnosed(cases) / "found.json"
+    one, *others = msgspec.json.decode(path.read_bytes())
+    path.write_bytes(msgspec.json.encode([{**one, "sha256": {}}, *others]))
     with pytest.raises(RigError, match="case_000: another recording was diagnosed"):
-        ran("score", "--cases", copied, "--found", found.parent, "--out", tmp_path / "score")
-    found.write_bytes(msgspec.json.encode(others))
+        ran("score", "--cases", cases, "--found", path.parent, "--out", tmp_path / "score")
+    path.write_bytes(msgspec.json.encode(others))
     with pytest.raises(RigError, match="case_000: was not diagnosed"):
-        ran("score", "--cases", copied, "--found", found.parent, "--out", tmp_path / "score")
+        ran("score", "--cases", cases, "--found", path.parent, "--out", tmp_path / "score")
 
 
-def test_sealed_cases_are_not_overwritten(copied):
+def test_sealed_cases_are_not_overwritten(cases):
     with pytest.raises(RigError, match=r"key\.sha256: exists already"):
-        ran("make", "--out", copied)
+        ran("make", "--out", cases)

@@ -9,10 +9,10 @@ from unittest.mock import Mock
 import msgspec
 import numpy as np
 import pytest
+from identify.gap.answer import diagnose
 from msgspec.structs import replace
 from typer.testing import CliRunner
 
-from identify.gap.answer import diagnose
 from rig.description import PointSpring
 from rig.errors import RigError
 from rig.excitation import BandLimitedGaussian, force_history

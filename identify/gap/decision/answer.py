@@ -16,8 +16,8 @@ from identify.gap.decision.verdict import Decision, decided, unknown_gain
 from identify.gap.faults import sound_channels
 from identify.gap.likelihood import Misfit, Reference, reference_of
 from identify.gap.nuisance import apply_nuisance
-from identify.gap.residual import Base, base_of
-from identify.gap.results import Band, Cause, Gap, Left, Matters, Unknown, Value
+from identify.gap.residual import base_of
+from identify.gap.results import Band, Cause, Gap, Left, Matters, MeanForce, Unknown, Value
 from identify.gap.scales import BAND_HZ
 from identify.gap.search.joint import Hypothesis, Search, search
 from identify.gap.search.nominal import fit_nuisance
@@ -35,6 +35,8 @@ FIT_SHARE = 0.55
 ALIKE = 0.05
 """Single effects that are likelier than this beside the best one cannot be told apart from it."""
 AT_LIMIT = 1e-3
+"""A parameter within this share of its range from an end stands there."""
+MATTERS = Matters()
 
 Progress = Callable[[str, float], None]
 
@@ -54,13 +56,13 @@ def diagnose(
     kept: Path | None = None,
     progress: Progress = lambda *_: None,
     tolerances: Tolerances | None = None,
-    matters: Matters = Matters(),
+    matters: Matters = MATTERS,
 ) -> tuple[Gap, Rig]:
     """The diagnosis, and the rig corrected by it (the believed one, if no effect explains the gap at least in part).
 
-    The null reference is made by the simulator, or read from `kept` (see `null_reference`); tolerances say how exactly the rig is
-    believed (else the rig itself does, else they are a laboratory's). Raises RigError if the records do not fit together
-    or allow no diagnosis.
+    The null reference is made by the simulator, or read from `kept` (see `null_reference`); tolerances say how exactly
+    the rig is believed (else the rig itself does, else they are a laboratory's). Raises RigError if the records do not
+    fit together or allow no diagnosis.
     """
     if validation is None:
         recording, validation = _halves(recording)
@@ -71,7 +73,7 @@ def diagnose(
     fit_record, record = (record_of(part, tolerances=believed) for part in (fit_part, other))
     nulls = null_reference(other, believed, simulator.simulate, simulator.name, lambda x: progress("nulls", x), kept)
     hypotheses, known = searched(fit_record, lambda x: progress("causes", 0.7 * x))
-    base, reference = _laid(record)
+    reference = _reference(record)
     priors = log_priors(hypotheses, known)
     ranked = judged(record, reference, hypotheses, priors, lambda x: progress("causes", 0.7 + 0.2 * x))
     decision = decided(ranked, None, record.strictness, nulls, matters)
@@ -85,11 +87,9 @@ def diagnose(
     figures, curves = compared(other, other.rig, _likeliest(decision, other.rig), simulator.simulate)
     progress("causes", 1.0)
     causes = tuple(
-        _cause(j, p, nulls, matters)
-        for j, p in zip(ranked, decision.probabilities, strict=True)
-        if j.hypothesis.parts
+        _cause(j, p, nulls, matters) for j, p in zip(ranked, decision.probabilities, strict=True) if j.hypothesis.parts
     )
-    alike = _alike(causes, ranked)
+    alike = _alike(causes)
     nothing = decision.nothing
     after = decision.best.misfit if decision.best else nothing.misfit
     without = decision.best.without if decision.best else nothing.misfit
@@ -107,7 +107,7 @@ def diagnose(
         unknown=_described(unknown, swinging),
         bands=_bands(without, after, nulls),
         equivalent=(tuple(alike),) if len(alike) > 1 else (),
-        separate_by=tuple(f"{name}: {how}" for name, how in alike.items()) if len(alike) > 1 else (),
+        separate_by=_experiments(causes, ranked),
         attribution=attribution(nothing.base, nothing.residual, nothing.misfit),
         figures=figures,
         curves=curves,
@@ -116,17 +116,18 @@ def diagnose(
     return sentence(gap, decision.criterion), corrected
 
 
-def searched(record: Record, progress: Callable[[float], None] = lambda _: None) -> tuple[list[Hypothesis], list[Candidate]]:
+def searched(
+    record: Record, progress: Callable[[float], None] = lambda _: None
+) -> tuple[list[Hypothesis], list[Candidate]]:
     """Hypotheses on a record, and the candidates among which they were found."""
-    base, reference = _laid(record)
+    reference = _reference(record)
     base, at = fit_nuisance(record, record.rig)
     known = candidates(scale_of(record, record.rig), [s.name for s in record.sensors], record.zero_known)
     return search(Search(reference, base, at, tuple(known)), progress), known
 
 
-def _laid(record: Record) -> tuple[Base, Reference]:
-    base = base_of(record, record.rig)
-    return base, reference_of(base)
+def _reference(record: Record) -> Reference:
+    return reference_of(base_of(record, record.rig))
 
 
 def sound(recording: Recording, validation: Recording) -> tuple[Recording, Recording, dict[str, str]]:
@@ -211,17 +212,19 @@ def _bands(without: Misfit, after: Misfit, nulls: NullReference) -> tuple[Band, 
     )
 
 
-def _alike(causes: tuple[Cause, ...], ranked: list[Judged]) -> dict[str, str]:
-    """Single effects beside the likeliest that the record hardly tells from it, with what would separate them."""
-    with_effects = [j for j in ranked if j.hypothesis.parts]
+def _alike(causes: tuple[Cause, ...]) -> list[str]:
+    """Single effects beside the likeliest that the record hardly tells from it."""
     if not causes or len(causes[0].effects) > 1:
-        return {}
-    close = [
-        j.hypothesis.parts[0].kind
-        for j, c in zip(with_effects, causes, strict=True)
-        if len(c.effects) == 1 and c.probability > ALIKE
-    ]
-    return {kind.name: kind.separated_by for kind in close}
+        return []
+    return [c.effects[0] for c in causes if len(c.effects) == 1 and c.probability > ALIKE]
+
+
+def _experiments(causes: tuple[Cause, ...], ranked: list[Judged]) -> tuple[str, ...]:
+    """What would confirm or refute each effect of the causes that are likely, or close part of the gap."""
+    kinds = {part.kind.name: part.kind for j in ranked for part in j.hypothesis.parts}
+    likely = [c for i, c in enumerate(causes) if c.probability > ALIKE or (i == 0 and c.interval_95[0] > 0)]
+    names = dict.fromkeys(effect for cause in likely for effect in cause.effects)
+    return tuple(f"{name}: {kinds[name].separated_by}" for name in names)
 
 
 def _described(found: UnknownForce | None, swinging: Breathing | None) -> Unknown | None:
@@ -246,19 +249,29 @@ def _described(found: UnknownForce | None, swinging: Breathing | None) -> Unknow
     if found is None:
         return None
     at_place = found.kind in ("force", "pair")
+    seen = found.surface
     return Unknown(
         sentence=described(found),
         kind=found.kind,
         body=found.body or None,
         position_m=found.position_m.value if at_place else None,
         position_error_m=found.position_m.standard_error if at_place else None,
+        against_body=found.against_body or None,
+        against_position_m=found.against_position_m if found.against_body else None,
         sensor=found.sensor or None,
+        growth=dict(zip(found.bodies, found.growth, strict=True)),
+        same_place=found.same_place,
         frequency_hz=found.frequency_hz,
         band_hz=found.band_hz,
         rms_n=found.rms.value,
+        amplitude_n=found.amplitude_n,
         when=found.when,
+        before_excitation=found.before_excitation,
+        by_time=found.by_time,
         against=found.against,
         law=found.law,
         explained=found.validation_explained_share,
+        over_motion=MeanForce(seen.eta_m, seen.rate_m_per_s, seen.share) if seen else None,
+        spectrum_hz=found.spectrum_hz,
+        spectrum=found.spectrum,
     )
-

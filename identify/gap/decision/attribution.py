@@ -1,13 +1,13 @@
-"""Where the gap lies: shares of the believed rig's residual, beyond noise and tolerated shares, by every way of cutting it."""
+"""Where the gap lies: shares of the believed rig's residual, beyond noise and tolerated shares, cut in every way."""
 
 from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
 
+from identify.gap.likelihood import Misfit
 from identify.gap.linear import Linear
 from identify.gap.residual import Base, Residual
-from identify.gap.likelihood import Misfit
 from identify.gap.results import Attribution, Share, Surface
 from identify.gap.spectra import Record
 from rig.oscillator import Oscillator

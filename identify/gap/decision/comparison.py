@@ -1,5 +1,6 @@
 """Hypotheses compared on the record that was not fitted: posterior probabilities, and what each closes and leaves."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -60,26 +61,29 @@ def judged(
     """
     found = []
     believed = fit_nuisance(record, record.rig, rounds=1)
-    alone = misfit(record, reference, *believed)
+    alone = misfit(record, reference, believed[1])
     for i, one in enumerate(hypotheses):
         try:
             rig = _of_this_record(record, one)
             base, at = fit_nuisance(record, rig, rounds=1) if one.parts else believed
         except RigError:
             continue
-        left = misfit(record, reference, base, at)
-        without = alone
-        if one.parts and _comparable(base, record.rig):
-            unknowns = tuple(c.unknowns for c in at.contacts)
-            without = misfit(record, reference, base, residual_of(base, record.rig, at.nuisance, unknowns))
+        left = misfit(record, reference, at)
+        without = (left_without(record, reference, base, at) if one.parts else None) or alone
         found.append(Judged(one, rig, base, at, left, without, priors[one.key]))
         progress((i + 1) / len(hypotheses))
     return sorted(found, key=lambda j: -j.log_posterior)
 
 
-def _comparable(base: Base, believed: Rig) -> bool:
-    """Whether both residuals have the same rows: a base that moves has one more."""
-    return (base.rig.base_motion is None) == (believed.base_motion is None)
+def left_without(record: Record, reference: Reference, base: Base, at: Residual) -> Misfit | None:
+    """What the believed rig leaves with the nuisance parameters of a rig with effects.
+
+    None where the residuals have not the same rows: a base that moves has one more.
+    """
+    if (base.rig.base_motion is None) != (record.rig.base_motion is None):
+        return None
+    unknowns = tuple(c.unknowns for c in at.contacts)
+    return misfit(record, reference, residual_of(base, record.rig, at.nuisance, unknowns))
 
 
 def _of_this_record(record: Record, one: Hypothesis) -> Rig:
@@ -105,17 +109,16 @@ def _of_this_record(record: Record, one: Hypothesis) -> Rig:
 
 def log_priors(hypotheses: Sequence[Hypothesis], known: Sequence[Candidate]) -> dict[frozenset[str], float]:
     """Every effect of the library is as likely as any other, and as likely at each of its places."""
-    placed: dict[str, int] = {}
-    for candidate in known:
-        placed[candidate.kind.name] = placed.get(candidate.kind.name, 0) + 1
+    placed = Counter(candidate.kind.name for candidate in known)
+    return {one.key: log_prior(one.effects, placed) for one in hypotheses}
+
+
+def log_prior(effects: Sequence[str], placed: Mapping[str, int]) -> float:
+    """Of effects at one place each; `placed` counts the places of every effect of the library."""
     singles = max(1, len(placed))
     pairs = max(1.0, singles * (singles - 1) / 2)
-    found = {}
-    for one in hypotheses:
-        places = float(np.prod([placed[p.kind.name] for p in one.parts])) if one.parts else 1.0
-        among = (PRIOR_NOTHING, PRIOR_SINGLE / singles, PRIOR_PAIR / pairs)[len(one.parts)]
-        found[one.key] = float(np.log(among / places))
-    return found
+    among = (PRIOR_NOTHING, PRIOR_SINGLE / singles, PRIOR_PAIR / pairs)[len(effects)]
+    return float(np.log(among) - sum(np.log(placed[name]) for name in effects))
 
 
 def probabilities(log_posteriors: Float[np.ndarray, " hypotheses"]) -> Float[np.ndarray, " hypotheses"]:
@@ -125,9 +128,8 @@ def probabilities(log_posteriors: Float[np.ndarray, " hypotheses"]) -> Float[np.
 
 
 def size(left: Misfit, matters: Matters) -> float:
-    """The size of a gap in units of what matters: sqrt((share / matters)^2 + sum over contacts of the same)."""
-    contacts = np.sum((left.contact_shares / matters.contact) ** 2)
-    return float(np.sqrt((left.share / matters.motion) ** 2 + contacts))
+    """The size of a gap in units of what matters."""
+    return matters.times(left.share, left.contact_shares.tolist())
 
 
 def closed(without: Misfit, after: Misfit, matters: Matters) -> float:

@@ -7,8 +7,8 @@ from jaxtyping import Float
 from msgspec.structs import replace
 
 from rig.description import Body, Contact, Rig, Sensor, Station, contact_stations
-from rig.modes import modes_of, modes_wanted
 from rig.model.tolerances import Tolerances
+from rig.modes import modes_of, modes_wanted
 from rig.oscillator import Oscillator
 from rig.structure import Structure, structure_of
 
@@ -18,9 +18,7 @@ PLACES = 41
 """Of a beam's shapes, beside those where something stands."""
 
 
-def drawn(
-    rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draws"]
-) -> tuple[Rig, list[float]]:
+def drawn(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draws"]) -> tuple[Rig, list[float]]:
     """The rig with every value off by its tolerance times the next of the standard normal draws.
 
     A beam becomes a structure, each of whose modes has a frequency and a damping of its own. Also returns the corner of

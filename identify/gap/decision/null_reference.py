@@ -63,7 +63,8 @@ class NullReference(msgspec.Struct, frozen=True):
 
     def usual_shares(self) -> Float[np.ndarray, " bands"]:
         """By band: the share that nineteen of twenty nulls stay below."""
-        rows = np.array([n.shares for n in self.nulls])
+        common = min(len(n.shares) for n in self.nulls)  # the bands of a record end where its force does
+        rows = np.array([n.shares[:common] for n in self.nulls])
         beyond = student.ppf(0.95, len(rows) - 1) * np.sqrt(1 + 1 / len(rows))
         return np.asarray(rows.mean(axis=0) + beyond * rows.std(axis=0, ddof=1))
 
@@ -152,7 +153,7 @@ def _high_passed(row: Float[np.ndarray, " samples"], corner_hz: float, rate_hz: 
 def _left(recording: Recording, tolerances: Tolerances) -> Null:
     record = record_of(recording, tolerances=tolerances)
     reference = reference_of(base_of(record, record.rig))
-    left = misfit(record, reference, *fit_nuisance(record, record.rig, rounds=1))
+    left = misfit(record, reference, fit_nuisance(record, record.rig, rounds=1)[1])
     return Null(left.minus_two_log, tuple(left.shares.tolist()), left.share, tuple(left.contact_shares.tolist()))
 
 

@@ -3,43 +3,42 @@
 from msgspec.structs import replace
 
 from identify.gap.results import Gap
-from identify.gap.wording import cause_name
-from identify.wording import percent
+from identify.gap.wording import cause_name, closes, closes_some, joined, leaves
 
 
 def sentence(gap: Gap, criterion: str) -> Gap:
     """The diagnosis with its sentence."""
-    said = _verdict(gap)
-    limits = [name for cause in gap.causes[:1] for name, value in cause.parameters.items() if value.at_limit]
-    if limits and gap.verdict in ("explained", "partly_explained"):
-        said += f" {' and '.join(limits)} stands at the limit of its range: give a wider one, or doubt the effect."
-    said += f" Decided by: {criterion}."
-    said += "".join(f" Channel {name} is {what} and was left out." for name, what in gap.channel_faults.items())
-    return replace(gap, sentence=said)
+    said = [_verdict(gap), *_limits(gap), f"Criterion: {criterion}."]
+    said += [f"Channel {name} is {what} and was left out." for name, what in gap.channel_faults.items()]
+    return replace(gap, sentence=" ".join(said))
 
 
 def _verdict(gap: Gap) -> str:
-    left = _left(gap)
     if gap.verdict == "no_gap":
-        return f"No gap that matters: the believed rig leaves {percent(gap.before.share)} of the acceleration."
+        small = gap.matters.times(gap.before.share, gap.before.contact_shares.values()) <= 1
+        what = "that matters" if small else "beyond tolerances and noise"
+        return f"There is no gap {what}: the believed rig leaves {leaves(gap.before)} unexplained."
+    rest = f" looks like {gap.unknown.sentence}." if gap.unknown else " follows no known form."
     if gap.verdict == "unknown":
-        found = f": {gap.unknown.sentence}" if gap.unknown else ""
-        tried = ""
-        if gap.causes:
-            closest = gap.causes[0]
-            tried = f" The likeliest effect, {cause_name(closest)}, closes {percent(max(closest.explained, 0.0))} of it."
-        return f"There is a gap that no effect of the library explains{found}.{tried}"
+        found = f"There is a gap that no effect of the library explains. It{rest}"
+        if not gap.causes or not closes_some(gap.causes[0]):
+            return f"{found} The likeliest effects close nothing of it."
+        return f"{found} {cause_name(gap.causes[0])}, the likeliest effect, closes only {closes(gap.causes[0])}."
     best = gap.causes[0]
-    low, high = best.interval_95
-    closes = f"closes {percent(best.explained)} ({percent(low)} to {percent(high)}) of the gap"
+    one = len(best.effects) == 1
+    explains, it_closes = ("explains", "it closes") if one else ("explain", "together they close")
+    how = f"{it_closes} {closes(best)} and {'leaves' if one else 'leave'} {leaves(gap.after)} unexplained"
     if gap.verdict == "explained":
-        return f"{cause_name(best)} explains the gap: it {closes}, and leaves {left}."
-    rest = f"; the rest may be {gap.unknown.sentence}" if gap.unknown else ""
-    return f"{cause_name(best)} explains the gap in part: it {closes}, and leaves {left}{rest}."
+        return f"{cause_name(best)} {explains} the gap: {how}."
+    return f"{cause_name(best)} {explains} the gap in part: {how}. The rest{rest}"
 
 
-def _left(gap: Gap) -> str:
-    contacts = "".join(
-        f", {percent(share)} of the force of {name}" for name, share in gap.after.contact_shares.items() if share > 0
-    )
-    return f"{percent(gap.after.share)} of the acceleration{contacts}"
+def _limits(gap: Gap) -> list[str]:
+    """A parameter that stands at the end of what was searched may be larger, or its effect wrong."""
+    if gap.verdict not in ("explained", "partly_explained"):
+        return []
+    at_limit = [name for name, value in gap.causes[0].parameters.items() if value.at_limit]
+    if not at_limit:
+        return []
+    stand = "stands at the limit of its range" if len(at_limit) == 1 else "stand at the limits of their ranges"
+    return [f"{joined(at_limit)} {stand}: the true value may lie beyond, or the effect is another."]

@@ -80,20 +80,26 @@ def _judged(
 ) -> tuple[Verdict, str]:
     before = size(nothing.misfit, matters)
     if best is None or ranked[0] is nothing or unknown_first:
-        if before <= 1:
-            return "no_gap", f"what the believed rig leaves is {before:.2g} times what matters"
-        if not unknown_first and p_before >= USUAL:
-            return "no_gap", f"tolerances and noise leave as much in {100 * p_before:.0f} % of all cases"
-        return "unknown", "no effect of the library is likelier than something unknown"
+        return _without_effect(before, p_before, unknown_first)
     without, after = size(best.without, matters), size(best.misfit, matters)
     made = float(np.sqrt(max(without**2 - after**2, 0.0)))
+    share = closed(best.without, best.misfit, matters)
+    usual = p_after >= USUAL
+    verdict: Verdict = "explained" if after <= 1 or usual else "partly_explained" if share >= HALF else "unknown"
+    left = f"what is left is {after:.2g} times what matters"
     if made <= 1 and before <= 1:
         return "no_gap", f"what the likeliest effect changes is {made:.2g} times what matters"
-    if after <= 1:
-        return "explained", f"what is left is {after:.2g} times what matters"
-    if p_after >= USUAL:
-        return "explained", f"tolerances and noise leave as much in {100 * p_after:.0f} % of all cases"
-    share = closed(best.without, best.misfit, matters)
-    if share >= HALF:
-        return "partly_explained", f"what is left is {after:.2g} times what matters"
-    return "unknown", f"the likeliest effect closes {100 * max(share, 0.0):.0f} % of the gap alone"
+    if verdict == "unknown":
+        return verdict, f"the likeliest effect closes {100 * max(share, 0.0):.0f} % of the gap alone"
+    if after > 1 and usual:
+        left = f"tolerances and noise leave as much in {100 * p_after:.0f} % of all cases"
+    return verdict, left
+
+
+def _without_effect(before: float, p_before: float, unknown_first: bool) -> tuple[Verdict, str]:
+    """Where no effect of the library is the likeliest hypothesis."""
+    if before <= 1:
+        return "no_gap", f"what the believed rig leaves is {before:.2g} times what matters"
+    if not unknown_first and p_before >= USUAL:
+        return "no_gap", f"tolerances and noise leave as much in {100 * p_before:.0f} % of all cases"
+    return "unknown", "no effect of the library is likelier than something unknown"

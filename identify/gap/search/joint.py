@@ -12,7 +12,7 @@ from identify.gap.candidates import Candidate
 from identify.gap.fit import Fit, fit
 from identify.gap.likelihood import Misfit, Reference, misfit
 from identify.gap.nuisance import LIMIT
-from identify.gap.residual import Base, Residual, base_of, rescaled, residual_of, scales_at, same_but_laws
+from identify.gap.residual import Base, Residual, base_of, rescaled, residual_of, same_but_laws, scales_at
 from identify.gap.search.base_excitation import fit_base_excitation
 from identify.gap.search.nominal import fitted, singly_bent
 from identify.gap.search.screening import Screened, grid_screening, score_screening
@@ -81,7 +81,7 @@ class Search:
 
     def nothing(self) -> Hypothesis:
         none = np.zeros(0)
-        left = misfit(self.base.record, self.reference, self.base, self.at)
+        left = misfit(self.base.record, self.reference, self.at)
         return Hypothesis((), none, np.zeros((0, 0)), self.base, self.at, left)
 
 
@@ -126,8 +126,6 @@ def _leaves_something(one: Hypothesis) -> bool:
     return one.misfit.excess > WORTH
 
 
-
-
 def _singles(begun: Search, nothing: Hypothesis) -> list[Hypothesis]:
     base, at = begun.base, _straightened(begun.at)
     fresh = residual_of(base, base.rig, at.nuisance)
@@ -152,7 +150,12 @@ def _singles(begun: Search, nothing: Hypothesis) -> list[Hypothesis]:
         if candidate.kind.stochastic and (shaken := _stochastic(begun, nothing, candidate)):
             found[candidate.name] = shaken
     best = sorted(found.values(), key=_cost)
-    best = [one for one in best[:KEPT] if _cost(nothing) - _cost(one) > WORTH / 2 and _cost(nothing) - _cost(one) > RIVAL * (_cost(nothing) - _cost(best[0]))]
+    best = [
+        one
+        for one in best[:KEPT]
+        if _cost(nothing) - _cost(one) > WORTH / 2
+        and _cost(nothing) - _cost(one) > RIVAL * (_cost(nothing) - _cost(best[0]))
+    ]
     return sorted((refined(begun, one) for one in best), key=_cost)
 
 
@@ -249,7 +252,7 @@ def _bounds(parts: tuple[Candidate, ...]) -> tuple[Float[np.ndarray, " parameter
 
 
 def _hypothesis(begun: Search, parts: tuple[Candidate, ...], base: Base, done: Fit) -> Hypothesis:
-    left = misfit(base.record, begun.reference, base, done.residual)
+    left = misfit(base.record, begun.reference, done.residual)
     return Hypothesis(parts, done.values, done.covariance, base, done.residual, left)
 
 
@@ -260,13 +263,15 @@ def _stochastic(begun: Search, nothing: Hypothesis, candidate: Candidate) -> Hyp
         return None
     values, spread = found
     try:
-        base = base_of(begun.base.record, candidate.applied(begun.base.rig, values), nothing.residual, nothing.base.scales)
+        base = base_of(
+            begun.base.record, candidate.applied(begun.base.rig, values), nothing.residual, nothing.base.scales
+        )
     except RigError:
         return None
     at = fitted(base, nothing.residual).residual
     base = rescaled(base, at)
     at = fitted(base, at).residual
-    left = misfit(base.record, begun.reference, base, at)
+    left = misfit(base.record, begun.reference, at)
     return Hypothesis((candidate,), values, np.diag(spread**2), base, at, left)
 
 
@@ -289,9 +294,7 @@ def _joins(candidate: Candidate, rig: Rig) -> bool:
     return True
 
 
-def _block(
-    one: Float[np.ndarray, "m m"], other: Float[np.ndarray, "n n"]
-) -> Float[np.ndarray, "both both"]:
+def _block(one: Float[np.ndarray, "m m"], other: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "both both"]:
     size = len(one) + len(other)
     found = np.zeros((size, size))
     found[: len(one), : len(one)] = one

@@ -9,13 +9,13 @@ ALONE = 0.5
 def sentence(found: UnknownForce) -> str:
     """Such as "a force at 50.0 Hz, 1.4 N, on the cradle near 0.80 m"."""
     if found.kind == "sensor":
-        return f"sensor {found.sensor}: its signal does not follow the motion"
+        return f"a fault of sensor {found.sensor}: its signal does not follow the motion"
     if found.kind == "distributed":
         changes = " and ".join(
             f"of the {body} by {100 * growth.value:+.2g} %"
             for body, growth in zip(found.bodies, found.growth, strict=True)
         )
-        return f"the stiffness {changes} over the record"
+        return f"a stiffness that changes over the record, {changes}"
     where = f"on the {found.body} near {found.position_m.value:.2f} m"
     if found.kind == "pair":
         where = (

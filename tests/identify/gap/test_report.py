@@ -5,16 +5,20 @@ from base64 import b64decode
 from html.parser import HTMLParser
 from io import BytesIO, StringIO
 
+import msgspec
 import pytest
 from matplotlib.image import imread
 from msgspec.structs import replace
 from rich.console import Console
 
-from identify.gap.pictures import pictures
-from identify.gap.report import shown, write_page
-from identify.gap.results import Closure, Value
-from identify.gap.wording import closed, interval
+from identify.gap.page.advice import next_steps, rest_hz
+from identify.gap.page.pictures import pictures
+from identify.gap.page.report import write_all, write_page
+from identify.gap.page.screen import shown
+from identify.gap.results import Band, Gap, Value
+from identify.gap.wording import closes, interval, leaves, probability
 from identify.wording import COVERED, number, percent
+from rig.description import from_json
 from rig.errors import RigError
 
 VOID = {"meta", "img", "br", "link", "hr"}
@@ -49,32 +53,40 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def written(diagnosis, tmp_path_factory):
+def written(diagnosis, rig_of, tmp_path_factory):
     """A diagnosis, its pictures, and its page as parsed."""
-    figures, path = pictures(diagnosis), tmp_path_factory.mktemp("page") / "gap.html"
+    figures, path = pictures(diagnosis, rig_of(diagnosis)), tmp_path_factory.mktemp("page") / "gap.html"
     write_page(diagnosis, figures, "Gap of one & two", path)
     return diagnosis, figures, Page(path.read_text(encoding="utf-8")), path
 
 
-def test_the_page_answers_the_four_questions_below_the_verdict(written):
+def test_the_page_says_the_verdict_then_what_to_do_then_why(written):
     gap, _, page, _ = written
-    assert page.headings == ["Is there a gap?", "Where?", "Why?", "How far does it shrink?"]
+    unknown = ["What is unknown"] if gap.unknown else []
+    assert page.headings == [
+        "What to do next",
+        "How large is the gap?",
+        "What causes it?",
+        *unknown,
+        "Where does the gap lie?",
+        "Simulated and measured",
+    ]
     assert page.texts.index(gap.sentence) < page.texts.index(page.headings[0])
     assert "Gap of one & two" in page.texts
 
 
 def test_every_number_is_on_the_page(written):
     gap, _, page, _ = written
-    said = {number(gap.size, 3), closed(gap.closure)}
-    said |= {number(x, 3) for x in (gap.closure.before, gap.closure.floor, gap.closure.after)}
-    said.add(percent(1.0 - sum(c.probability for c in gap.causes)))
+    said = {percent(gap.matters.motion), probability(gap.probability_nothing), probability(gap.probability_unknown)}
+    lefts = [gap.before, *(cause.left for cause in gap.causes)]
+    said |= {percent(s) for left in lefts for s in (left.share, *left.contact_shares.values())}
     for cause in gap.causes:
-        said |= {percent(cause.probability), number(cause.left, 3), *cause.places.values(), *cause.parameters}
+        said |= {probability(cause.probability), closes(cause), *cause.places.values(), *cause.parameters}
         said |= {interval(v) for v in cause.parameters.values()}
-    for figure in gap.likeness:
+    for figure in gap.figures:
         said |= {number(x) for x in (figure.measured, figure.believed, figure.corrected)}
         said.add(f"{figure.name}, {figure.unit}")
-    where = gap.where
+    where = gap.attribution
     for shares in (
         where.channels,
         where.parts,
@@ -84,9 +96,13 @@ def test_every_number_is_on_the_page(written):
     ):
         said |= {percent(s) for s in shares.values()}
     said |= {percent(s.share) for s in (*where.band_hz, *where.time_s)}
-    said |= {" / ".join(names) for names in gap.equivalent} | set(gap.separate_by)
+    said |= {" / ".join(names) for names in gap.equivalent} | set(next_steps(gap))
     said |= set(gap.channel_faults) | set(gap.channel_faults.values())
+    if gap.unknown:
+        said |= {gap.unknown.law, percent(gap.unknown.explained), f"{number(gap.unknown.rms_n, 3)} N rms"}
     assert said <= set(page.texts)
+    text = " ".join(page.texts)
+    assert f"alone they leave as much in {percent(gap.before.p_value)} of all cases" in text
 
 
 def test_the_pictures_are_in_the_page_and_nothing_is_fetched(written):
@@ -102,20 +118,46 @@ def test_the_pictures_are_in_the_page_and_nothing_is_fetched(written):
     assert "http" not in re.sub(r'src="data:[^"]*"', "", path.read_text(encoding="utf-8"))
 
 
-def test_a_cause_is_accepted_only_where_the_verdict_says_so(written):
-    gap, _, page, _ = written
-    assert ("No cause is accepted. What was tried:" in page.texts) == (gap.verdict != "effect")
+def test_a_limit_that_is_reached_is_said(gaps, tmp_path):
+    gap = gaps["explained"]
+    assert "added_mass.relative_position stands at the limit of its range" in gap.sentence
+    write_page(gap, {}, "limit", tmp_path / "gap.html")
+    assert "(at the limit of its range)" in (tmp_path / "gap.html").read_text(encoding="utf-8")
+
+
+def test_what_to_do_depends_on_the_verdict(gaps):
+    steps = {name: " ".join(next_steps(gap)) for name, gap in gaps.items()}
+    assert "Nothing needs to be done" in steps["null"]
+    assert "corrected rig.json" in steps["explained"]
+    assert "To test clamp_compliance: measure close to the clamp." in steps["explained"]
+    for word in ("better rig, not as the right one", "the cradle near 0.80 m", "50.0 Hz", "weigh the part"):
+        assert word in steps["partly_explained"]
+    for word in ("Keep rig.json as it is", "the barrel near 0.89 m", "grows with the displacement"):
+        assert word in steps["unknown"]
+    assert "corrected" not in steps["unknown"]
+
+
+def test_what_is_left_is_named_by_its_frequencies(gaps):
+    gap = gaps["partly_explained"]
+    bands = tuple(
+        Band(low_hz=2.0 * i, high_hz=2.0 * i + 2, before=0.1, after=after, usual=usual)
+        for i, (after, usual) in enumerate(
+            [(0.1, 0.2), (0.1, 0.01), (0.1, 0.01), (0.001, 0.0), (0.1, 0.0)] + 8 * [(0, 0)]
+        )
+    )
+    assert rest_hz(replace(gap, bands=bands)) == [(2.0, 10.0)]
+    assert rest_hz(replace(gap, bands=bands[:1])) == []
 
 
 def test_names_cannot_break_the_page(gaps, tmp_path):
-    gap = gaps["effect"]
+    gap = gaps["explained"]
     bold = "<b>"
     channels = {bold: 0.6, "\"&amp;'>": 0.4}
     cause = replace(gap.causes[0], places={"added_mass.body": "</table>"})
     odd = replace(
         gap,
         sentence="The gap is <i>here</i>.",
-        where=replace(gap.where, channels=channels),
+        attribution=replace(gap.attribution, channels=channels),
         causes=(cause,),
         channel_faults={bold: "dead"},
         separate_by=("<script>alert(1)</script>",),
@@ -123,8 +165,9 @@ def test_names_cannot_break_the_page(gaps, tmp_path):
     path = tmp_path / "gap.html"
     write_page(odd, {}, "</title>", path)
     page = Page(path.read_text(encoding="utf-8"))
-    assert {*channels, "</table>", "</title>", odd.sentence, *odd.separate_by} <= set(page.texts)
-    assert page.tags.count("b") == 2  # the verdict and the size
+    said = {*channels, "</table>", "</title>", odd.sentence, "To test <script>alert(1)</script>."}
+    assert said <= set(page.texts)
+    assert page.tags.count("b") == 1  # the verdict
     assert not {"i", "script"} & set(page.tags)
 
 
@@ -149,17 +192,22 @@ def test_a_link_is_not_written_through(gaps, tmp_path):
 
 
 def test_the_screen_shows_the_verdict(diagnosis):
-    console = Console(width=300, record=True, file=StringIO())
+    console = Console(width=600, record=True, file=StringIO())
     console.print(shown(diagnosis))
     text = console.export_text()
     assert diagnosis.sentence in text
-    assert closed(diagnosis.closure) in text
     for cause in diagnosis.causes:
-        assert percent(cause.probability) in text
+        assert probability(cause.probability) in text
+        assert closes(cause) in text
+        assert leaves(cause.left) in text
         for value in cause.parameters.values():
             assert interval(value) in text
     for names in diagnosis.equivalent:
         assert " / ".join(names) in text
+    for step in next_steps(diagnosis):
+        assert step in text
+    if diagnosis.unknown:
+        assert diagnosis.unknown.sentence in text
 
 
 def test_an_interval_has_two_digits_of_its_half_width():
@@ -186,9 +234,19 @@ def test_nothing_is_said_to_be_certain():
     assert percent(0.934) == "93.4 %"
 
 
-def test_near_the_floor_no_fraction_is_given():
-    assert closed(Closure(0.94, 0.92, 0.94, None, None)).startswith("no share")
-    assert closed(Closure(2.0, 1.0, 1.1, 0.9, (0.8, 1.0))) == "90.0 % (95 % interval 80.0 % to 100.0 %)"
+def test_what_closes_nothing_is_said_to_close_nothing(gaps):
+    cause = gaps["pair"].causes[0]
+    assert closes(cause) == "94.0 % (91.0 to 96.0 %)"
+    assert closes(replace(cause, explained=0.02, interval_95=(-0.1, 0.2))) == "nothing"
+    assert probability(1.0) == "> 99.9 %"
+
+
+def test_page_numbers_and_corrected_rig_are_written_together(gaps, rig_of, tmp_path):
+    gap = gaps["one_mass"]
+    write_all(gap, rig_of(gap), "one mass", tmp_path / "out")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"gap.html", "gap.json", "rig.json"}
+    assert msgspec.json.decode((tmp_path / "out" / "gap.json").read_bytes(), type=Gap) == gap
+    assert from_json((tmp_path / "out" / "rig.json").read_bytes(), "rig.json") == rig_of(gap)
 
 
 def test_a_browser_shows_all_of_it_on_a_phone(opened, written):

@@ -93,9 +93,9 @@ def test_one_stop_softens_on_its_side_alone():
     assert (law.stiffness_below_n_per_m, law.stiffness_above_n_per_m) == (1e5, 5e4)
 
 
-def test_a_lag_shows_the_force_before_it_acts(plain):
+def test_a_shift_shows_the_force_before_it_acts(plain):
     """The measured force of one sample ago is the true one; the motion is as it was."""
-    late = record(put_in("actuator_lag", lag_s=1 / 4096))
+    late = record(put_in("force_shift", shift_s=1 / 4096))
     np.testing.assert_allclose(late.acceleration_m_per_s2, plain.acceleration_m_per_s2, atol=1e-9)
     np.testing.assert_allclose(late.force_n[500:-1], plain.force_n[501:], atol=1e-9)
 

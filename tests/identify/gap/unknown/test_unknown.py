@@ -99,7 +99,7 @@ def test_a_sensor_that_clips_is_a_sensor(world):
 
     found = found_in(world, None, clipped)
     assert (found.kind, found.sensor) == ("sensor", world.rig.sensors[row].name)
-    assert sentence(found) == f"sensor {found.sensor}: its signal does not follow the motion"
+    assert sentence(found) == f"a fault of sensor {found.sensor}: its signal does not follow the motion"
 
 
 def test_a_null_shows_no_force(world):

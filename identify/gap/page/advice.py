@@ -1,0 +1,134 @@
+"""What to do next, in concrete sentences by verdict."""
+
+from identify.gap.results import Gap, Unknown
+from identify.gap.wording import cause_name, closes_some, joined, leaves
+from identify.wording import percent
+
+USUAL = 0.05
+"""A p-value above it is what tolerances and noise explain."""
+WIDEST = 3
+"""Ranges of frequency that are named."""
+
+BRIDGED_HZ = 10.0
+"""Ranges closer than this are one."""
+
+_BY_DEPENDENCE = {
+    "displacement": "The force grows with the displacement: push there with known weights and measure the way.",
+    "clearance": "The force acts beyond a clearance: push there until something touches, and measure the way.",
+    "velocity": "The force grows with the velocity: record a free decay, or record at two levels of force.",
+    "velocity squared": "The force grows with the square of the velocity: record at two levels of force.",
+    "acceleration": "The force grows with the acceleration: fix a known mass there and record again.",
+}
+
+
+def next_steps(gap: Gap) -> list[str]:
+    """What a reader of the diagnosis does now, most useful first."""
+    return {"no_gap": _no_gap, "explained": _explained, "partly_explained": _partly, "unknown": _unknown}[gap.verdict](
+        gap
+    )
+
+
+def rest_hz(gap: Gap) -> list[tuple[float, float]]:
+    """Ranges of frequency, widest first, in which what is left exceeds what matters and what null simulations leave."""
+    ranges: list[tuple[float, float]] = []
+    for band in gap.bands:
+        if band.after <= max(band.usual, gap.matters.motion):
+            continue
+        near = ranges and band.low_hz - ranges[-1][1] < BRIDGED_HZ
+        ranges.append((ranges.pop()[0] if near else band.low_hz, band.high_hz))
+    return sorted(ranges, key=lambda r: r[0] - r[1])
+
+
+def _no_gap(gap: Gap) -> list[str]:
+    steps = ["Nothing needs to be done: simulate with rig.json as it is."]
+    if gap.before.p_value < USUAL:
+        return [
+            *steps,
+            "What is left is small, but more than tolerances and noise explain. To see its cause, lower --matters and "
+            "--matters-contact and diagnose again.",
+        ]
+    return [
+        *steps,
+        "To find smaller gaps, state tighter tolerances where you have measured them (--tolerances), record for "
+        "longer, or excite more strongly.",
+    ]
+
+
+def _explained(gap: Gap) -> list[str]:
+    best = gap.causes[0]
+    steps = [f"Simulate with the corrected rig.json (--out writes it): it holds {cause_name(best)}."]
+    if gap.after.p_value < USUAL:
+        steps.append(
+            f"What is left is {leaves(gap.after)}: more than tolerances and noise leave, too little to matter."
+        )
+    else:
+        steps.append("Look for no further cause: what is left is what tolerances and noise leave.")
+    return steps + _tell_apart(gap)
+
+
+def _partly(gap: Gap) -> list[str]:
+    best = gap.causes[0]
+    steps = [
+        "Take the corrected rig.json (--out writes it) as the better rig, not as the right one: with "
+        f"{cause_name(best)} it still leaves {leaves(gap.after)} unexplained."
+    ]
+    return steps + _rest(gap) + (_where_to_look(gap.unknown) if gap.unknown else []) + _tell_apart(gap)
+
+
+def _unknown(gap: Gap) -> list[str]:
+    steps = ["Keep rig.json as it is for now: no effect of the library would make it right."]
+    steps += _where_to_look(gap.unknown) if gap.unknown else _rest(gap)
+    if gap.causes and closes_some(gap.causes[0]):
+        return steps + _tell_apart(gap)
+    return steps
+
+
+def _rest(gap: Gap) -> list[str]:
+    ranges = rest_hz(gap)[:WIDEST]
+    if not ranges:
+        share = max(gap.after.contact_shares.items(), key=lambda item: item[1], default=("", 0.0))
+        if share[1] <= gap.matters.contact:
+            return []
+        return [f"Look at {share[0]}: the rest lies in its force, of which {percent(share[1])} is unexplained."]
+    said = joined([f"{low:g} to {high:g} Hz" for low, high in sorted(ranges)])
+    return [f"Look for something that acts from {said}: there more is left than what matters and what noise leaves."]
+
+
+def _where_to_look(unknown: Unknown) -> list[str]:
+    """Where, and what to measure there."""
+    if unknown.kind == "sensor":
+        return [f"Look at sensor {unknown.sensor}, its mounting and its cable; exchange it and record again."]
+    if unknown.kind == "distributed":
+        bodies = joined([f"the {body}" for body in unknown.growth])
+        return [f"Measure the temperature of {bodies} along the record, and record again after it has settled."]
+    steps = [f"Look at {place(unknown)}: what touches it, hangs on it or drives it there is not in rig.json."]
+    if not unknown.same_place:
+        steps.append("Doubt this place: the second record alone shows another. Record again at another level of force.")
+    if unknown.frequency_hz is not None:
+        steps.append(
+            f"Record without the exciting force and switch motors and mains supplies off one by one: find what runs at "
+            f"{unknown.frequency_hz:.1f} Hz."
+        )
+    elif unknown.against in _BY_DEPENDENCE:
+        steps.append(_BY_DEPENDENCE[unknown.against])
+    elif unknown.when == "in contact":
+        steps.append("Look at the surfaces that touch: it acts only while contacts are closed.")
+    elif unknown.when == "growing with time":
+        steps.append("Record for longer and note the temperature: it grows with time.")
+    else:
+        steps.append("Record without the exciting force: what remains comes from outside.")
+    steps.append("Put a further sensor there, or measure this force, and diagnose again.")
+    return steps
+
+
+def place(unknown: Unknown) -> str:
+    """Such as "the barrel near 0.89 m"."""
+    at = f"the {unknown.body} near {unknown.position_m or 0.0:.2f} m"
+    if unknown.against_body:
+        return f"{at} and the {unknown.against_body} near {unknown.against_position_m or 0.0:.2f} m"
+    return at
+
+
+def _tell_apart(gap: Gap) -> list[str]:
+    steps = [f"This record hardly tells {joined(names, 'from')}." for names in gap.equivalent]
+    return steps + [f"To test {experiment}." for experiment in gap.separate_by]

@@ -1,0 +1,40 @@
+"""What the pictures of a diagnosis share: colours, bars, plain numbers along axes."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+BLUE, RED, GREY, GREEN, INK = "#1f5fa8", "#c8402f", "#8a8a8a", "#2c8a57", "#444444"
+LONGEST = 34
+"""Letters of a name beside a bar."""
+MOST_LABELS = 12
+
+
+def short(name: str) -> str:
+    return name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…"
+
+
+def stacked(name: str) -> str:
+    """A cause, one effect a line."""
+    first, *others = name.split(" + ")
+    return "\n".join([short(first), *(short(f"+ {other}") for other in others)])
+
+
+def lying_bars(figure: Any, names: Sequence[str], sizes: Sequence[float], said: Sequence[str], colours: Any) -> Any:
+    """Lying bars, the first on top, with what is said of each at its end."""
+    axes = figure.subplots()
+    bars = axes.barh(np.arange(len(names)), sizes, height=0.62, color=colours)
+    axes.bar_label(bars, said, padding=4)
+    axes.set_yticks(np.arange(len(names)), names)
+    axes.invert_yaxis()
+    axes.grid(axis="y", visible=False)
+    return axes
+
+
+def plain_decades(axis: Any) -> None:
+    """Plain numbers along a logarithmic axis; between the powers of ten only where it spans few."""
+    low, high = sorted(axis.get_view_interval())
+    few = high < 20 * low
+    axis.set_major_formatter(lambda value, _: f"{value:g}")
+    axis.set_minor_formatter(lambda value, _: f"{value:g}" if few and f"{value:e}"[0] in "25" else "")

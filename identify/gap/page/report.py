@@ -1,0 +1,65 @@
+"""gap.html: a diagnosis as a page that stands alone, beside gap.json and the corrected rig.json."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from identify import page
+from identify.gap.page.screen import COLOURS
+from identify.gap.page.sections import causes, how_large, response_comparison, unknown_force, what_next, where
+from identify.gap.results import Gap
+from identify.gap.wording import VERDICTS
+from identify.results import write_json
+from rig.container import part_of
+from rig.description import Rig, to_json
+
+CAPTIONS = {
+    "large_bands": "The share of the measured acceleration that each rig leaves unexplained, in bands of frequency. "
+    "Nineteen of twenty null simulations (the believed rig within its tolerances) stay below the green line; a share "
+    "below the dashed line is too small to matter.",
+    "unknown_place": "The bodies seen from the side, with what is unknown in red: a dot where it acts, the double "
+    "arrow along the direction in which it pushes and pulls.",
+}
+"""Of the pictures that are shown wide; the others carry their titles."""
+
+
+def write_all(gap: Gap, corrected: Rig, title: str, folder: Path) -> None:
+    """gap.html, the corrected rig's rig.json, and gap.json, each whole or not at all."""
+    from identify.gap.page.pictures import pictures
+
+    folder.mkdir(parents=True, exist_ok=True)
+    write_page(gap, pictures(gap, corrected), title, folder / "gap.html")
+    part = part_of(folder / "rig.json")
+    part.write_bytes(to_json(corrected))
+    part.replace(folder / "rig.json")
+    write_json(gap, folder / "gap.json")
+
+
+def write_page(gap: Gap, figures: Mapping[str, bytes], title: str, path: Path) -> None:
+    """Writes the page, which needs no other file: beside first, then renamed.
+
+    figures are PNG files; the first word of a name says the section, as `identify.gap.page.pictures` names them.
+    """
+    sections = [
+        ("What to do next", "next", what_next(gap)),
+        ("How large is the gap?", "large", how_large(gap)),
+        ("What causes it?", "why", causes(gap)),
+        *([("What is unknown", "unknown", unknown_force(gap.unknown))] if gap.unknown else []),
+        ("Where does the gap lie?", "where", where(gap.attribution)),
+        ("Simulated and measured", "far", response_comparison(gap)),
+    ]
+    page.write(
+        path,
+        title=title,
+        colour=COLOURS[gap.verdict],
+        verdict=VERDICTS[gap.verdict],
+        sentence=gap.sentence,
+        sections=[(heading, f"{text}\n{_images(figures, key)}") for heading, key, text in sections],
+        foot="Every number of this page stands in gap.json, unrounded.",
+    )
+
+
+def _images(figures: Mapping[str, bytes], section: str) -> str:
+    own = {name: png for name, png in figures.items() if name.split("_")[0] == section}
+    wide = "".join(page.figure(name, png, CAPTIONS[name]) for name, png in own.items() if name in CAPTIONS)
+    small = "".join(page.picture(name, png) for name, png in own.items() if name not in CAPTIONS)
+    return wide + (f'<div class="pictures">\n{small}</div>' if small else "")

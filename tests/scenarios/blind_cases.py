@@ -1,0 +1,122 @@
+"""Hand-made answers and hand-made findings."""
+
+import numpy as np
+
+from identify.gap.results import Attribution, Cause, Gap, Left, Matters, Unknown, Value
+from scenarios.blind_diagnosis import Found
+from scenarios.scoreboard import Compared
+from scenarios.true_effect import Best, Effect
+from scenarios.worlds.believed import believed_rig, nominal_machine
+from scenarios.worlds.truth import Case, EffectTruth, Expected
+
+MACHINE = nominal_machine(believed_rig("own", np.random.default_rng(1)))
+NOTHING = Attribution(
+    channels={}, modal_equations={}, positions_m={}, band_hz=(), contact_state={}, time_s=(), surface={}
+)
+ABOVE, BELOW = Effect(made=5.0, gain=50.0, needed=32.0), Effect(made=0.5, gain=8.0, needed=32.0)
+
+
+def effect(name, place=None, strength=1.0, **parameters):
+    return EffectTruth(name=name, parameters=parameters, place=place or {}, strength=strength)
+
+
+def case(kind, *effects, name=None, expected=None, sha256=None):
+    machines = dict.fromkeys(("nominal", "drawn", "true"), MACHINE)
+    return Case(
+        case=name or " and ".join((kind, *(e.name for e in effects))),
+        world="own",
+        kind=kind,
+        effects=effects,
+        expected=expected,
+        hung=False,
+        records=(),
+        draw=0,
+        refused=(),
+        sha256=sha256 or {},
+        **machines,
+    )
+
+
+def expected(where, law, **fields):
+    return Expected(where=where, law=law, **fields)
+
+
+def left(share):
+    """What is left, of what matters by default: share / 0.005."""
+    return Left(share=share, contact_shares={"contact_1": 0.0}, p_value=0.5)
+
+
+def cause(*effects, probability=0.9, explained=0.8, log_prior=-6.0, minus_two_log=0.0, leaves=0.005, **fields):
+    """Parameters and places as EFFECT__FIELD."""
+    parameters = {k.replace("__", "."): v for k, v in fields.items() if isinstance(v, Value)}
+    places = {k.replace("__", "."): v for k, v in fields.items() if isinstance(v, str)}
+    return Cause(
+        effects=effects,
+        probability=probability,
+        parameters=parameters,
+        places=places,
+        explained=explained,
+        interval_95=(0.0, 1.0),
+        left=left(leaves),
+        log_prior=log_prior,
+        minus_two_log=minus_two_log,
+    )
+
+
+def gap(verdict, *causes, nothing=0.1, unknown=0.0, force=None, nothing_minus_two_log=100.0, unknown_gain=None):
+    return Gap(
+        verdict=verdict,
+        sentence="",
+        before=left(0.05),
+        after=left(0.005),
+        matters=Matters(),
+        causes=causes,
+        probability_nothing=nothing,
+        probability_unknown=unknown,
+        nothing_minus_two_log=nothing_minus_two_log,
+        unknown_gain=unknown_gain,
+        unknown=force,
+        bands=(),
+        equivalent=(),
+        separate_by=(),
+        attribution=NOTHING,
+    )
+
+
+def force(kind, body=None, position_m=None, sensor=None, contact=None, law="", against="none", frequency_hz=None):
+    return Unknown(
+        sentence="a force",
+        kind=kind,
+        body=body,
+        position_m=position_m,
+        position_error_m=None if position_m is None else 0.01,
+        sensor=sensor,
+        contact=contact,
+        frequency_hz=frequency_hz,
+        band_hz=(1.0, 200.0),
+        rms_n=1.0,
+        when="always",
+        against=against,
+        law=law,
+        explained=0.9,
+    )
+
+
+def found(of, name="case", sha256=None, cpu_s=10.0, nulls_cpu_s=0.0, key="key"):
+    return Found(
+        case=name,
+        sha256=sha256 or {},
+        gap=of,
+        cpu_s=cpu_s,
+        nulls_cpu_s=nulls_cpu_s,
+        memory_mib=500.0,
+        key=key,
+        tolerances=None,
+    )
+
+
+def compared(truth, of, *limits, before=10.0, closes=0.9, usual=0.5, **costs):
+    """limits: what each true effect achieves, above its limit if nothing is said."""
+    if truth.kind in ("single", "pair"):
+        limits = limits or (ABOVE,) * len(truth.effects)
+    return Compared(truth, found(of, truth.case, **costs), Best(before, closes, limits), usual)
