@@ -71,8 +71,8 @@ def _looked(
     inner = np.linalg.solve(normal.matrix[np.ix_(free, free)], normal.matrix[free, own])
     curvature = normal.matrix[own, own] - normal.matrix[own][:, free] @ inner
     slope = normal.gradient[own] - inner.T @ normal.gradient[free]
-    if np.any(np.diag(curvature) <= 1e-9 * np.diag(normal.matrix)[own]):
-        return None
+    if np.any(np.diag(curvature) <= 1e-9 * np.maximum(np.diag(normal.matrix)[own], 1.0)):
+        return None  # nothing moves there, as a force on a clamp
     steps = candidate.steps[strong]
     low, high = (ends[strong] for ends in candidate.bounds)
     size = (np.clip(start[strong] + np.linalg.solve(curvature, slope) * steps, low, high) - start[strong]) / steps
