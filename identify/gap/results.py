@@ -126,6 +126,8 @@ class MeanForce(msgspec.Struct, frozen=True):
 class Unknown(msgspec.Struct, frozen=True, kw_only=True):
     """A force, or a fault of a sensor, that no effect of the library is: what is found of it.
 
+    Beside the believed rig where the cause is unknown, beside the likeliest cause where that explains the gap in part.
+
     A pair of forces acts at `position_m` of `body` and, opposite, at `against_position_m` of `against_body`; growth is
     by how much the stiffness of each body changes over the record, relative. by_time is the force's rms in equal parts
     of the time, before_excitation its rms before the measured force begins over that after (0 without a quiet start).
