@@ -25,7 +25,7 @@ h3{font-size:1rem;margin:1.2rem 0 .3rem}p{margin:.4rem 0}ul{margin:.3rem 0;paddi
 .verdict b{display:block;font-size:.85rem;text-transform:uppercase;letter-spacing:.04em}
 .verdict p{color:var(--ink);font-size:1.15rem}.green{color:var(--green)}.yellow{color:var(--yellow)}
 .red{color:var(--red)}.dim{color:var(--dim);font-size:.9rem}
-.wide{overflow-x:auto}table{border-collapse:collapse;font-size:.92rem;font-variant-numeric:tabular-nums}
+.wide{overflow-x:auto}.wide+.wide{margin-top:.8rem}table{border-collapse:collapse;font-size:.92rem;font-variant-numeric:tabular-nums}
 th,td{text-align:left;padding:.25rem .9rem .25rem 0;border-bottom:1px solid var(--line);vertical-align:top;
 overflow-wrap:break-word}th{color:var(--dim);font-weight:600}td.number{white-space:nowrap}
 .pictures{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,22rem),1fr));gap:.8rem;margin:.8rem 0;

@@ -166,9 +166,3 @@ def _of_contact(seen: Seen, contact: Contact, seconds: int) -> list[list[float]]
     usual_n = np.divide(1.0, seen.weights, out=np.zeros(weights.size), where=moving)
     rows = (left_n * seen.weights) ** 2, left_n**2 - usual_n**2, contact.laid.force_n**2
     return [[float(np.mean(part)) for part in np.array_split(row, seconds)] for row in rows]
-
-
-def explained_fraction(before: Misfit, after: Misfit) -> float:
-    """1 - excess after / excess before; zero where there was none."""
-    whole = before.excess
-    return 1 - after.excess / whole if whole > 0 else 0.0

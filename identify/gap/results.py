@@ -33,9 +33,9 @@ class Left(msgspec.Struct, frozen=True, kw_only=True):
 class Cause(msgspec.Struct, frozen=True, kw_only=True):
     """Effects that together explain the gap, wholly or in part. parameters and places are named EFFECT.FIELD.
 
-    explained is the fraction of the gap that they close on the validation record: of the logarithm of the residual over
-    noise and tolerated shares, so that one is a gap closed in every band, sensor and contact. log_prior and
-    minus_two_log, up to constants of all hypotheses, are what the probability is made of.
+    explained is the share of the gap that they close on the validation record: 1 - size with them / size without, of
+    what `Matters` measures, with the nuisance parameters as they are with them. log_prior and minus_two_log are what
+    the probability is made of.
     """
 
     effects: tuple[str, ...]
@@ -128,6 +128,8 @@ class MeanForce(msgspec.Struct, frozen=True):
 
 class Unknown(msgspec.Struct, frozen=True, kw_only=True):
     """A force, or a fault of a sensor, that no effect of the library is: what is found of it.
+
+    Beside the believed rig where the cause is unknown, beside the likeliest cause where that explains the gap in part.
 
     A pair of forces acts at `position_m` of `body` and, opposite, at `against_position_m` of `against_body`; growth is
     by how much the stiffness of each body changes over the record, relative. by_time is the force's rms in equal parts

@@ -18,6 +18,8 @@ WHEN = {
     "in contact": "while contacts are closed",
     "growing with time": "growing with time",
 }
+MOST = 0.5
+"""A description of something unknown that explains less of it is a hint, not what it looks like."""
 CERTAIN = 1 - 1e-9
 NOTHING = 0.01
 """A cause whose interval begins below this share is said to close nothing."""

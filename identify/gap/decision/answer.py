@@ -79,9 +79,12 @@ def diagnose(
     decision = decided(ranked, None, record.strictness, nulls, matters)
     unknown, swinging = None, None
     if decision.verdict in ("partly_explained", "unknown"):
-        unknown = _unknown(fit_record, record)
-        swinging = breathing(record, decision.nothing.residual)
+        unknown = _unknown(fit_record, record, fit_record.rig)
         decision = decided(ranked, unknown, record.strictness, nulls, matters)
+        swinging = breathing(record, decision.nothing.residual)
+    if decision.verdict == "partly_explained" and decision.best:  # what the rest is
+        unknown = _unknown(fit_record, record, decision.best.rig)
+        swinging = breathing(record, decision.best.residual)
     progress("causes", 0.95)
     corrected = _corrected(decision, other.rig, believed)
     figures, curves = compared(other, other.rig, _likeliest(decision, other.rig), simulator.simulate)
@@ -150,9 +153,10 @@ def _halves(recording: Recording) -> tuple[Recording, Recording]:
     return part(slice(0, cut)), part(slice(cut, None))
 
 
-def _unknown(fit_record: Record, record: Record) -> UnknownForce | None:
+def _unknown(fit_record: Record, record: Record, rig: Rig) -> UnknownForce | None:
+    """What acts unmeasured beside a rig."""
     try:
-        return likeliest_force(fit_record, fit_record.rig, record)
+        return likeliest_force(fit_record, rig, record)
     except RigError:
         return None  # too few sensors to show a force beside the contacts'
 

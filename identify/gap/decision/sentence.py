@@ -3,7 +3,8 @@
 from msgspec.structs import replace
 
 from identify.gap.results import Gap
-from identify.gap.wording import cause_name, closes, closes_some, joined, leaves
+from identify.gap.wording import MOST, cause_name, closes, closes_some, joined, leaves
+from identify.wording import percent
 
 
 def sentence(gap: Gap, criterion: str) -> Gap:
@@ -18,9 +19,8 @@ def _verdict(gap: Gap) -> str:
         small = gap.matters.times(gap.before.share, gap.before.contact_shares.values()) <= 1
         what = "that matters" if small else "beyond tolerances and noise"
         return f"There is no gap {what}: the believed rig leaves {leaves(gap.before)} unexplained."
-    rest = f" looks like {gap.unknown.sentence}." if gap.unknown else " follows no known form."
     if gap.verdict == "unknown":
-        found = f"There is a gap that no effect of the library explains. It{rest}"
+        found = f"There is a gap that no effect of the library explains. {_looks(gap, 'It')}"
         if not gap.causes or not closes_some(gap.causes[0]):
             return f"{found} The likeliest effects close nothing of it."
         return f"{found} {cause_name(gap.causes[0])}, the likeliest effect, closes only {closes(gap.causes[0])}."
@@ -30,7 +30,17 @@ def _verdict(gap: Gap) -> str:
     how = f"{it_closes} {closes(best)} and {'leaves' if one else 'leave'} {leaves(gap.after)} unexplained"
     if gap.verdict == "explained":
         return f"{cause_name(best)} {explains} the gap: {how}."
-    return f"{cause_name(best)} {explains} the gap in part: {how}. The rest{rest}"
+    return f"{cause_name(best)} {explains} the gap in part: {how}. {_looks(gap, 'The rest')}"
+
+
+def _looks(gap: Gap, what: str) -> str:
+    """What an unmeasured force tells of the gap, or of its rest, and how much of it where that is not most."""
+    if gap.unknown is None:
+        return f"{what} has no form that was recognised."
+    if gap.unknown.explained >= MOST:
+        return f"{what} looks like {gap.unknown.sentence}."
+    share = percent(gap.unknown.explained)
+    return f"{what} has no simple form; the nearest explains {share} of its mean square: {gap.unknown.sentence}."
 
 
 def _limits(gap: Gap) -> list[str]:

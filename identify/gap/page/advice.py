@@ -1,7 +1,7 @@
 """What to do next, in concrete sentences by verdict."""
 
 from identify.gap.results import Gap, Unknown
-from identify.gap.wording import cause_name, closes_some, joined, leaves
+from identify.gap.wording import MOST, cause_name, closes_some, joined, leaves
 from identify.wording import percent
 
 USUAL = 0.05
@@ -9,6 +9,8 @@ USUAL = 0.05
 WIDEST = 3
 """Ranges of frequency that are named."""
 
+EVERYWHERE = 0.8
+"""Of the band: what is left there is left everywhere."""
 BRIDGED_HZ = 10.0
 """Ranges closer than this are one."""
 
@@ -90,12 +92,20 @@ def _rest(gap: Gap) -> list[str]:
         if share[1] <= gap.matters.contact:
             return []
         return [f"Look at {share[0]}: the rest lies in its force, of which {percent(share[1])} is unexplained."]
+    if sum(high - low for low, high in ranges) > EVERYWHERE * (gap.bands[-1].high_hz - gap.bands[0].low_hz):
+        return [
+            "What is left is spread over all frequencies: check what acts on all of them, such as gains, stations, "
+            "cables and cross-axis sensitivity."
+        ]
     said = joined([f"{low:g} to {high:g} Hz" for low, high in sorted(ranges)])
     return [f"Look for something that acts from {said}: there more is left than what matters and what noise leaves."]
 
 
 def _where_to_look(unknown: Unknown) -> list[str]:
     """Where, and what to measure there."""
+    if unknown.explained < MOST:
+        hint = f"Take this as a hint, as it explains only {percent(unknown.explained)} of what is left: "
+        return [f"{hint}look at {_what(unknown)}."]
     if unknown.kind == "sensor":
         return [f"Look at sensor {unknown.sensor}, its mounting and its cable; exchange it and record again."]
     if unknown.kind == "contact":
@@ -124,6 +134,14 @@ def _where_to_look(unknown: Unknown) -> list[str]:
         steps.append("Record without the exciting force: what remains comes from outside.")
     steps.append("Put a further sensor there, or measure this force, and diagnose again.")
     return steps
+
+
+def _what(unknown: Unknown) -> str:
+    if unknown.kind == "sensor":
+        return f"sensor {unknown.sensor}"
+    if unknown.kind == "distributed":
+        return f"the stiffness of {joined([f'the {body}' for body in unknown.growth])}"
+    return place(unknown)
 
 
 def place(unknown: Unknown) -> str:

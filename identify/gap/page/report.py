@@ -39,11 +39,12 @@ def write_page(gap: Gap, figures: Mapping[str, bytes], title: str, path: Path) -
 
     figures are PNG files; the first word of a name says the section, as `identify.gap.page.pictures` names them.
     """
+    rest = "What the rest looks like" if gap.verdict == "partly_explained" else "What is unknown"
     sections = [
         ("What to do next", "next", what_next(gap)),
         ("How large is the gap?", "large", how_large(gap)),
         ("What causes it?", "why", causes(gap)),
-        *([("What is unknown", "unknown", unknown_force(gap.unknown))] if gap.unknown else []),
+        *([(rest, "unknown", unknown_force(gap.unknown))] if gap.unknown else []),
         ("Where does the gap lie?", "where", where(gap.attribution)),
         ("Simulated and measured", "far", response_comparison(gap)),
     ]

@@ -213,12 +213,6 @@ def _parameters(law: Law) -> dict[str, Value]:
     return found
 
 
-def _rms_error(own: Observed, power: Float[np.ndarray, " bands"], rms: float) -> float:
-    """By the number of independent values that the spectrum is estimated from."""
-    values = own.count * float(np.sum(power)) ** 2 / max(float(np.sum(power**2 / own.sizes)), 1e-300)
-    return rms / float(np.sqrt(2 * max(values, 1.0)))
-
-
 def _band(own: Observed, power: Float[np.ndarray, " bands"]) -> tuple[float, float]:
     """Holds `IN_BAND` of the force's power, as much left out at either end; the whole band if there is none."""
     if not np.any(power):

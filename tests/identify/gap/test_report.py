@@ -11,6 +11,7 @@ from matplotlib.image import imread
 from msgspec.structs import replace
 from rich.console import Console
 
+from identify.gap.decision.sentence import sentence
 from identify.gap.page.advice import next_steps, rest_hz
 from identify.gap.page.pictures import pictures
 from identify.gap.page.report import write_all, write_page
@@ -62,7 +63,8 @@ def written(diagnosis, rig_of, tmp_path_factory):
 
 def test_the_page_says_the_verdict_then_what_to_do_then_why(written):
     gap, _, page, _ = written
-    unknown = ["What is unknown"] if gap.unknown else []
+    named = "What the rest looks like" if gap.verdict == "partly_explained" else "What is unknown"
+    unknown = [named] if gap.unknown else []
     assert page.headings == [
         "What to do next",
         "How large is the gap?",
@@ -135,6 +137,19 @@ def test_what_to_do_depends_on_the_verdict(gaps):
     for word in ("Keep rig.json as it is", "the barrel near 0.89 m", "grows with the displacement"):
         assert word in steps["unknown"]
     assert "corrected" not in steps["unknown"]
+
+
+def test_a_description_that_explains_little_is_a_hint(gaps):
+    gap = gaps["partly_explained"]
+    little = replace(gap, unknown=replace(gap.unknown, explained=0.165))
+    steps = " ".join(next_steps(little))
+    assert "hint, as it explains only 16.5 % of what is left: look at the cradle near 0.80 m" in steps
+    assert "switch motors" not in steps
+    said = sentence(little, "none").sentence
+    assert (
+        f"The rest has no simple form; the nearest explains 16.5 % of its mean square: {gap.unknown.sentence}." in said
+    )
+    assert f"The rest looks like {gap.unknown.sentence}." in gap.sentence
 
 
 def test_what_is_left_is_named_by_its_frequencies(gaps):
