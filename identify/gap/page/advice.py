@@ -110,7 +110,7 @@ def _where_to_look(unknown: Unknown) -> list[str]:
         return [f"Look at sensor {unknown.sensor}, its mounting and its cable; exchange it and record again."]
     if unknown.kind == "contact":
         return [
-            f"Look at the stops of {unknown.contact}: find what turns or shakes at {unknown.frequency_hz or 0.0:.1f} Hz.",
+            f"Look at the stops of {unknown.contact}: what turns or shakes at {unknown.frequency_hz or 0.0:.1f} Hz?",
             "Measure the clearance while the machine stands still, in several positions of what turns.",
         ]
     if unknown.kind == "distributed":
