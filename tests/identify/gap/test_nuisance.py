@@ -56,3 +56,18 @@ def test_columns_are_what_another_rig_leaves_through_a_sensor_that_reads_wrong()
         names = [p.name for p in base.columns.parameters]
         expected = small * base.columns.residual[names.index(f"frequency of {body.name}")]
         assert np.linalg.norm(change - expected) < 0.02 * np.linalg.norm(change)
+
+
+def test_a_mode_whose_frequency_is_off_leaves_its_column_exactly_by_the_measured_motion():
+    settings = BarrelCradle(sensors="acceleration", duration_s=12.0, rms_n=1.0)
+    rig = settings.rig()
+    force_n = force_history(settings.force(), settings.duration_s, 1 / rig.sample_rate_hz)
+    stiffer = 3.0  # standard deviations: a fifth of the resonance's width
+    bodies = tuple(b.tuned(1 + stiffer * LABORATORY.frequency) if b.name == "barrel" else b for b in rig.bodies)
+    record = record_of(modal(rig, replace(rig, bodies=bodies), force_n, 1))
+    base = base_of(record, rig)
+    names = [p.name for p in base.columns.parameters]
+    values = np.zeros(len(names))
+    values[names.index("frequency of barrel")] = stiffer
+    before, after = (residual_of(base, rig, v).linear for v in (np.zeros(len(names)), values))
+    assert np.linalg.norm(after) < 0.1 * np.linalg.norm(before)
