@@ -40,7 +40,8 @@ def decided(
 ) -> Decision:
     """From hypotheses judged on the validation record, likeliest first, and the unmeasured force that explains it best.
 
-    A hypothesis whose effects change less than matters, or which what matters does not exceed before, is no gap.
+    A gap that matters, and that tolerances and noise do not explain, is one: the probability of the believed rig alone
+    is then that of something unknown.
     """
     nothing = next(j for j in ranked if not j.hypothesis.parts)
     best = next((j for j in ranked if j.hypothesis.parts), None)
@@ -49,6 +50,9 @@ def decided(
     *likely, of_unknown = (float(p) for p in probabilities(np.array(scores)))
     p_before = nulls.p_value(nothing.misfit)
     p_after = nulls.p_value(best.misfit) if best else p_before
+    if size(nothing.misfit, matters) > 1 and p_before < USUAL:
+        alone = ranked.index(nothing)
+        of_unknown, likely[alone] = of_unknown + likely[alone], 0.0
     verdict, criterion = _judged(ranked, nothing, best, of_unknown > max(likely), p_before, p_after, matters)
     return Decision(verdict, criterion, tuple(likely), of_unknown, nothing, best, p_before, p_after)
 
