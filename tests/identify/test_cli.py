@@ -118,7 +118,6 @@ def test_a_file_that_is_no_recording_is_named(identify, tmp_path):
     ("words", "said"),
     [
         (("--use", "jerk"), "'jerk' is none of auto, displacement, velocity, acceleration"),
-        (("--tolerances", "none"), "'none' is none of laboratory, exact"),
         (("--averages", "many"), "Invalid value for '--averages'"),
         (("--nonsense",), "No such option: --nonsense"),
         (("other.mcap",), "unexpected extra argument"),
@@ -128,6 +127,13 @@ def test_wrong_words_are_exit_status_2(identify, recording, words, said):
     status, out, err = identify("contact", recording, *words)
     assert (status, out) == (2, "")
     assert said in " ".join(err.replace("│", " ").split())
+
+
+def test_tolerances_that_are_neither_a_name_nor_a_file_are_refused_in_a_sentence(identify, recording):
+    status, out, err = identify("contact", recording, "--tolerances", "none")
+    assert (status, out) == (1, "")
+    assert "none: no tolerances can be read there" in err
+    assert err.count("\n") == 1
 
 
 def test_help_shows_an_example(identify):

@@ -9,10 +9,10 @@ from unittest.mock import Mock
 import msgspec
 import numpy as np
 import pytest
-from identify.gap.answer import diagnose
 from msgspec.structs import replace
 from typer.testing import CliRunner
 
+from identify.gap.decision.answer import Simulator, diagnose
 from rig.description import PointSpring
 from rig.errors import RigError
 from rig.excitation import BandLimitedGaussian, force_history
@@ -35,7 +35,7 @@ def judged(tmp_path_factory) -> Judged:
 
 
 def test_measured_data_is_diagnosed_as_a_hardening_spring(judged):
-    assert judged.verdict == "effect"
+    assert judged.verdict == "explained"
     assert judged.effects[0] == "hardening_spring"
 
 
@@ -59,8 +59,8 @@ def duffing():
 
 def test_a_simulated_cubic_spring_is_named_and_measured(duffing):
     _, actual, (fit, validation) = duffing
-    gap, corrected = diagnose(fit, validation, simulated, None)
-    assert gap.verdict == "effect"
+    gap, corrected = diagnose(fit, validation, Simulator("silverbox", simulated))
+    assert gap.verdict == "explained"
     assert gap.causes[0].effects == ("hardening_spring",)
     found = gap.causes[0].parameters["hardening_spring.cubic_n_per_m3"]
     assert abs(found.value - CUBIC_N_PER_M3) < max(3 * found.standard_error, 0.02 * CUBIC_N_PER_M3)

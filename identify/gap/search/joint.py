@@ -1,6 +1,7 @@
 """The search over the library, jointly: single effects, and pairs that do not depend on which of the two came first."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -21,9 +22,9 @@ from rig.errors import RigError
 
 BY_SCORE, BY_GRID, FRESH = 5, 3, 3
 """So many candidates of each screening are fitted for a few steps."""
-WORTH = 10.0
-"""What no effect gains of -2 ln p is not looked at: the library's size alone makes an effect less likely than none by
-more than that."""
+WORTH = 20.0
+"""An effect that gains less of -2 ln p is not fitted: half of what the priors of one among some 26, at some 4 places,
+and the temperature of the comparison ask of it, 2 * 4 * ln(0.3 * 26 * 4 / 0.35) = 36."""
 SHORT, ROUNDS, SETTLED = 3, 4, 1.0
 """Steps of a first fit; at most so many rounds to the end, until one gains less than this of -2 ln p."""
 KEPT, RIVAL = 3, 0.5
@@ -169,7 +170,8 @@ def _seconds(begun: Search, first: Hypothesis) -> list[Hypothesis]:
     pairs = []
     for one in screened[:SECONDS]:
         if one.gain > WORTH * base.record.strictness:
-            pairs.append(_together(begun, first, one, at))
+            with suppress(RigError):  # two effects may make no rig where each makes one
+                pairs.append(_together(begun, first, one, at))
     for candidate in others:
         if candidate.kind.stochastic:
             inner = Search(begun.reference, base, at, ())

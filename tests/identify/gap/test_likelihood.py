@@ -110,7 +110,9 @@ def test_the_scale_of_what_is_unmodelled_is_told_by_the_residual():
     record = record_of(modal(rig, rig, force_n, 1))
     prior = prior_scales(record)
     true_share = 4e-3
-    wanted = np.sqrt((record.noise + true_share**2 * record.power) / (record.noise + prior.discrepancy**2 * record.power))
+    wanted = np.sqrt(
+        (record.noise + true_share**2 * record.power) / (record.noise + prior.discrepancy**2 * record.power)
+    )
     times = record.taken.stop - record.taken.start
     rng = np.random.default_rng(5)
     lines = rng.standard_normal((2, *wanted.shape))
