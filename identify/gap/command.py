@@ -49,6 +49,12 @@ def gap(
     matters_contact: Annotated[
         float, typer.Option(min=0.0, help="... or below this share of every contact force, %.")
     ] = 3.0,
+    next_experiment: Annotated[
+        bool,
+        typer.Option(
+            "--next-experiment", help="Compute which further recording would tell two causes apart (minutes)."
+        ),
+    ] = False,
     as_json: Json = False,
     force: Force = False,
 ) -> None:
@@ -72,7 +78,14 @@ def gap(
 
         with threadpool_limits(1):  # the matrices are small
             found, corrected = diagnose(
-                recording, validation, simulating, kept, show, believed, Matters(matters / 100, matters_contact / 100)
+                recording,
+                validation,
+                simulating,
+                kept,
+                show,
+                believed,
+                Matters(matters / 100, matters_contact / 100),
+                next_experiment,
             )
     if out is not None:
         from identify.gap.page.report import write_all

@@ -177,6 +177,14 @@ class Matters(msgspec.Struct, frozen=True):
         return math.hypot(share / self.motion, *(one / self.contact for one in contact_shares))
 
 
+class NextExperiment(msgspec.Struct, frozen=True):
+    """A further recording, and by how much (natural logarithm) it is expected to raise the odds of the true one of the
+    two likeliest causes against the other."""
+
+    words: str
+    log_odds: float
+
+
 class Gap(msgspec.Struct, frozen=True, kw_only=True):
     """The diagnosis of a recording: how the believed rig differs from it, on the validation record.
 
@@ -202,6 +210,8 @@ class Gap(msgspec.Struct, frozen=True, kw_only=True):
     bands: tuple[Band, ...]
     equivalent: tuple[tuple[str, ...], ...]
     separate_by: tuple[str, ...]
+    next_experiments: tuple[NextExperiment, ...] = ()
+    """The most telling first, where two causes stay alike and the experiments were asked for."""
     """Experiments that confirm or refute the likeliest effects, as "EFFECT: what to do"."""
     attribution: Attribution
     figures: tuple[Figure, ...] = ()

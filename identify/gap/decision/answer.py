@@ -9,6 +9,7 @@ import numpy as np
 from identify.gap.candidates import Candidate, candidates, scale_of
 from identify.gap.decision.attribution import attribution
 from identify.gap.decision.comparison import Judged, closed, closed_interval, judged, log_priors
+from identify.gap.decision.experiment import next_experiments
 from identify.gap.decision.null_reference import NullReference, Simulate, null_reference
 from identify.gap.decision.response_comparison import compared
 from identify.gap.decision.sentence import sentence
@@ -17,7 +18,7 @@ from identify.gap.faults import sound_channels
 from identify.gap.likelihood import Misfit, Reference, reference_of
 from identify.gap.nuisance import apply_nuisance
 from identify.gap.residual import base_of
-from identify.gap.results import Band, Cause, Gap, Left, Matters, MeanForce, Unknown, Value
+from identify.gap.results import Band, Cause, Gap, Left, Matters, MeanForce, NextExperiment, Unknown, Value
 from identify.gap.scales import BAND_HZ
 from identify.gap.search.joint import Hypothesis, Search, search
 from identify.gap.search.nominal import fit_nuisance
@@ -57,12 +58,13 @@ def diagnose(
     progress: Progress = lambda *_: None,
     tolerances: Tolerances | None = None,
     matters: Matters = MATTERS,
+    ask_next: bool = False,
 ) -> tuple[Gap, Rig]:
     """The diagnosis, and the rig corrected by it (the believed one, if no effect explains the gap at least in part).
 
     The null reference is made by the simulator, or read from `kept` (see `null_reference`); tolerances say how exactly
     the rig is believed (else the rig itself does, else they are a laboratory's). Raises RigError if the records do not
-    fit together or allow no diagnosis.
+    fit together or allow no diagnosis. With ask_next the next experiment is computed where two causes stay alike.
     """
     if validation is None:
         recording, validation = _halves(recording)
@@ -94,6 +96,10 @@ def diagnose(
     )
     alike = _alike(causes)
     nothing = decision.nothing
+    rivals = [j for j, p in zip(ranked, decision.probabilities, strict=True) if j.hypothesis.parts and p > ALIKE]
+    further: tuple[NextExperiment, ...] = ()
+    if ask_next and len(rivals) > 1:
+        further = next_experiments(record, other.force_n, (rivals[0].rig, rivals[1].rig), simulator.simulate)
     after = decision.best.misfit if decision.best else nothing.misfit
     without = decision.best.without if decision.best else nothing.misfit
     gap = Gap(
@@ -111,6 +117,7 @@ def diagnose(
         bands=_bands(without, after, nulls),
         equivalent=(tuple(alike),) if len(alike) > 1 else (),
         separate_by=_experiments(causes, ranked),
+        next_experiments=further,
         attribution=attribution(nothing.base, nothing.residual, nothing.misfit),
         figures=figures,
         curves=curves,

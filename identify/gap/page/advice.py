@@ -1,8 +1,10 @@
 """What to do next, in concrete sentences by verdict."""
 
+import math
+
 from identify.gap.results import Gap, Unknown
 from identify.gap.wording import MOST, cause_name, closes_some, joined, leaves
-from identify.wording import percent
+from identify.wording import number, percent
 
 USUAL = 0.05
 """A p-value above it is what tolerances and noise explain."""
@@ -13,6 +15,8 @@ EVERYWHERE = 0.8
 """Of the band: what is left there is left everywhere."""
 BRIDGED_HZ = 10.0
 """Ranges closer than this are one."""
+MILLION = 13.8
+"""Its logarithm."""
 
 _BY_DEPENDENCE = {
     "displacement": "The force grows with the displacement: push there with known weights and measure the way.",
@@ -154,4 +158,16 @@ def place(unknown: Unknown) -> str:
 
 def _tell_apart(gap: Gap) -> list[str]:
     steps = [f"This record hardly tells {joined(names, 'from')}." for names in gap.equivalent]
+    if gap.next_experiments:
+        best, *others = gap.next_experiments
+        steps.append(
+            f"To tell the two likeliest causes apart, {best.words}: that is expected to raise the odds of the true one "
+            f"by a factor of {_odds(best.log_odds)}."
+            + "".join(f" {one.words.capitalize()}: {_odds(one.log_odds)}." for one in others[:2])
+        )
     return steps + [f"To test {experiment}." for experiment in gap.separate_by]
+
+
+def _odds(logarithm: float) -> str:
+    """The factor; what is beyond a million is no more than that."""
+    return "a million or more" if logarithm > MILLION else number(math.exp(max(logarithm, 0.0)), 2)
