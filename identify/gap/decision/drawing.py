@@ -10,7 +10,7 @@ from rig.description import Body, Contact, Rig, Sensor, Station, contact_station
 from rig.model.tolerances import Tolerances
 from rig.modes import modes_of, modes_wanted
 from rig.oscillator import Oscillator
-from rig.structure import Structure, structure_of
+from rig.structure import SAME_PLACE_M, Structure, structure_of
 
 MODES = 24
 """Of a beam: as many as the plant `modal` is given in a replay."""
@@ -101,7 +101,8 @@ def _body(rig: Rig, body: Body, sensors: list[Sensor], tolerances: Tolerances, d
     standing = [s.station for s in sensors] + [s.station for s in rig.sensors] + [rig.force_at]
     standing += [s for c in rig.contacts for s in contact_stations(c)] + [load.station for load in rig.loads]
     given = body.positions_m if isinstance(body, Structure) else np.linspace(0, body.length_m, PLACES)
-    places = np.unique(np.round([*given, *(s.position_m for s in standing if s.body == body.name)], 9))
+    places = np.unique([*given, *(s.position_m for s in standing if s.body == body.name)])
+    places = places[np.append(np.diff(places) > SAME_PLACE_M, True)]
     shapes = modes.shapes(places, count) / np.sqrt(heavier)
     ratios = np.minimum(modes.damping_ratios(count) * losses, 0.9)
     return structure_of(body.name, body.length_m, frequencies[order], ratios[order], places, shapes[:, order])
