@@ -16,7 +16,6 @@ from identify.gap.decision.sentence import sentence
 from identify.gap.decision.verdict import Decision, decided, unknown_gain
 from identify.gap.faults import sound_channels
 from identify.gap.likelihood import Misfit, Reference, reference_of
-from identify.gap.nuisance import apply_nuisance
 from identify.gap.residual import base_of
 from identify.gap.results import Band, Cause, Gap, Left, Matters, MeanForce, NextExperiment, Unknown, Value
 from identify.gap.scales import BAND_HZ
@@ -77,18 +76,19 @@ def diagnose(
     hypotheses, known = searched(fit_record, lambda x: progress("causes", 0.7 * x))
     reference = _reference(record)
     priors = log_priors(hypotheses, known)
-    ranked = judged(record, reference, hypotheses, priors, lambda x: progress("causes", 0.7 + 0.2 * x))
+    base, at = fit_nuisance(record, record.rig, rounds=1)
+    ranked = judged(record, reference, at, hypotheses, priors, lambda x: progress("causes", 0.7 + 0.2 * x))
     decision = decided(ranked, None, record.strictness, nulls, matters)
     unknown, swinging = None, None
     if decision.verdict in ("partly_explained", "unknown"):
         unknown = _unknown(fit_record, record, fit_record.rig)
         decision = decided(ranked, unknown, record.strictness, nulls, matters)
-        swinging = breathing(record, decision.nothing.residual)
+        swinging = breathing(record, at)
     if decision.verdict == "partly_explained" and decision.best:  # what the rest is
         unknown = _unknown(fit_record, record, decision.best.rig)
-        swinging = breathing(record, decision.best.residual)
+        swinging = breathing(record, fit_nuisance(record, decision.best.rig, rounds=1)[1])
     progress("causes", 0.95)
-    corrected = _corrected(decision, other.rig, believed)
+    corrected = _corrected(decision, other.rig)
     figures, curves = compared(other, other.rig, _likeliest(decision, other.rig), simulator.simulate)
     progress("causes", 1.0)
     causes = tuple(
@@ -118,7 +118,7 @@ def diagnose(
         equivalent=(tuple(alike),) if len(alike) > 1 else (),
         separate_by=_experiments(causes, ranked),
         next_experiments=further,
-        attribution=attribution(nothing.base, nothing.residual, nothing.misfit),
+        attribution=attribution(base, at, nothing.misfit),
         figures=figures,
         curves=curves,
         channel_faults=faults,
@@ -172,11 +172,10 @@ def _likeliest(decision: Decision, believed: Rig) -> Rig:
     return decision.best.rig if decision.best else believed
 
 
-def _corrected(decision: Decision, believed: Rig, tolerances: Tolerances) -> Rig:
+def _corrected(decision: Decision, believed: Rig) -> Rig:
     if decision.verdict not in ("explained", "partly_explained") or decision.best is None:
         return believed
-    at = decision.best.hypothesis.residual
-    return apply_nuisance(at.rig, at.parameters, at.nuisance, tolerances)[0]
+    return decision.best.hypothesis.rig
 
 
 def _left(left: Misfit, rig: Rig, p_value: float) -> Left:

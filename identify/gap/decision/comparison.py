@@ -36,8 +36,6 @@ class Judged:
 
     hypothesis: Hypothesis
     rig: Rig
-    base: Base
-    residual: Residual
     misfit: Misfit
     without: Misfit
     log_prior: float
@@ -51,26 +49,28 @@ class Judged:
 def judged(
     record: Record,
     reference: Reference,
+    believed: Residual,
     hypotheses: Sequence[Hypothesis],
     priors: Mapping[frozenset[str], float],
     progress: Callable[[float], None] = lambda _: None,
 ) -> list[Judged]:
     """Every hypothesis that the validation record can hold, the likeliest first.
 
-    What each record has its own of (the phase of a tone) is fitted there anew.
+    `believed` is the residual of the believed rig there. What each record has its own of (the phase of a tone) is
+    fitted anew.
     """
     found = []
-    believed = fit_nuisance(record, record.rig, rounds=1)
-    alone = misfit(record, reference, believed[1])
+    alone = misfit(record, reference, believed)
     for i, one in enumerate(hypotheses):
-        try:
-            rig = _of_this_record(record, one)
-            base, at = fit_nuisance(record, rig, rounds=1) if one.parts else believed
-        except RigError:
-            continue
-        left = misfit(record, reference, at)
-        without = (left_without(record, reference, base, at) if one.parts else None) or alone
-        found.append(Judged(one, rig, base, at, left, without, priors[one.key]))
+        rig, left, without = record.rig, alone, alone
+        if one.parts:
+            try:
+                rig = _of_this_record(record, one)
+                base, at = fit_nuisance(record, rig, rounds=1)
+            except RigError:
+                continue
+            left, without = misfit(record, reference, at), left_without(record, reference, base, at) or alone
+        found.append(Judged(one, rig, left, without, priors[one.key]))
         progress((i + 1) / len(hypotheses))
     return sorted(found, key=lambda j: -j.log_posterior)
 

@@ -8,11 +8,12 @@ from itertools import chain
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import block_diag
 
 from identify.gap.candidates import Candidate
-from identify.gap.fit import Fit, fit
+from identify.gap.fit import fit
 from identify.gap.likelihood import Misfit, Reference, misfit
-from identify.gap.nuisance import LIMIT
+from identify.gap.nuisance import LIMIT, apply_nuisance
 from identify.gap.residual import Base, Residual, base_of, rescaled, residual_of, same_but_laws, scales_at
 from identify.gap.search.base_excitation import fit_base_excitation
 from identify.gap.search.nominal import fitted, singly_bent
@@ -35,14 +36,16 @@ FIRSTS, SECONDS = 2, 2
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Effects in the rig, with their parameters fitted on a record one after the other; none: the believed rig."""
+    """Effects in the rig, with their parameters fitted on a record one after the other; none: the believed rig.
+
+    rig is the believed one with them, and with those nuisance parameters that bend its residual, in it.
+    """
 
     parts: tuple[Candidate, ...]
     values: Float[np.ndarray, " parameters"]
     covariance: Float[np.ndarray, "parameters parameters"]
-    base: Base
-    residual: Residual
     misfit: Misfit
+    rig: Rig
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -59,6 +62,24 @@ class Hypothesis:
 
     def applied_to(self, rig: Rig) -> Rig:
         return applied(rig, self.parts, self.values)
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A hypothesis while it is fitted: with the base and the residual, which take much memory."""
+
+    hypothesis: Hypothesis
+    base: Base
+    residual: Residual
+
+    @property
+    def cost(self) -> float:
+        return self.hypothesis.misfit.minus_two_log
+
+    @property
+    def leaves_something(self) -> bool:
+        """Whether more is left above noise and tolerated shares than an effect must gain."""
+        return self.hypothesis.misfit.excess > WORTH
 
 
 def applied(rig: Rig, parts: Sequence[Candidate], values: Float[np.ndarray, " parameters"]) -> Rig:
@@ -80,10 +101,8 @@ class Search:
     at: Residual
     known: tuple[Candidate, ...]
 
-    def nothing(self) -> Hypothesis:
-        none = np.zeros(0)
-        left = misfit(self.base.record, self.reference, self.at)
-        return Hypothesis((), none, np.zeros((0, 0)), self.base, self.at, left)
+    def nothing(self) -> Tried:
+        return _tried(self, (), np.zeros(0), np.zeros((0, 0)), self.base, self.at)
 
 
 def search(begun: Search, progress: Callable[[float], None]) -> list[Hypothesis]:
@@ -96,38 +115,30 @@ def search(begun: Search, progress: Callable[[float], None]) -> list[Hypothesis]
     nothing = begun.nothing()
     singles = _singles(begun, nothing)
     progress(0.5)
-    if singles and not _leaves_something(singles[0]):
-        return sorted([nothing, *singles], key=_cost)
-    pairs: dict[frozenset[str], Hypothesis] = {}
+    pairs: dict[frozenset[str], Tried] = {}
     followed: set[frozenset[str]] = set()
-    queue = singles[:FIRSTS]
+    queue = singles[:FIRSTS] if singles and singles[0].leaves_something else []
     while queue:
         first = queue.pop(0)
-        if first.key in followed or not _leaves_something(first):
+        if first.hypothesis.key in followed or not first.leaves_something:
             continue
-        followed.add(first.key)
+        followed.add(first.hypothesis.key)
         for pair in _seconds(begun, first):
-            if pair.key not in pairs or _cost(pair) < _cost(pairs[pair.key]):
-                pairs[pair.key] = pair
-        progress(0.5 + 0.2 * len(followed))
+            key = pair.hypothesis.key
+            if key not in pairs or pair.cost < pairs[key].cost:
+                pairs[key] = pair
+        progress(0.5 + 0.15 * len(followed))
         if pairs and len(followed) == FIRSTS:
-            best = min(pairs.values(), key=_cost)
-            other = _alone(begun, best, first)
-            if other is not None and len(followed) < FIRSTS + 1:
-                queue.append(other)
-    return sorted([nothing, *singles, *pairs.values()], key=_cost)
+            other = _alone(begun, min(pairs.values(), key=_cost), first)
+            queue += [other] if other else []
+    return [one.hypothesis for one in sorted([nothing, *singles, *pairs.values()], key=_cost)]
 
 
-def _cost(one: Hypothesis) -> float:
-    return one.misfit.minus_two_log
+def _cost(one: Tried) -> float:
+    return one.cost
 
 
-def _leaves_something(one: Hypothesis) -> bool:
-    """Whether more is left above noise and tolerated shares than an effect must gain."""
-    return one.misfit.excess > WORTH
-
-
-def _singles(begun: Search, nothing: Hypothesis) -> list[Hypothesis]:
+def _singles(begun: Search, nothing: Tried) -> list[Tried]:
     base, at = begun.base, _straightened(begun.at)
     fresh = residual_of(base, base.rig, at.nuisance)
     steady = [c for c in begun.known if not c.kind.stochastic]
@@ -137,62 +148,61 @@ def _singles(begun: Search, nothing: Hypothesis) -> list[Hypothesis]:
         [(s, fresh) for s in score_screening(base, fresh, laws)[:FRESH]],
         [(s, None) for s in grid_screening(base, steady)[:BY_GRID]],
     )
-    found: dict[str, Hypothesis] = {}
+    found: dict[str, Tried] = {}
+
+    def take(name: str, tried: Tried) -> None:
+        """The best few alone are kept, as each takes memory."""
+        if name not in found or tried.cost < found[name].cost:
+            found[name] = tried
+        for worse in sorted(found, key=lambda n: found[n].cost)[KEPT:]:
+            del found[worse]
+
     for one, start in screened:
-        if one.gain < WORTH * base.record.strictness:
-            continue
-        try:
-            tried = _fitted(begun, (one.candidate,), one.values, start)
-        except RigError:
-            continue
-        if one.candidate.name not in found or _cost(tried) < _cost(found[one.candidate.name]):
-            found[one.candidate.name] = tried
+        if one.gain > WORTH * base.record.strictness:
+            with suppress(RigError):
+                take(one.candidate.name, _fitted(begun, (one.candidate,), one.values, start))
     for candidate in begun.known:
         if candidate.kind.stochastic and (shaken := _stochastic(begun, nothing, candidate)):
-            found[candidate.name] = shaken
-    best = sorted(found.values(), key=_cost)
-    best = [
-        one
-        for one in best[:KEPT]
-        if _cost(nothing) - _cost(one) > WORTH / 2
-        and _cost(nothing) - _cost(one) > RIVAL * (_cost(nothing) - _cost(best[0]))
-    ]
-    return sorted((refined(begun, one) for one in best), key=_cost)
+            take(candidate.name, shaken)
+    gains = {name: nothing.cost - one.cost for name, one in found.items()}
+    least = max(WORTH / 2, RIVAL * max(gains.values(), default=0.0))
+    return sorted((refined(begun, one) for name, one in found.items() if gains[name] > least), key=_cost)
 
 
-def _seconds(begun: Search, first: Hypothesis) -> list[Hypothesis]:
+def _seconds(begun: Search, first: Tried) -> list[Tried]:
     """Pairs of a first effect with what the library holds best for what it leaves; no effect pairs with itself."""
-    rig = first.applied_to(begun.base.rig)
+    parts, values = first.hypothesis.parts, first.hypothesis.values
+    rig = first.hypothesis.applied_to(begun.base.rig)
     base = base_of(begun.base.record, rig, first.residual, first.base.scales)
     at = fitted(base, first.residual).residual
-    others = [c for c in begun.known if c.kind.name not in first.effects and _joins(c, rig)]
+    others = [c for c in begun.known if c.kind.name not in first.hypothesis.effects and _joins(c, rig)]
     screened = score_screening(base, at, [c for c in others if not c.kind.stochastic])
     pairs = []
     for one in screened[:SECONDS]:
         if one.gain > WORTH * base.record.strictness:
             with suppress(RigError):  # two effects may make no rig where each makes one
                 pairs.append(_together(begun, first, one, at))
+    inner = Search(begun.reference, base, at, ())
     for candidate in others:
-        if candidate.kind.stochastic:
-            inner = Search(begun.reference, base, at, ())
-            if shaken := _stochastic(inner, inner.nothing(), candidate):
-                values = np.concatenate([first.values, shaken.values])
-                covariance = _block(first.covariance, shaken.covariance)
-                parts = (*first.parts, candidate)
-                pairs.append(Hypothesis(parts, values, covariance, shaken.base, shaken.residual, shaken.misfit))
+        if candidate.kind.stochastic and (shaken := _stochastic(inner, inner.nothing(), candidate)):
+            own = shaken.hypothesis
+            both = np.concatenate([values, own.values])
+            covariance = block_diag(first.hypothesis.covariance, own.covariance)
+            pairs.append(_tried(begun, (*parts, candidate), both, covariance, shaken.base, shaken.residual))
     return pairs
 
 
-def _together(begun: Search, first: Hypothesis, second: Screened, start: Residual) -> Hypothesis:
+def _together(begun: Search, first: Tried, second: Screened, start: Residual) -> Tried:
     """Both fitted, from where the first stands."""
-    parts = (*first.parts, second.candidate)
-    values = np.concatenate([first.values, second.values])
+    parts = (*first.hypothesis.parts, second.candidate)
+    values = np.concatenate([first.hypothesis.values, second.values])
     return refined(begun, _fitted(begun, parts, values, _straightened(start), first.base))
 
 
-def _alone(begun: Search, pair: Hypothesis, first: Hypothesis) -> Hypothesis | None:
+def _alone(begun: Search, pair: Tried, first: Tried) -> Tried | None:
     """The part of a pair that was found second, fitted by itself."""
-    others = [(p, v) for p, v in zip(pair.parts, pair.split(), strict=True) if p.name not in first.key]
+    parts = zip(pair.hypothesis.parts, pair.hypothesis.split(), strict=True)
+    others = [(p, v) for p, v in parts if p.name not in first.hypothesis.key]
     if len(others) != 1 or others[0][0].kind.stochastic:
         return None
     (part, values) = others[0]
@@ -201,7 +211,7 @@ def _alone(begun: Search, pair: Hypothesis, first: Hypothesis) -> Hypothesis | N
 
 def fit_effects(
     begun: Search, parts: tuple[Candidate, ...], values: Float[np.ndarray, " parameters"], start: Residual
-) -> Hypothesis:
+) -> Tried:
     """Effects fitted to the end from some values, and from the nuisance parameters and drifts of a residual."""
     return refined(begun, _fitted(begun, parts, values, _straightened(start)))
 
@@ -212,7 +222,7 @@ def _fitted(
     values: Float[np.ndarray, " parameters"],
     start: Residual | None,
     about: Base | None = None,
-) -> Hypothesis:
+) -> Tried:
     """Gauss-Newton for a few steps at the scales of a base (the believed rig's unless one is given).
 
     Without a start, nothing was bent to do without the effects: then the linearisation is about their values.
@@ -221,23 +231,24 @@ def _fitted(
     if start is None:
         about = base_of(about.record, build(values), None, about.scales, about.seen)
     done = fit(about, build, values, _steps(parts), _bounds(parts), start, SHORT)
-    return _hypothesis(begun, parts, about, done)
+    return _tried(begun, parts, done.values, done.covariance, about, done.residual)
 
 
-def refined(begun: Search, one: Hypothesis) -> Hypothesis:
+def refined(begun: Search, one: Tried) -> Tried:
     """Fitted to the end, with scales and linearisation renewed about where the parameters have come to.
 
     What is known by its spectrum alone keeps its values.
     """
-    if any(p.kind.stochastic for p in one.parts):
+    parts = one.hypothesis.parts
+    if any(p.kind.stochastic for p in parts):
         return one
-    build = partial(applied, begun.base.rig, one.parts)
+    build = partial(applied, begun.base.rig, parts)
     for _ in range(ROUNDS + singly_bent(begun.base.rig)):
-        scales = scales_at(one.base, one.residual)
-        about = base_of(one.base.record, build(one.values), one.residual, scales)
-        done = fit(about, build, one.values, _steps(one.parts), _bounds(one.parts), one.residual)
-        better = _hypothesis(begun, one.parts, about, done)
-        gained = _cost(one) - _cost(better)
+        values = one.hypothesis.values
+        about = base_of(one.base.record, build(values), one.residual, scales_at(one.base, one.residual))
+        done = fit(about, build, values, _steps(parts), _bounds(parts), one.residual)
+        better = _tried(begun, parts, done.values, done.covariance, about, done.residual)
+        gained = one.cost - better.cost
         one = better if gained > 0 else one
         if gained < SETTLED:
             break
@@ -253,28 +264,33 @@ def _bounds(parts: tuple[Candidate, ...]) -> tuple[Float[np.ndarray, " parameter
     return low, high
 
 
-def _hypothesis(begun: Search, parts: tuple[Candidate, ...], base: Base, done: Fit) -> Hypothesis:
-    left = misfit(base.record, begun.reference, done.residual)
-    return Hypothesis(parts, done.values, done.covariance, base, done.residual, left)
+def _tried(
+    begun: Search,
+    parts: tuple[Candidate, ...],
+    values: Float[np.ndarray, " parameters"],
+    covariance: Float[np.ndarray, "parameters parameters"],
+    base: Base,
+    at: Residual,
+) -> Tried:
+    left = misfit(base.record, begun.reference, at)
+    rig, _ = apply_nuisance(at.rig, at.parameters, at.nuisance, base.record.tolerances)
+    return Tried(Hypothesis(parts, values, covariance, left, rig), base, at)
 
 
-def _stochastic(begun: Search, nothing: Hypothesis, candidate: Candidate) -> Hypothesis | None:
+def _stochastic(begun: Search, nothing: Tried, candidate: Candidate) -> Tried | None:
     """An effect of which only the spectrum is known: its values are not fitted over time."""
     found = fit_base_excitation(nothing.base, nothing.residual, candidate)
     if found is None:
         return None
     values, spread = found
     try:
-        base = base_of(
-            begun.base.record, candidate.applied(begun.base.rig, values), nothing.residual, nothing.base.scales
-        )
+        rig = candidate.applied(begun.base.rig, values)
     except RigError:
         return None
+    base = base_of(begun.base.record, rig, nothing.residual, nothing.base.scales)
+    base = rescaled(base, fitted(base, nothing.residual).residual)
     at = fitted(base, nothing.residual).residual
-    base = rescaled(base, at)
-    at = fitted(base, at).residual
-    left = misfit(base.record, begun.reference, at)
-    return Hypothesis((candidate,), values, np.diag(spread**2), base, at, left)
+    return _tried(begun, (candidate,), values, np.diag(spread**2), base, at)
 
 
 def _straightened(at: Residual) -> Residual:
@@ -294,11 +310,3 @@ def _joins(candidate: Candidate, rig: Rig) -> bool:
     except RigError:
         return False
     return True
-
-
-def _block(one: Float[np.ndarray, "m m"], other: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "both both"]:
-    size = len(one) + len(other)
-    found = np.zeros((size, size))
-    found[: len(one), : len(one)] = one
-    found[len(one) :, len(one) :] = other
-    return found

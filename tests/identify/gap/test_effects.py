@@ -77,8 +77,8 @@ def test_a_fit_from_a_third_of_its_strength_finds_it(recorded):
     neutral = [p.neutral for p in candidate.parameters.values()]
     start = np.array([t if n is None else n + 0.3 * (t - n) for t, n in zip(truth, neutral, strict=True)])
     begun = Search(reference_of(base_of(record, RIG)), base, believed, ())
-    found = fit_effects(begun, (candidate,), start, believed)
-    assert found.misfit.minus_two_log < begun.nothing().misfit.minus_two_log
+    found = fit_effects(begun, (candidate,), start, believed).hypothesis
+    assert found.misfit.minus_two_log < begun.nothing().cost
     np.testing.assert_allclose(found.values, truth, rtol=0.05, atol=1e-12)
 
 
