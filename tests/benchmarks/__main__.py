@@ -10,7 +10,7 @@ from pathlib import Path
 for _library in ("OPENBLAS", "OMP", "MKL"):  # before numpy: CPU time counts threads that wait
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
-BENCHMARKS = ("modal_plant", "ancf_plant", "nifo", "recording", "simulating")
+BENCHMARKS = ("modal_plant", "ancf_plant", "nifo", "recording", "simulating", "diagnosis")
 
 
 def main() -> None:

@@ -1,0 +1,82 @@
+"""What a diagnosis costs: the null reference of a rig, and a case with it at hand, each in a process of its own.
+
+The barrel in its cradle, 30 s of twelve accelerometers at 4096 Hz, 15 N to fit and 22 N to validate: an added mass, a
+pair of effects, and nothing at all.
+"""
+
+import resource
+import tempfile
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+from msgspec.structs import replace
+
+from identify.gap.decision.answer import Simulator, diagnose
+from identify.gap.decision.null_reference import null_reference
+from rig import replay
+from rig.effects import effect_named
+from rig.excitation import force_history
+from rig.model.tolerances import LABORATORY
+from rig.recording import Recording
+from rig.reference import BarrelCradle
+from tests.benchmarks.measuring import Figure
+
+SETTINGS = BarrelCradle(sensors="acceleration", noise_density=1e-3)
+CASES = {
+    "an added mass": ("added_mass:mass_kg=0.1,relative_position=0.7",),
+    "a pair": ("added_mass:mass_kg=0.1,relative_position=0.7", "contact_clearance:factor=1.1,contact=contact_1"),
+    "nothing": (),
+}
+DURATION_S = 30.0
+
+
+def figures() -> Iterator[Figure]:
+    with tempfile.TemporaryDirectory() as folder:
+        kept = Path(folder) / "nulls.json"
+        cpu_s, memory_mb = _apart(_nulls, kept)
+        yield Figure("CPU s of a null reference", cpu_s, "s", at_most=60)
+        yield Figure("... peak memory", memory_mb, "MB", at_most=1000)
+        for name, effects in CASES.items():
+            cpu_s, memory_mb = _apart(_case, effects, kept)
+            yield Figure(f"CPU s of a case: {name}", cpu_s, "s", at_most=60)
+            yield Figure("... peak memory", memory_mb, "MB", at_most=1000)
+
+
+def _apart(work: object, *given: object) -> tuple[float, float]:
+    """In a fresh process, whose peak memory is its own."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as processes:
+        return processes.submit(work, *given).result()
+
+
+def _recordings(effects: tuple[str, ...]) -> tuple[Recording, Recording]:
+    believed = SETTINGS.rig()
+    actual = believed
+    for text in effects:
+        actual = effect_named(text).applied_to(actual)
+    forces = [
+        force_history(replace(SETTINGS, rms_n=rms_n, seed=seed).force(), DURATION_S, 1 / SETTINGS.sample_rate_hz)
+        for seed, rms_n in ((1, 15.0), (2, 22.0))
+    ]
+    first, second = (replay.modal(believed, actual, force_n, seed) for seed, force_n in enumerate(forces))
+    return first, second
+
+
+def _nulls(kept: Path) -> tuple[float, float]:
+    _, validation = _recordings(())
+    begin = time.process_time()
+    null_reference(validation, LABORATORY, replay.modal, "modal", kept=kept)
+    return time.process_time() - begin, _peak_mb()
+
+
+def _case(effects: tuple[str, ...], kept: Path) -> tuple[float, float]:
+    first, second = _recordings(effects)
+    begin = time.process_time()
+    diagnose(first, second, Simulator("modal", replay.modal), kept)
+    return time.process_time() - begin, _peak_mb()
+
+
+def _peak_mb() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
