@@ -25,9 +25,6 @@ from rig.description import Rig, Station
 When = Literal["always", "in contact", "growing with time"]
 SAME_M = 0.05
 """Two records show the same place if theirs differ by no more, or by five standard errors."""
-LEAST_SHARE = 0.5
-NULLS = 3.0
-"""A smaller share is believed if the gain is so many times that of null records."""
 DESCRIBED = 0.2
 """No law is looked for if less is explained: nulls explain one direction of ten."""
 NAMED = 0.7
@@ -88,22 +85,12 @@ class UnknownForce(msgspec.Struct, frozen=True, kw_only=True):
     """One-sided, by bands of 2 Hz: N^2/Hz, of a sensor (m/s^2)^2/Hz."""
 
 
-def unknown_force(fit: Record, rig: Rig, validation: Record, null_gain: float = 0.0) -> UnknownForce | None:
-    """The unmeasured force beside a rig's linear model that explains both records; None if there is none.
-
-    It is accepted if both records show it at the same place and it explains half of the linear residual's mean square
-    on either, or gains three times what null records gain (`null_gain`, the most that theirs gained, if known).
-
-    Raises RigError if there are too few sensors to show an unmeasured force.
-    """
-    found = likeliest_force(fit, rig, validation)
-    shares = min(found.explained_share, found.validation_explained_share) >= LEAST_SHARE
-    gains = null_gain > 0 and min(found.gain, found.validation_gain) > NULLS * null_gain
-    return found if found.same_place and (shares or gains) else None
-
-
 def likeliest_force(fit: Record, rig: Rig, validation: Record) -> UnknownForce:
-    """The unmeasured force that explains the fit record best, whether or not it deserves to be believed."""
+    """The unmeasured force that explains the fit record best beside a rig, and how far both records agree.
+
+    Whether it deserves to be believed, `same_place` and the gains say. Raises RigError if there are too few sensors to
+    show an unmeasured force.
+    """
     there = located(observed(fit, rig))
     other = observed(validation, rig)
     again = located(other)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace as changed
 
-from identify.gap.unknown import UnknownForce, likeliest_force, sentence, unknown_force
+from identify.gap.unknown import UnknownForce, likeliest_force, sentence
 from identify.gap.unknown.evidence import explained, without
 from identify.gap.unknown.location import Candidate, located, response_of
 from identify.gap.unknown.nuisance import observed
@@ -26,8 +26,9 @@ def both(world, unknown, spoilt=None, rms_n=5.0):
 
 def found_in(world, unknown, spoilt=None, rms_n=5.0):
     fit, validation = both(world, unknown, spoilt, rms_n)
-    found = unknown_force(fit, world.rig, validation)
-    assert found is not None
+    found = likeliest_force(fit, world.rig, validation)
+    assert found.same_place
+    assert min(found.explained_share, found.validation_explained_share) >= 0.5
     return found
 
 
@@ -104,22 +105,19 @@ def test_a_sensor_that_clips_is_a_sensor(world):
 
 def test_a_null_shows_no_force(world):
     fit, validation = both(world, None)
-    assert unknown_force(fit, world.rig, validation) is None
     found = likeliest_force(fit, world.rig, validation)
     assert found.validation_explained_share < 0.3
     assert found.law == ""
 
 
-def test_a_small_force_is_believed_only_if_nulls_gain_less(world):
+def test_a_small_force_is_placed_and_gains_more_than_nothing(world):
     course = world.random_n(0.01)
-    unknown = ((Station("beam", 0.7),), lambda *_: course)
-    fit, validation = both(world, unknown)
-    found = likeliest_force(fit, world.rig, validation)
-    smallest = min(found.gain, found.validation_gain)
-    assert found.validation_explained_share < 0.5
+    small = ((Station("beam", 0.7),), lambda *_: course)
+    records = [both(world, unknown) for unknown in (None, small)]
+    nothing, found = (likeliest_force(fit, world.rig, validation) for fit, validation in records)
     assert found.same_place
-    assert unknown_force(fit, world.rig, validation, null_gain=smallest / 2) is None
-    assert unknown_force(fit, world.rig, validation, null_gain=smallest / 4) is not None
+    assert found.validation_explained_share < 0.5
+    assert found.validation_gain > 2 * max(nothing.validation_gain, 0.0)
 
 
 def test_nuisances_do_not_shrink_the_data(world):
