@@ -56,11 +56,6 @@ class Normal:
     gradient: Float[np.ndarray, " global"]
     eliminated: tuple[tuple[Float[np.ndarray, " _"], Float[np.ndarray, "_ global"]], ...]
 
-    @property
-    def gain(self) -> float:
-        """By how much the linearised cost falls."""
-        return float(self.gradient @ np.linalg.solve(self.matrix, self.gradient))
-
     def unknowns(self, step: Float[np.ndarray, " global"]) -> list[Float[np.ndarray, " _"]]:
         """The steps of the contacts' unknowns that go with a step of the others."""
         return [start - coupled @ step for start, coupled in self.eliminated]

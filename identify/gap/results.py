@@ -6,6 +6,9 @@ from typing import Literal
 
 import msgspec
 
+USUAL = 0.05
+"""A p-value from which tolerances and noise explain a gap."""
+
 Verdict = Literal["no_gap", "explained", "partly_explained", "unknown"]
 
 

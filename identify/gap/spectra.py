@@ -110,11 +110,6 @@ class Record:
         return integrated(self.omega, -2, CORNER_HZ)
 
     @property
-    def motion_m(self) -> float:
-        """Root mean square displacement of all sensors."""
-        return float(np.sqrt(np.mean(self.in_time(self.displaced) ** 2)))
-
-    @property
     def strictness(self) -> float:
         """How much more the tolerances weigh than samples do, as model errors last: samples for each that counts."""
         return max(1.0, len(self.sensors) * self.rate_hz / COUNTED_HZ)

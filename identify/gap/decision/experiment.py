@@ -18,7 +18,7 @@ from identify.gap.likelihood import misfit, reference_of
 from identify.gap.residual import base_of
 from identify.gap.results import NextExperiment
 from identify.gap.search.nominal import fit_nuisance
-from identify.gap.spectra import Record, record_of
+from identify.gap.spectra import REACH, Record, record_of
 from rig.description import PointMass, Rig, Station
 from rig.errors import RigError
 from rig.model.tolerances import Tolerances
@@ -74,7 +74,7 @@ def experiments(record: Record, force_n: Float[np.ndarray, " samples"]) -> Itera
     yield Experiment("record the same again", _as_it_is, again)
     for level in LEVELS:
         yield Experiment(f"record with {level:g} times the force", _as_it_is, level * again)
-    high_hz = float(record.omega[-1] / (2 * np.pi)) / 1.6  # `spectra.REACH` beyond the force's band
+    high_hz = float(record.omega[-1] / (2 * np.pi)) / REACH
     for words, kind in (("lower", "lowpass"), ("upper", "highpass")):
         sections = butter(ORDER, SPLIT * high_hz, kind, fs=rate, output="sos")
         part = sosfiltfilt(sections, again)

@@ -7,11 +7,9 @@ import numpy as np
 
 from identify.gap.decision.comparison import PRIOR_UNKNOWN, TEMPERATURE, Judged, closed, probabilities, size
 from identify.gap.decision.null_reference import NullReference
-from identify.gap.results import Matters, Verdict
+from identify.gap.results import USUAL, Matters, Verdict
 from identify.gap.unknown import UnknownForce
 
-USUAL = 0.05
-"""Tolerances and noise explain what they alone would exceed more often."""
 HALF = 0.5
 """An effect explains the gap in part if it closes this share of it: more than it leaves."""
 UNKNOWN_PLACES = 100

@@ -2,12 +2,10 @@
 
 import math
 
-from identify.gap.results import Gap, Unknown
+from identify.gap.results import USUAL, Gap, Unknown
 from identify.gap.wording import MOST, cause_name, closes_some, joined, leaves
 from identify.wording import number, percent
 
-USUAL = 0.05
-"""A p-value above it is what tolerances and noise explain."""
 WIDEST = 3
 """Ranges of frequency that are named."""
 

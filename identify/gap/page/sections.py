@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from html import escape
 
 from identify import page
-from identify.gap.page.advice import USUAL, next_steps, place, rest_hz
-from identify.gap.results import Attribution, Cause, Gap, Left, Share, Unknown, Value
+from identify.gap.page.advice import next_steps, place, rest_hz
+from identify.gap.results import USUAL, Attribution, Cause, Gap, Left, Share, Unknown, Value
 from identify.gap.wording import WHEN, cause_name, closes, closes_some, interval, joined, others, probability
 from identify.wording import number, percent
 

@@ -3,9 +3,7 @@
 import numpy as np
 
 from identify.gap.fit import Fit, fit
-from identify.gap.law import Seen
 from identify.gap.residual import Base, Residual, base_of, rescaled
-from identify.gap.scales import Scales
 from identify.gap.spectra import Record
 from rig.description import Rig
 from rig.oscillator import Oscillator
@@ -14,17 +12,10 @@ ROUNDS = 2
 """Scales and fit each follow the other; after two rounds neither moves by what would matter."""
 
 
-def fit_nuisance(
-    record: Record,
-    rig: Rig,
-    scales: Scales | None = None,
-    start: Residual | None = None,
-    seen: tuple[Seen, ...] | None = None,
-    rounds: int = ROUNDS,
-) -> tuple[Base, Residual]:
+def fit_nuisance(record: Record, rig: Rig, rounds: int = ROUNDS) -> tuple[Base, Residual]:
     """The base at the estimated scales, and the residual fitted in it."""
-    base = base_of(record, rig, start, scales, seen)
-    at = fitted(base, start).residual
+    base = base_of(record, rig)
+    at = fitted(base).residual
     for _ in range(max(rounds, singly_bent(rig))):
         base = rescaled(base, at)
         at = fitted(base, at).residual
