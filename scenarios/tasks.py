@@ -36,8 +36,9 @@ def run_tasks(
     """The results of a function for each set of parameters, in their order.
 
     A result is kept in the folder under a hash of the function's name, its parameters and this package's version, and
-    not computed again. Processes of one thread each run the tasks: one a core, or those of `dask`. Raises RigError if
-    processes keep being lost, or no such scheduler answers.
+    not computed again. Processes of one thread each run the tasks: one a core, or those of `dask`. A task that fails
+    does not stop the others; the first failure is raised at the end. Raises RigError if processes keep being lost, or
+    no such scheduler answers.
     """
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"{_key(function, p)}.json" for p in parameters]
@@ -47,12 +48,15 @@ def run_tasks(
             break
         with _executor(dask) as executor, progress_bar(f"{len(missing)} of {len(parameters)} tasks") as progress:
             waiting = {executor.submit(_alone, function, p): path for p, path in missing}
-            try:
-                for done, future in enumerate(as_completed(waiting), start=1):
+            for done, future in enumerate(as_completed(waiting), start=1):
+                if future.exception() is None:
                     _keep(future.result(), waiting[future])
-                    progress(done / len(missing))
-            except BrokenProcessPool:
-                continue  # with what is still missing
+                progress(done / len(missing))
+        errors = [error for future in waiting if (error := future.exception())]
+        if any(isinstance(error, BrokenProcessPool) for error in errors):
+            continue  # with what is still missing
+        if errors:
+            raise errors[0]
     else:
         raise RigError(f"{folder}: processes were lost {LOSSES} times (out of memory?); run the command again to go on")
     return [msgspec.json.decode(path.read_bytes(), type=result_type) for path in paths]

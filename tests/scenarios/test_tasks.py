@@ -34,6 +34,10 @@ def dying(_: Square) -> Squared:
     raise AssertionError
 
 
+def inverted(task: Square) -> Squared:
+    return Squared(1 // task.number)
+
+
 @pytest.mark.parametrize("dask", [None, "local"])
 def test_a_killed_process_loses_its_own_task_alone(tmp_path, dask):
     tasks = [Square(n, str(tmp_path / "killed") if n == 3 else None) for n in range(6)]
@@ -57,3 +61,9 @@ def test_a_process_that_always_dies_is_given_up(tmp_path):
 def test_a_scheduler_that_is_not_there_is_one_sentence(tmp_path):
     with pytest.raises(RigError, match="no scheduler answers there"):
         run_tasks(squared, [Square(1)], Squared, tmp_path, "tcp://127.0.0.1:9")
+
+
+def test_a_task_that_fails_does_not_stop_the_others(tmp_path):
+    with pytest.raises(ZeroDivisionError):
+        run_tasks(inverted, [Square(0), *(Square(n) for n in range(1, 5))], Squared, tmp_path)
+    assert len(list(tmp_path.glob("*.json"))) == 4

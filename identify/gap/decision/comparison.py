@@ -101,7 +101,10 @@ def _of_this_record(record: Record, one: Hypothesis) -> Rig:
         every[own] = values
         return applied(record.rig, one.parts, every)
 
-    base, at = fit_nuisance(record, record.rig, rounds=1)
+    about = record.rig  # with a base motion's row, if there is one
+    for part, values in zip(one.parts, one.split(), strict=True):
+        about = part.applied(about, values) if part.kind.stochastic else about
+    base, at = fit_nuisance(record, about, rounds=1)
     steps = np.concatenate([p.steps for p in one.parts])[own]
     low, high = (np.concatenate(ends)[own] for ends in zip(*(p.bounds for p in one.parts), strict=True))
     return build(fit(base, build, one.values[own], steps, (low, high), at).values)
