@@ -22,6 +22,9 @@ CLEAR_SHARE = 0.1
 """A contact counts as clearly closed where its force exceeds this share of the force's 99.5 % quantile."""
 ABOVE_NOISE = 8.0
 """... and this many standard deviations of the force in the quiet seconds before the excitation."""
+FUZZ, OUTSIDE = (0.3, 0.1, 0.03, 0.01), 3.0
+"""Where a contact is clearly closed, its displacement is known to these shares of its own standard deviation in turn; what
+is so many times farther off at one is a ringing force, of either sign, and weighs little at the next (Geman, McClure)."""
 LEAST_CLOSED = 1e-3
 """A stop that is clearly touched for a smaller share of the record is not told by it."""
 STRAINED = 25.0
@@ -206,14 +209,16 @@ def regressed(seen: Observed, curve: Spline) -> tuple[Float[np.ndarray, "4"], Fl
             "only one of its stops is ever touched, so its play cannot be told; excite the rig more strongly"
         )
     eta = seen.eta_m[:: seen.factor][: size.size][closed]
-    columns = csr_matrix(np.stack([np.sign(force[closed]), force[closed]], axis=1))
-    fuzz_m = 1e-2 * float(np.std(eta))
-    rows = vstack(
-        [hstack([-at_force[closed], columns]) / fuzz_m, hstack([curve.curvature, csr_matrix((curve.target.size, 2))])]
-    ).tocsc()
-    target = np.concatenate([eta / fuzz_m, curve.target])
-    ridge = diags(np.r_[np.full(curve.knots, 1e-12 * (rows.T @ rows).diagonal().max()), np.zeros(2)])
-    found = spsolve((rows.T @ rows + ridge).tocsc(), rows.T @ target)
+    columns = hstack([-at_force[closed], np.stack([np.sign(force[closed]), force[closed]], axis=1)]).tocsr()
+    bent = hstack([curve.curvature, csr_matrix((curve.target.size, 2))])
+    weights = np.ones(eta.size)
+    for share in FUZZ:
+        fuzz_m = share * float(np.std(eta))
+        rows = vstack([diags(weights / fuzz_m) @ columns, bent]).tocsc()
+        target = np.concatenate([weights * eta / fuzz_m, curve.target])
+        ridge = diags(np.r_[np.full(curve.knots, 1e-12 * (rows.T @ rows).diagonal().max()), np.zeros(2)])
+        found = spsolve((rows.T @ rows + ridge).tocsc(), rows.T @ target)
+        weights = 1 / (1 + ((eta - columns @ found) / (OUTSIDE * fuzz_m)) ** 2)
     clearance, softness = found[-2:]
     if not (np.isfinite(clearance) and softness > 0):
         raise RigError(
