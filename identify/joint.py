@@ -22,9 +22,11 @@ CLEAR_SHARE = 0.1
 """A contact counts as clearly closed where its force exceeds this share of the force's 99.5 % quantile."""
 ABOVE_NOISE = 8.0
 """... and this many standard deviations of the force in the quiet seconds before the excitation."""
-FUZZ, OUTSIDE = (0.3, 0.1, 0.03, 0.01), 3.0
-"""Where a contact is clearly closed, its displacement is known to these shares of its own standard deviation in turn; what
-is so many times farther off at one is a ringing force, of either sign, and weighs little at the next (Geman, McClure)."""
+STAGES = ((0.5, 30.0), (0.2, 30.0), (0.1, 10.0), (0.03, 3.0), (0.01, 1.0))
+"""Where a contact is clearly closed, its displacement is known to a share of its own standard deviation, and the
+drift's curvature so many times better than measured: in turn, so that at first no drift can follow the closures."""
+OUTSIDE = 3.0
+"""So many of those shares off, a force of either sign that rings weighs little in the next turn (Geman, McClure)."""
 LEAST_CLOSED = 1e-3
 """A stop that is clearly touched for a smaller share of the record is not told by it."""
 STRAINED = 25.0
@@ -212,10 +214,10 @@ def regressed(seen: Observed, curve: Spline) -> tuple[Float[np.ndarray, "4"], Fl
     columns = hstack([-at_force[closed], np.stack([np.sign(force[closed]), force[closed]], axis=1)]).tocsr()
     bent = hstack([curve.curvature, csr_matrix((curve.target.size, 2))])
     weights = np.ones(eta.size)
-    for share in FUZZ:
+    for share, stiffer in STAGES:
         fuzz_m = share * float(np.std(eta))
-        rows = vstack([diags(weights / fuzz_m) @ columns, bent]).tocsc()
-        target = np.concatenate([weights * eta / fuzz_m, curve.target])
+        rows = vstack([diags(weights / fuzz_m) @ columns, stiffer * bent]).tocsc()
+        target = np.concatenate([weights * eta / fuzz_m, stiffer * curve.target])
         ridge = diags(np.r_[np.full(curve.knots, 1e-12 * (rows.T @ rows).diagonal().max()), np.zeros(2)])
         found = spsolve((rows.T @ rows + ridge).tocsc(), rows.T @ target)
         weights = 1 / (1 + ((eta - columns @ found) / (OUTSIDE * fuzz_m)) ** 2)

@@ -83,15 +83,31 @@ def test_probabilities_sum_to_one_and_follow_the_odds():
     assert found[1] / found[0] == pytest.approx(3.0)
 
 
+def leaving(rest: float, law: float) -> Misfit:
+    """-2 ln p of the contacts, and of the rest."""
+    bare = left(1.0)
+    found = replace(bare, freedom=rest - (bare.minus_two_log - bare.law))
+    vars(found)["law"] = law
+    return found
+
+
 def test_p_values_of_nulls_are_uniform():
     rng = np.random.default_rng(3)
     values = []
     for _ in range(400):
-        drawn = rng.normal(50.0, 9.0, 13)
-        nulls = NullReference("key", tuple(Null(float(v), (0.0,), 0.0, ()) for v in drawn[:12]))
-        values.append(nulls.p_value(replace(left(1.0), freedom=float(drawn[12]))))
+        rest, law = rng.normal(50.0, 9.0, 13), rng.normal(-60.0, 3.0, 13)
+        nulls = NullReference(
+            "key", tuple(Null(r + w, w, (0.0,), 0.0, ()) for r, w in zip(rest, law, strict=True))[:12]
+        )
+        values.append(nulls.p_value(leaving(float(rest[12]), float(law[12]))))
     assert np.mean(np.array(values) < 0.05) == pytest.approx(0.05, abs=0.03)
-    assert np.mean(np.array(values) < 0.5) == pytest.approx(0.5, abs=0.08)
+    assert np.mean(np.array(values) < 0.5) == pytest.approx(0.44, abs=0.08)  # 1 - 0.75^2, of two parts
+
+
+def test_a_contact_alone_beyond_the_nulls_shows():
+    rng = np.random.default_rng(5)
+    nulls = NullReference("key", tuple(Null(r - 60.0, -60.0, (0.0,), 0.0, ()) for r in rng.normal(50.0, 90.0, 12)))
+    assert nulls.p_value(leaving(50.0, 0.0)) < 1e-4
 
 
 def test_a_phase_randomized_force_keeps_its_spectrum_and_its_silence():
