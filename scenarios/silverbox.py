@@ -189,7 +189,8 @@ def table(judged: Judged) -> Table:
         ("identified again", judged.corrected, judged.corrected_mv),
     ):
         body, cubic = mass_of(rig), sum(s.cubic_n_per_m3 for s in rig.springs)
-        (natural_hz,), mass_kg = modes_of(rig, body).frequencies_hz(1), sum(m.mass_kg for m in (body, *rig.masses))
+        (natural_hz,) = modes_of(rig, body).frequencies_hz(1)
+        mass_kg = body.mass_kg + sum(m.mass_kg for m in rig.masses)
         numbers = (error, natural_hz, body.damping_ratio, mass_kg, cubic)
         found.add_row(name, *(f"{n:.4g}" for n in numbers))
     return found
