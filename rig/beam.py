@@ -77,6 +77,14 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         """With all frequencies times a factor, by Young's modulus."""
         return msgspec.structs.replace(self, youngs_modulus_pa=self.youngs_modulus_pa * factor**2)
 
+    def weighed(self, factor: float) -> "Beam":
+        """With the mass times a factor, at the same frequencies: density and Young's modulus."""
+        return msgspec.structs.replace(
+            self,
+            density_kg_per_m3=self.density_kg_per_m3 * factor,
+            youngs_modulus_pa=self.youngs_modulus_pa * factor,
+        )
+
     def shapes(self, positions_m: Float[np.ndarray, " stations"], modes: int) -> Float[np.ndarray, "stations modes"]:
         """Mass-normalised mode shapes phi_i(x), in 1/sqrt(kg), for positions 0 <= x <= length.
 

@@ -59,6 +59,10 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         """With the frequency times a factor, by the spring."""
         return msgspec.structs.replace(self, frequency_hz=self.frequency_hz * factor)
 
+    def weighed(self, factor: float) -> "Oscillator":
+        """With the mass times a factor, at the same frequency."""
+        return msgspec.structs.replace(self, mass_kg=self.mass_kg * factor)
+
     def shapes(self, positions_m: Float[np.ndarray, " stations"], modes: int) -> Float[np.ndarray, "stations modes"]:
         return np.full((len(positions_m), self._one(modes)), 1 / np.sqrt(self.mass_kg))
 

@@ -102,6 +102,12 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         """With all frequencies times a factor."""
         return msgspec.structs.replace(self, natural_hz=tuple(f * factor for f in self.natural_hz))
 
+    def weighed(self, factor: float) -> "Structure":
+        """With the mass times a factor, at the same frequencies: its shapes are those of a unit mass."""
+        lighter = float(np.sqrt(factor))
+        rows = (msgspec.structs.replace(r, values=tuple(v / lighter for v in r.values)) for r in self.rows)
+        return msgspec.structs.replace(self, rows=tuple(rows))
+
     def shapes(self, positions_m: Float[np.ndarray, " stations"], modes: int) -> Float[np.ndarray, "stations modes"]:
         """Shapes at places, in 1/sqrt(kg): as given where they are given, else by the spline."""
         return self._interpolated(positions_m, 0)[:, : self._checked(modes)]

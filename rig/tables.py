@@ -85,6 +85,8 @@ def _csv(path: Path, text: TextForm) -> Iterable[Column]:
     lines = content.splitlines()[text.lines_before_names :]
     if not lines:
         raise RigError(f"{path}: has no line after the first {text.lines_before_names}; check lines_before_names")
+    if all(line.endswith(text.delimiter) for line in lines if line.strip()):  # behind the last column too
+        lines = [line.removesuffix(text.delimiter) for line in lines]
     names = [cell.strip() for cell in next(csv.reader(lines[:1], delimiter=text.delimiter))]
     named = not all(_is_number(name, text.decimal) for name in names)
     skipped = (1 if named else 0) + text.lines_after_names

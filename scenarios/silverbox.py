@@ -26,6 +26,7 @@ from identify.results import write_json
 from identify.spectra import force_band
 from rig.command_line import Force, progress_bar, refuse_existing, run
 from rig.description import Rig, Sensor, Station
+from rig.modes import modes_of
 from rig.oscillator import Oscillator
 from rig.plants.modal import simulate as modal
 from rig.recording import Recording
@@ -54,8 +55,8 @@ app = typer.Typer(pretty_exceptions_enable=False)
 
 
 class Judged(msgspec.Struct, frozen=True, kw_only=True):
-    """The verdict, and root mean square errors (mV) of free runs on the arrow: of the linear rig, of it with what was
-    diagnosed put into it, and of that with its mass, frequency, damping and spring identified again."""
+    """The verdict, and root mean square errors (mV) of free runs on the arrow: of the linear rig, of the one that the
+    diagnosis corrected, and of that with its mass, frequency, damping and spring identified again."""
 
     verdict: str
     effects: tuple[str, ...]
@@ -188,7 +189,9 @@ def table(judged: Judged) -> Table:
         ("identified again", judged.corrected, judged.corrected_mv),
     ):
         body, cubic = mass_of(rig), sum(s.cubic_n_per_m3 for s in rig.springs)
-        numbers = (error, body.frequency_hz, body.damping_ratio, body.mass_kg, cubic)
+        (natural_hz,) = modes_of(rig, body).frequencies_hz(1)
+        mass_kg = body.mass_kg + sum(m.mass_kg for m in rig.masses)
+        numbers = (error, natural_hz, body.damping_ratio, mass_kg, cubic)
         found.add_row(name, *(f"{n:.4g}" for n in numbers))
     return found
 

@@ -251,7 +251,13 @@ def _bounded(
     high: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, " n"]:
     """The x within bounds at which x'Mx/2 - g'x is least."""
-    factor = np.linalg.cholesky(matrix)
+    try:
+        factor = np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError as error:
+        raise RigError(
+            "the recording does not tell contact forces and tolerances of this rig apart; measure more stations, or "
+            "describe fewer contacts in rig.json"
+        ) from error
     wanted = solve_triangular(factor, gradient, lower=True)
     low = np.minimum(low, 0.0) - ROUNDING
     return np.asarray(lsq_linear(factor.T, wanted, (low, np.maximum(high, 0.0) + ROUNDING), "bvls").x)

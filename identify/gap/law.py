@@ -174,6 +174,12 @@ class Contact:
     def tangent_n_per_m(self) -> Float[np.ndarray, " fine"]:
         return self.within.tangent_n_per_m(self.depth_m)
 
+    @property
+    def fitted(self) -> DeadZone:
+        """The law with clearance, stiffness and damping as they were fitted within their tolerances."""
+        more = self.unknowns[-1] * self.seen.trusted[2] * self.law.stiffness_n_per_m
+        return changed(self.within, damping_n_s_per_m=max(0.0, float(self.law.damping_n_s_per_m + more)))
+
     @cached_property
     def by_eta(self) -> Float[np.ndarray, " times"]:
         """The law's derivative by slow changes of the relative displacement, N/m."""
@@ -214,7 +220,7 @@ def contact_residual(
     slow, slow_rate = curve.value @ knots + more_m, curve.rate @ knots
     eta = laid.eta_m + _finely(np.broadcast_to(slow, laid.force_n.shape), laid.finer)
     rate = laid.rate_m_per_s + _finely(slow_rate, laid.finer)
-    clearance, stiffness, _ = unknowns[curve.knots :] * seen.trusted
+    clearance, stiffness, _ = (unknowns[curve.knots :] * seen.trusted).tolist()
     within = changed(
         law,
         lower_clearance_m=law.lower_clearance_m * max(0.0, 1 + clearance),

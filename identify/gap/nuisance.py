@@ -12,7 +12,7 @@ from identify.gap.linear import Linear, bent
 from identify.gap.response import Response, times
 from identify.gap.spectra import Record
 from identify.modal import receptance
-from rig.description import Body, Rig
+from rig.description import Body, Rig, Sensor
 from rig.model.tolerances import Tolerances
 from rig.oscillator import Oscillator
 
@@ -20,6 +20,8 @@ LIMIT = 6.0
 """No nuisance parameter goes further than so many standard deviations: beyond, something else is wrong."""
 BEYOND = 1.3
 """Modes up to this multiple of the highest frequency have parameters of their own."""
+
+THE_FORCE = "the force"
 
 Kind = Literal["gain", "position", "delay", "high-pass", "force gain", "mass", "frequency", "damping"]
 
@@ -114,7 +116,7 @@ def _of_force(record: Record, model: Linear) -> Iterator[_Change]:
     """The measured force is gain times the true one."""
     if record.tolerances.force_gain:
         change = -record.tolerances.force_gain * model.chain * model.by_force
-        yield _Change(Nuisance("force gain", "the force"), list(range(len(change))), change)
+        yield _Change(Nuisance("force gain", THE_FORCE), list(range(len(change))), change)
 
 
 def _measured(record: Record, model: Linear) -> list[Complex[np.ndarray, "modes lines"]]:
@@ -190,32 +192,45 @@ def apply_nuisance(
     Those alone bend the residual: a single mass may have been believed from a record of another level, and a resonance
     that lies off by a part of its width is no linear matter. The modes of other bodies are not moved one by one.
     """
-    put = np.zeros(len(parameters))
-    index = {p: i for i, p in enumerate(parameters)}
-
-    def factor(parameter: Nuisance, tolerance: float) -> float:
-        at = index.get(parameter)
-        if at is None:
-            return 1.0
-        put[at] = values[at]
-        return max(0.1, 1 + tolerance * float(values[at]))
-
-    bodies: list[Body] = []
-    for body in rig.bodies:
-        if isinstance(body, Oscillator):
-            natural_hz = body.frequency_hz * factor(Nuisance("frequency", body.name), tolerances.frequency)
-            ratio = body.damping_ratio * factor(Nuisance("damping", body.name), tolerances.damping)
-            bodies.append(replace(body, frequency_hz=natural_hz, damping_ratio=ratio))
-        else:
-            bodies.append(body)
     single = {b.name for b in rig.bodies if isinstance(b, Oscillator)}
-    sensors = tuple(
-        replace(s, gain=s.gain * factor(Nuisance("gain", s.name), tolerances.of_sensor(s.name).gain))
-        if s.station.body in single
-        else s
-        for s in rig.sensors
+    bends = {Nuisance(kind, name) for name in single for kind in ("frequency", "damping")}
+    bends |= {Nuisance("gain", s.name) for s in rig.sensors if s.station.body in single}
+    put = np.where([p in bends for p in parameters], values, 0.0)
+    return with_nuisance(rig, parameters, put, tolerances), put
+
+
+def with_nuisance(
+    rig: Rig,
+    parameters: tuple[Nuisance, ...],
+    values: Float[np.ndarray, " nuisances"],
+    tolerances: Tolerances,
+) -> Rig:
+    """The rig with mass, frequencies and damping of its bodies, gains and delays of its channels as they were fitted.
+
+    Stations stay, as a contact knows its sensors by them; so does what belongs to one mode or to a high-pass.
+    """
+    fitted = dict(zip(parameters, values.tolist(), strict=True))
+
+    def factor(kind: Kind, of: str, tolerance: float) -> float:
+        return float(max(0.1, 1 + tolerance * fitted.get(Nuisance(kind, of), 0.0)))
+
+    def body(one: Body) -> Body:
+        heavier = one.weighed(factor("mass", one.name, tolerances.mass))
+        tuned = heavier.tuned(factor("frequency", one.name, tolerances.frequency))
+        return tuned.damped(factor("damping", one.name, tolerances.damping))
+
+    def sensor(one: Sensor) -> Sensor:
+        own = tolerances.of_sensor(one.name)
+        later_s = own.delay_s * fitted.get(Nuisance("delay", one.name), 0.0)
+        return replace(one, gain=one.gain * factor("gain", one.name, own.gain), delay_s=one.delay_s + later_s)
+
+    force_gain = rig.force_sensor.gain * factor("force gain", THE_FORCE, tolerances.force_gain)
+    return replace(
+        rig,
+        bodies=tuple(body(b) for b in rig.bodies),
+        sensors=tuple(sensor(s) for s in rig.sensors),
+        force_sensor=replace(rig.force_sensor, gain=force_gain),
     )
-    return replace(rig, bodies=tuple(bodies), sensors=sensors), put
 
 
 def residual_scale(record: Record) -> float:

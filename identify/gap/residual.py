@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from identify.gap.law import Contact, Laid, Seen, contact_residual, laid_out, seen_contacts, start_of
 from identify.gap.linear import Linear, linear_model
-from identify.gap.nuisance import Columns, Nuisance, apply_nuisance, columns_of, residual_scale
+from identify.gap.nuisance import Columns, Nuisance, apply_nuisance, columns_of, residual_scale, with_nuisance
 from identify.gap.scales import Scales, estimated_scales, prior_scales
 from identify.gap.spectra import Record
 from rig.description import Rig
@@ -72,6 +72,13 @@ class Residual:
     def pulls(self) -> Float[np.ndarray, " pulls"]:
         """Of the nuisance parameters and the contacts' own: (estimate - prior mean) / prior standard deviation."""
         return np.concatenate([self.nuisance, *(c.unknowns[-3:] for c in self.contacts)])
+
+    @property
+    def fitted_rig(self) -> Rig:
+        """The rig with what was fitted beside it: nuisance parameters and the contacts' tolerances."""
+        found = with_nuisance(self.rig, self.parameters, self.nuisance, self.model.record.tolerances)
+        laws = [c.fitted for c in self.contacts]
+        return replace(found, contacts=tuple(replace(c, law=x) for c, x in zip(found.contacts, laws, strict=True)))
 
     @property
     def contact_levels(self) -> tuple[float, ...]:

@@ -22,7 +22,7 @@ from rig.modes import CoupledModes, modes_of, participation
 from rig.motion import joined
 from rig.plants import ancf, modal
 from rig.recording import channel_groups, read, writing
-from rig.reference import BarrelCradle
+from rig.reference import BarrelCradle, Sdof
 from rig.structure import ShapeRow, Structure, structure_of
 
 MACHINE = BarrelCradle(stations=4, noise_density=1e-3).rig()
@@ -230,3 +230,12 @@ def test_a_recording_and_an_import_are_refused_where_a_row_is_missing(tmp_path):
     for use in (lambda: read(path), lambda: import_file(tmp_path / "run.csv", tmp_path / "map.toml", tmp_path / "o")):
         with pytest.raises(RigError, match=r"rig.json: sensor 'cradle_0450mm_\w+' stands at 0.45 m of 'cradle', where"):
             use()
+
+
+@pytest.mark.parametrize("body", [*Sdof().rig().bodies, *MACHINE.bodies, *as_data(MACHINE).bodies], ids=type)
+def test_a_heavier_body_keeps_its_frequencies(body):
+    heavier = body.weighed(1.21)
+    modes = min(6, body.most_modes)
+    places_m = np.array([0.0, 0.3 * body.length_m])
+    np.testing.assert_allclose(heavier.frequencies_hz(modes), body.frequencies_hz(modes))
+    np.testing.assert_allclose(heavier.shapes(places_m, modes), body.shapes(places_m, modes) / 1.1)

@@ -13,7 +13,7 @@ from identify.gap.decision.experiment import next_experiments
 from identify.gap.decision.null_reference import NullReference, Simulate, null_reference
 from identify.gap.decision.response_comparison import compared
 from identify.gap.decision.sentence import sentence
-from identify.gap.decision.verdict import Decision, decided, unknown_gain
+from identify.gap.decision.verdict import decided, unknown_gain
 from identify.gap.faults import sound_channels
 from identify.gap.likelihood import Misfit, Reference, reference_of
 from identify.gap.residual import base_of
@@ -33,7 +33,7 @@ from rig.recording import Recording, Signals
 FIT_SHARE = 0.55
 """Of a single record, what is fitted on; the rest validates."""
 ALIKE = 0.05
-"""Single effects that are likelier than this beside the best one cannot be told apart from it."""
+"""Causes that are likelier than this beside the best one cannot be told apart from it."""
 AT_LIMIT = 1e-3
 """A parameter within this share of its range from an end stands there."""
 MATTERS = Matters()
@@ -88,13 +88,12 @@ def diagnose(
         unknown = _unknown(fit_record, record, decision.best.rig)
         swinging = breathing(record, fit_nuisance(record, decision.best.rig, rounds=1)[1])
     progress("causes", 0.95)
-    corrected = _corrected(decision, other.rig)
-    figures, curves = compared(other, other.rig, _likeliest(decision, other.rig), simulator.simulate)
+    likeliest = decision.best.corrected if decision.best else other.rig
+    figures, curves = compared(other, other.rig, likeliest, simulator.simulate)
     progress("causes", 1.0)
     causes = tuple(
         _cause(j, p, nulls, matters) for j, p in zip(ranked, decision.probabilities, strict=True) if j.hypothesis.parts
     )
-    alike = _alike(causes)
     nothing = decision.nothing
     rivals = [j for j, p in zip(ranked, decision.probabilities, strict=True) if j.hypothesis.parts and p > ALIKE]
     further: tuple[NextExperiment, ...] = ()
@@ -115,7 +114,7 @@ def diagnose(
         unknown_gain=unknown_gain(unknown, record.strictness),
         unknown=_described(other.rig, unknown, swinging),
         bands=_bands(without, after, nulls),
-        equivalent=(tuple(alike),) if len(alike) > 1 else (),
+        equivalent=equivalent(causes) if causes else (),
         separate_by=_experiments(causes, ranked),
         next_experiments=further,
         attribution=attribution(base, at, nothing.misfit),
@@ -123,7 +122,8 @@ def diagnose(
         curves=curves,
         channel_faults=faults,
     )
-    return sentence(gap, decision.criterion), corrected
+    helps = decision.verdict in ("explained", "partly_explained")
+    return sentence(gap, decision.criterion), likeliest if helps else other.rig
 
 
 def searched(
@@ -166,16 +166,6 @@ def _unknown(fit_record: Record, record: Record, rig: Rig) -> UnknownForce | Non
         return likeliest_force(fit_record, rig, record)
     except RigError:
         return None  # too few sensors to show a force beside the contacts'
-
-
-def _likeliest(decision: Decision, believed: Rig) -> Rig:
-    return decision.best.rig if decision.best else believed
-
-
-def _corrected(decision: Decision, believed: Rig) -> Rig:
-    if decision.verdict not in ("explained", "partly_explained") or decision.best is None:
-        return believed
-    return decision.best.hypothesis.rig
 
 
 def _left(left: Misfit, rig: Rig, p_value: float) -> Left:
@@ -222,11 +212,14 @@ def _bands(without: Misfit, after: Misfit, nulls: NullReference) -> tuple[Band, 
     )
 
 
-def _alike(causes: tuple[Cause, ...]) -> list[str]:
-    """Single effects beside the likeliest that the record hardly tells from it."""
-    if not causes or len(causes[0].effects) > 1:
-        return []
-    return [c.effects[0] for c in causes if len(c.effects) == 1 and c.probability > ALIKE]
+def equivalent(causes: tuple[Cause, ...]) -> tuple[tuple[str, ...], ...]:
+    """Each effect of the likeliest cause with those that stand in its place in causes that are likely too."""
+    best, *likely = dict.fromkeys(frozenset(c.effects) for i, c in enumerate(causes) if not i or c.probability > ALIKE)
+    classes = []
+    for effect in causes[0].effects:
+        instead = [one - best for one in likely if len(one) == len(best) and best - one == {effect}]
+        classes.append((effect, *(other for others in instead for other in others)))
+    return tuple(names for names in classes if len(names) > 1)
 
 
 def _experiments(causes: tuple[Cause, ...], ranked: list[Judged]) -> tuple[str, ...]:

@@ -30,12 +30,14 @@ DRAWS = 400
 class Judged:
     """A hypothesis with its rig laid against the validation record, nuisance parameters fitted there anew.
 
+    rig is the believed one with the effects; corrected also holds what was fitted beside them, and leaves misfit.
     without is what the believed rig leaves with the same nuisance parameters: what the effects, by themselves, close.
     Of a base that moves, which is no function of time, it is what the believed rig leaves with its own.
     """
 
     hypothesis: Hypothesis
     rig: Rig
+    corrected: Rig
     misfit: Misfit
     without: Misfit
     log_prior: float
@@ -62,15 +64,16 @@ def judged(
     found = []
     alone = misfit(record, reference, believed)
     for i, one in enumerate(hypotheses):
-        rig, left, without = record.rig, alone, alone
+        rig, corrected, left, without = record.rig, record.rig, alone, alone
         if one.parts:
             try:
                 rig = _of_this_record(record, one)
                 base, at = fit_nuisance(record, rig, rounds=1)
             except RigError:
                 continue
+            corrected = at.fitted_rig
             left, without = misfit(record, reference, at), left_without(record, reference, base, at) or alone
-        found.append(Judged(one, rig, left, without, priors[one.key]))
+        found.append(Judged(one, rig, corrected, left, without, priors[one.key]))
         progress((i + 1) / len(hypotheses))
     return sorted(found, key=lambda j: -j.log_posterior)
 

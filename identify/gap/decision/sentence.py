@@ -9,7 +9,7 @@ from identify.wording import percent
 
 def sentence(gap: Gap, criterion: str) -> Gap:
     """The diagnosis with its sentence."""
-    said = [_verdict(gap), *_limits(gap), f"Criterion: {criterion}."]
+    said = [_verdict(gap), *_alternatives(gap), *_limits(gap), f"Criterion: {criterion}."]
     said += [f"Channel {name} is {what} and was left out." for name, what in gap.channel_faults.items()]
     return replace(gap, sentence=" ".join(said))
 
@@ -41,6 +41,16 @@ def _looks(gap: Gap, what: str) -> str:
         return f"{what} looks like {gap.unknown.sentence}."
     share = percent(gap.unknown.explained)
     return f"{what} has no simple form; the nearest explains {share} of its mean square: {gap.unknown.sentence}."
+
+
+def _alternatives(gap: Gap) -> list[str]:
+    """What may stand in the place of an effect that is named."""
+    if gap.verdict not in ("explained", "partly_explained"):
+        return []
+    return [
+        f"In place of {effect} it may be {joined(others, 'or')}: these records hardly tell them apart."
+        for effect, *others in gap.equivalent
+    ]
 
 
 def _limits(gap: Gap) -> list[str]:

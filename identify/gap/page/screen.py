@@ -23,7 +23,6 @@ def shown(gap: Gap) -> RenderableType:
     ]
     if gap.unknown:
         lines.append(Text.assemble(("what is unknown: ", "bold"), gap.unknown.sentence, f"; {in_short(gap.unknown)}"))
-    lines += [Text(f"this record hardly tells apart: {' / '.join(names)}") for names in gap.equivalent]
     lines.append(Text("what to do next:", style="bold"))
     steps = Table.grid(padding=(0, 1))
     for i, step in enumerate(next_steps(gap), 1):

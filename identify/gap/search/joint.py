@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 from identify.gap.candidates import Candidate
 from identify.gap.fit import fit
 from identify.gap.likelihood import Misfit, Reference, misfit
-from identify.gap.nuisance import LIMIT, apply_nuisance
+from identify.gap.nuisance import LIMIT
 from identify.gap.residual import Base, Residual, base_of, rescaled, residual_of, same_but_laws, scales_at
 from identify.gap.search.base_excitation import fit_base_excitation
 from identify.gap.search.nominal import fitted, singly_bent
@@ -36,16 +36,12 @@ FIRSTS, SECONDS = 2, 2
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Effects in the rig, with their parameters fitted on a record one after the other; none: the believed rig.
-
-    rig is the believed one with them, and with those nuisance parameters that bend its residual, in it.
-    """
+    """Effects in the rig, with their parameters fitted on a record one after the other; none: the believed rig."""
 
     parts: tuple[Candidate, ...]
     values: Float[np.ndarray, " parameters"]
     covariance: Float[np.ndarray, "parameters parameters"]
     misfit: Misfit
-    rig: Rig
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -273,8 +269,7 @@ def _tried(
     at: Residual,
 ) -> Tried:
     left = misfit(base.record, begun.reference, at)
-    rig, _ = apply_nuisance(at.rig, at.parameters, at.nuisance, base.record.tolerances)
-    return Tried(Hypothesis(parts, values, covariance, left, rig), base, at)
+    return Tried(Hypothesis(parts, values, covariance, left), base, at)
 
 
 def _stochastic(begun: Search, nothing: Tried, candidate: Candidate) -> Tried | None:

@@ -71,3 +71,16 @@ def test_a_mode_whose_frequency_is_off_leaves_its_column_exactly_by_the_measured
     values[names.index("frequency of barrel")] = stiffer
     before, after = (residual_of(base, rig, v).linear for v in (np.zeros(len(names)), values))
     assert np.linalg.norm(after) < 0.1 * np.linalg.norm(before)
+
+
+def test_the_fitted_rig_leaves_by_itself_what_was_left_beside_the_nuisance_parameters():
+    settings = BarrelCradle(sensors="acceleration", duration_s=12.0, rms_n=1.0)
+    rig = settings.rig()
+    force_n = force_history(settings.force(), settings.duration_s, 1 / rig.sample_rate_hz)
+    record = record_of(modal(rig, rig, force_n, 1))
+    base = base_of(record, rig)
+    held = [p.mode is None and p.kind not in ("position", "high-pass") for p in base.columns.parameters]
+    values = np.where(held, 0.3 * np.random.default_rng(1).standard_normal(len(held)), 0.0)
+    at, believed = residual_of(base, rig, values), residual_of(base, rig)
+    there = residual_of(base_of(record, at.fitted_rig), at.fitted_rig)
+    assert np.linalg.norm(there.linear - at.linear) < 0.05 * np.linalg.norm(believed.linear - at.linear)
