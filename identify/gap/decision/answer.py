@@ -96,10 +96,10 @@ def diagnose(
     )
     alike = _alike(causes)
     nothing = decision.nothing
-    rivals = [j for j, p in zip(ranked, decision.probabilities, strict=True) if j.hypothesis.parts and p > ALIKE]
     further: tuple[NextExperiment, ...] = ()
-    if ask_next and len(rivals) > 1:
-        further = next_experiments(record, other.force_n, (rivals[0].rig, rivals[1].rig), simulator.simulate)
+    rivals = _rivals(ranked, decision) if ask_next else None
+    if rivals:
+        further = next_experiments(record, other.force_n, rivals, simulator.simulate)
     after = decision.best.misfit if decision.best else nothing.misfit
     without = decision.best.without if decision.best else nothing.misfit
     gap = Gap(
@@ -118,6 +118,7 @@ def diagnose(
         equivalent=(tuple(alike),) if len(alike) > 1 else (),
         separate_by=_experiments(causes, ranked),
         next_experiments=further,
+        next_between=tuple(" + ".join(one.effects) or "nothing" for one in rivals or ()),
         attribution=attribution(base, at, nothing.misfit),
         figures=figures,
         curves=curves,
@@ -220,6 +221,17 @@ def _bands(without: Misfit, after: Misfit, nulls: NullReference) -> tuple[Band, 
         Band(low_hz=BAND_HZ * i, high_hz=BAND_HZ * (i + 1), before=float(b), after=float(a), usual=float(u))
         for i, (b, a, u) in enumerate(zip(without.shares, after.shares, nulls.usual_shares(), strict=False))
     )
+
+
+def _rivals(ranked: list[Judged], decision: Decision) -> tuple[Hypothesis, Hypothesis] | None:
+    """The two likeliest, if both are likelier than `ALIKE`: causes, or a cause and the believed rig.
+
+    That stands for something unknown too, which nobody can simulate.
+    """
+    shares = dict(zip((id(j) for j in ranked), decision.probabilities, strict=True))
+    shares[id(decision.nothing)] += decision.unknown
+    likely = sorted((j for j in ranked if shares[id(j)] > ALIKE), key=lambda j: -shares[id(j)])
+    return (likely[0].hypothesis, likely[1].hypothesis) if len(likely) > 1 else None
 
 
 def _alike(causes: tuple[Cause, ...]) -> list[str]:
