@@ -41,7 +41,7 @@ from scenarios.worlds.believed import believed_rig, nominal_machine
 from scenarios.worlds.drawing import perturbed
 from scenarios.worlds.instruments import measured
 from scenarios.worlds.library import EFFECTS
-from scenarios.worlds.machine import Machine, Place, with_beams
+from scenarios.worlds.machine import Machine, Place
 from scenarios.worlds.truth import EffectTruth
 
 DURATION_S, QUIET_S, LEVEL_N = 12.0, 1.0, 5.0
@@ -219,8 +219,9 @@ def _changed(machine: Machine, known: Rig) -> Machine:
     """The machine with what an experiment changes of the rig: the force's place, known masses, the sensors' kind."""
     machine = replace(machine, force_at=Place(known.force_at.body, known.force_at.position_m))
     for mass in known.masses:
-        hung = (mass.station.position_m, mass.mass_kg)
-        machine = with_beams(machine, mass.station.body, lambda b, hung=hung: replace(b, masses=(*b.masses, hung)))
+        hung = ((mass.station.position_m, mass.mass_kg),)
+        beams = [replace(b, masses=b.masses + hung * (b.name == mass.station.body)) for b in machine.beams]
+        machine = replace(machine, beams=tuple(beams))
     if known.sensors[0].quantity == "displacement":
         noise = known.sensors[0].noise_density
         sensors = tuple(replace(s, highpass_hz=0.0, noise_density=noise) for s in machine.sensors)

@@ -29,6 +29,10 @@ from rig.model.tolerances import Tolerances
 
 LEVELS = (0.4, 2.5)
 """Forces to try, as multiples of the one at hand."""
+LONGER = 3
+"""Duration to try, likewise."""
+SIZED = 2.0
+"""A cause is simulated so many standard errors larger than fitted, within this multiple of a typical one."""
 PLACES = (0.5, 1.0)
 """Of the force, as shares of every body's length."""
 ADDED = 0.1
@@ -95,8 +99,13 @@ def experiments(record: Record, force_n: Float[np.ndarray, " samples"]) -> Itera
         yield Experiment(
             f"record with the {words} part of the band, split at {SPLIT * high_hz:.3g} Hz", _as_it_is, same
         )
-    longer = random(np.concatenate([force_n, force_n[:start:-1]]))  # mirrored, so that it does not jump
-    yield Experiment(f"record {longer.size / rate:.0f} s", _as_it_is, longer)
+    longer = force_n
+    while longer.size < LONGER * force_n.size:
+        longer = np.concatenate([longer, longer[:start:-1]])  # mirrored, so that it does not jump
+    longer = random(longer[: round(LONGER * force_n.size)])
+    length = f"record {longer.size / rate:.3g} s"
+    yield Experiment(length, _as_it_is, longer)
+    yield Experiment(f"{length} with {LEVELS[-1]:g} times the force", _as_it_is, LEVELS[-1] * longer)
     for station in _places(rig):
         yield Experiment(f"move the force to {_said(rig, station)}", partial(with_fields, force_at=station), again)
     for body in rig.bodies:
@@ -145,6 +154,24 @@ def refitted(begun: Search, one: Hypothesis, held: bool = False) -> Hypothesis:
             break
     values, covariance = (found.values, found.covariance) if free else (one.values, one.covariance)
     return replace(one, values=values, covariance=covariance, misfit=left, rig=found.residual.rig)
+
+
+def enlarged(one: Hypothesis) -> Hypothesis:
+    """As large as the record leaves it open: every strength is `SIZED` standard errors, or times what is typical if
+    that is less, further from nothing than fitted.
+
+    A cause that a record hardly shows is fitted as nothing; simulated so, no experiment would tell it from another.
+    """
+    values, spread = one.values.copy(), np.sqrt(np.maximum(np.diag(one.covariance), 0.0))
+    at = 0
+    for part in one.parts:
+        for i in part.strong:
+            neutral, typical = list(part.parameters.values())[i].neutral or 0.0, part.default[i]
+            away = np.sign(values[at + i] - neutral) or np.sign(typical - neutral)
+            values[at + i] += away * SIZED * min(spread[at + i], abs(typical - neutral))
+            values[at + i] = np.clip(values[at + i], part.bounds[0][i], part.bounds[1][i])
+        at += len(part.parameters)
+    return replace(one, values=values)
 
 
 def disagreement(one: Hypothesis, other: Hypothesis) -> float:
@@ -197,9 +224,10 @@ def _gain(
     tolerances: Tolerances,
 ) -> float:
     """-2 ln p of the rival less that of the true cause, on a recording that is simulated with the true one."""
-    actual = true.applied_to(known)
+    larger = enlarged(true)
+    actual = larger.applied_to(known)
     record = record_of(simulate(known, actual, force_n, 5), tolerances=tolerances)
     begun = begun_on(record, actual)
-    own = misfit(record, begun.reference, begun.at).minus_two_log
-    other = refitted(begun, rival)
-    return other.misfit.minus_two_log + disagreement(rival, other) - own
+    own, other = refitted(begun, larger), refitted(begun, rival)
+    changes = disagreement(rival, other) - disagreement(true, own)
+    return other.misfit.minus_two_log - own.misfit.minus_two_log + changes

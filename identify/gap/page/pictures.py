@@ -45,8 +45,8 @@ def pictures(gap: Gap, rig: Rig) -> dict[str, bytes]:
 def _drawn(gap: Gap, rig: Rig) -> Iterator[tuple[str, tuple[float, float], Draw]]:
     """Name, width and height in inches, and the function that draws."""
     if gap.next_experiments:
-        rows = len(gap.next_experiments)
-        yield "next_experiments", (_WIDE_IN, _FRAME_IN + _ROW_IN * rows), partial(_experiments, gap=gap)
+        height = _FRAME_IN + _ROW_IN * len(gap.next_experiments)
+        yield "next_experiments", (_WIDE_IN, height), partial(_experiments, gap=gap)
     if gap.bands:
         yield "large_bands", (_WIDE_IN, 3.6), partial(_bands, gap=gap)
     if gap.causes:
