@@ -8,6 +8,8 @@ import msgspec
 
 USUAL = 0.05
 """A p-value from which tolerances and noise explain a gap."""
+AGAIN = "record the same again"
+"""The experiment beside which others are judged."""
 
 Verdict = Literal["no_gap", "explained", "partly_explained", "unknown"]
 
@@ -182,7 +184,7 @@ class Matters(msgspec.Struct, frozen=True):
 
 class NextExperiment(msgspec.Struct, frozen=True):
     """A further recording, and by how much (natural logarithm) it is expected to raise the odds of the true one of the
-    two likeliest causes against the other."""
+    two likeliest causes (or of one, and the believed rig) against the other."""
 
     words: str
     log_odds: float
@@ -213,9 +215,11 @@ class Gap(msgspec.Struct, frozen=True, kw_only=True):
     bands: tuple[Band, ...]
     equivalent: tuple[tuple[str, ...], ...]
     separate_by: tuple[str, ...]
+    """Experiments that confirm or refute the likeliest effects, as "EFFECT: what to do"."""
     next_experiments: tuple[NextExperiment, ...] = ()
     """The most telling first, where two causes stay alike and the experiments were asked for."""
-    """Experiments that confirm or refute the likeliest effects, as "EFFECT: what to do"."""
+    next_between: tuple[str, ...] = ()
+    """The two that it tells apart."""
     attribution: Attribution
     figures: tuple[Figure, ...] = ()
     curves: tuple[Curve, ...] = ()

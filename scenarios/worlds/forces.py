@@ -38,6 +38,7 @@ def inputs_of(
     steps: int,
     step_s: float,
     rng: np.random.Generator,
+    excited_hz: tuple[float, float] = BAND_HZ,
 ) -> Float[np.ndarray, "steps inputs"]:
     """The exciting force, every tone, the loads' level 1 and the ground's acceleration, from -LEAD_S on.
 
@@ -45,7 +46,7 @@ def inputs_of(
     under way before the record begins.
     """
     time_s = -LEAD_S + np.arange(steps) * step_s
-    force = gaussian(steps, step_s, BAND_HZ, 1.0, rng) * rise(time_s - quiet_s, RISE_S)
+    force = gaussian(steps, step_s, excited_hz, 1.0, rng) * rise(time_s - quiet_s, RISE_S)
     excited = (time_s >= quiet_s) & (time_s < duration_s)
     columns = [force * (rms_n / np.sqrt(np.mean(force[excited] ** 2)))]
     begun = rise(time_s + LEAD_S, 0.8 * LEAD_S)

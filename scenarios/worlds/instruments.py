@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import lfilter
 
-from scenarios.worlds.forces import LEAD_S, inputs_of, rise
+from scenarios.worlds.forces import BAND_HZ, LEAD_S, inputs_of, rise
 from scenarios.worlds.machine import Accelerometer, Machine
 from scenarios.worlds.sampling import Mounting, Sampler
 from scenarios.worlds.simulator import STEP_S, model_of, simulate
@@ -17,7 +17,10 @@ TAIL_S = 0.02
 
 @dataclass(frozen=True)
 class Measured:
-    """A record: the measured force, what the sensors deliver in their order, and what share of time contacts press."""
+    """A record: the measured force, what the sensors deliver in their order, and what share of time contacts press.
+
+    The sensors deliver accelerations, or displacements in m if they were measured in their place.
+    """
 
     force_n: Float[np.ndarray, " samples"]
     acceleration_m_per_s2: Float[np.ndarray, "sensors samples"]
@@ -25,11 +28,19 @@ class Measured:
 
 
 def measured(
-    machine: Machine, rms_n: float, quiet_s: float, samples: int, sample_rate_hz: float, seed: int
+    machine: Machine,
+    rms_n: float,
+    quiet_s: float,
+    samples: int,
+    sample_rate_hz: float,
+    seed: int,
+    band_hz: tuple[float, float] = BAND_HZ,
+    displacements: bool = False,
 ) -> Measured:
-    """One record of the machine under a Gaussian force of this level that begins at quiet_s.
+    """One record of the machine under a Gaussian force of this level and band that begins at quiet_s.
 
-    The same seed gives the same force and noise. Raises RigError where the machine cannot be simulated.
+    The same seed gives the same force and noise. With `displacements` the sensors give
+    those, against the ground. Raises RigError where the machine cannot be simulated.
     """
     factor = round(1 / (STEP_S * sample_rate_hz))
     model = model_of(machine)
@@ -38,12 +49,12 @@ def measured(
     sampler = Sampler(factor, np.array(delays_s) / STEP_S)
     steps = round((LEAD_S + TAIL_S) / STEP_S) + samples * factor  # the same whatever the delays: so is the force
     duration_s = samples / sample_rate_hz
-    inputs = inputs_of(machine, rms_n, quiet_s, duration_s, steps, STEP_S, of_force)
+    inputs = inputs_of(machine, rms_n, quiet_s, duration_s, steps, STEP_S, of_force, band_hz)
     skipped = round(LEAD_S / STEP_S) - sampler.reach
     mountings = {k: Mounting(s.mount_hz, s.mount_damping, STEP_S) for k, s in enumerate(machine.sensors) if s.mount_hz}
     done, closed = 0, np.zeros(len(model.links))
     for block in simulate(model, inputs, -LEAD_S):
-        moved = block.acceleration_m_per_s2
+        moved = model.sensed @ block.states[:, 0].T if displacements else block.acceleration_m_per_s2
         for k, mounting in mountings.items():
             moved[k] = mounting.follow(moved[k])
         now = slice(done, done + moved.shape[1])

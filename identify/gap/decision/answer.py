@@ -13,7 +13,7 @@ from identify.gap.decision.experiment import next_experiments
 from identify.gap.decision.null_reference import NullReference, Simulate, null_reference
 from identify.gap.decision.response_comparison import compared
 from identify.gap.decision.sentence import sentence
-from identify.gap.decision.verdict import decided, unknown_gain
+from identify.gap.decision.verdict import Decision, decided, unknown_gain
 from identify.gap.faults import sound_channels
 from identify.gap.likelihood import Misfit, Reference, reference_of
 from identify.gap.residual import base_of
@@ -95,10 +95,10 @@ def diagnose(
         _cause(j, p, nulls, matters) for j, p in zip(ranked, decision.probabilities, strict=True) if j.hypothesis.parts
     )
     nothing = decision.nothing
-    rivals = [j for j, p in zip(ranked, decision.probabilities, strict=True) if j.hypothesis.parts and p > ALIKE]
     further: tuple[NextExperiment, ...] = ()
-    if ask_next and len(rivals) > 1:
-        further = next_experiments(record, other.force_n, (rivals[0].rig, rivals[1].rig), simulator.simulate)
+    rivals = _rivals(ranked, decision) if ask_next else None
+    if rivals:
+        further = next_experiments(record, other.force_n, rivals, simulator.simulate)
     after = decision.best.misfit if decision.best else nothing.misfit
     without = decision.best.without if decision.best else nothing.misfit
     gap = Gap(
@@ -117,6 +117,7 @@ def diagnose(
         equivalent=equivalent(causes) if causes else (),
         separate_by=_experiments(causes, ranked),
         next_experiments=further,
+        next_between=tuple(" + ".join(one.effects) or "nothing" for one in rivals or ()),
         attribution=attribution(base, at, nothing.misfit),
         figures=figures,
         curves=curves,
@@ -220,6 +221,17 @@ def equivalent(causes: tuple[Cause, ...]) -> tuple[tuple[str, ...], ...]:
         instead = [one - best for one in likely if len(one) == len(best) and best - one == {effect}]
         classes.append((effect, *(other for others in instead for other in others)))
     return tuple(names for names in classes if len(names) > 1)
+
+
+def _rivals(ranked: list[Judged], decision: Decision) -> tuple[Hypothesis, Hypothesis] | None:
+    """The two likeliest, if both are likelier than `ALIKE`: causes, or a cause and the believed rig.
+
+    That stands for something unknown too, which nobody can simulate.
+    """
+    shares = dict(zip((id(j) for j in ranked), decision.probabilities, strict=True))
+    shares[id(decision.nothing)] += decision.unknown
+    likely = sorted((j for j in ranked if shares[id(j)] > ALIKE), key=lambda j: -shares[id(j)])
+    return (likely[0].hypothesis, likely[1].hypothesis) if len(likely) > 1 else None
 
 
 def _experiments(causes: tuple[Cause, ...], ranked: list[Judged]) -> tuple[str, ...]:

@@ -55,6 +55,7 @@ def _no_gap(gap: Gap) -> list[str]:
         *steps,
         "To find smaller gaps, state tighter tolerances where you have measured them (--tolerances), record for "
         "longer, or excite more strongly.",
+        *_proposed(gap),
     ]
 
 
@@ -84,7 +85,7 @@ def _unknown(gap: Gap) -> list[str]:
     steps += _where_to_look(gap.unknown) if gap.unknown else _rest(gap)
     if gap.causes and closes_some(gap.causes[0]):
         return steps + _tell_apart(gap)
-    return steps
+    return steps + _proposed(gap)
 
 
 def _rest(gap: Gap) -> list[str]:
@@ -156,14 +157,19 @@ def place(unknown: Unknown) -> str:
 
 def _tell_apart(gap: Gap) -> list[str]:
     steps = [f"This record hardly tells {joined(names, 'from')}." for names in gap.equivalent]
-    if gap.next_experiments:
-        best, *others = gap.next_experiments
-        steps.append(
-            f"To tell the two likeliest causes apart, {best.words}: that is expected to raise the odds of the true one "
-            f"by a factor of {_odds(best.log_odds)}."
-            + "".join(f" {one.words.capitalize()}: {_odds(one.log_odds)}." for one in others[:2])
-        )
-    return steps + [f"To test {experiment}." for experiment in gap.separate_by]
+    return steps + _proposed(gap) + [f"To test {experiment}." for experiment in gap.separate_by]
+
+
+def _proposed(gap: Gap) -> list[str]:
+    """The experiment that was computed, and the next best."""
+    if not gap.next_experiments:
+        return []
+    best, *others = gap.next_experiments
+    return [
+        f"To tell {joined(gap.next_between, 'from')}, {best.words}: that is expected to raise the odds of the true one "
+        f"by a factor of {_odds(best.log_odds)}."
+        + "".join(f" {one.words[:1].upper()}{one.words[1:]}: {_odds(one.log_odds)}." for one in others[:2])
+    ]
 
 
 def _odds(logarithm: float) -> str:

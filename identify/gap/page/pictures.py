@@ -12,13 +12,14 @@ from matplotlib.figure import Figure
 
 from identify.gap.page import attribution_pictures, unknown_pictures
 from identify.gap.page.axes import BLUE, GREEN, GREY, INK, RED, lying_bars, plain_decades, stacked
-from identify.gap.results import Curve, Gap
+from identify.gap.results import AGAIN, Curve, Gap
 from identify.gap.wording import cause_name, closes, closes_some, others, probability
 from rig.description import Rig
 
 Draw = Callable[[Any], None]
 
 MOST_CAUSES = 6
+DECIDED = np.log(19)
 _WIDE_IN, _WIDTH_IN, _ROW_IN, _FRAME_IN, _HEIGHT_IN = 7.2, 4.8, 0.3, 1.0, 3.2
 _STYLE = {
     "font.size": 9,
@@ -34,7 +35,7 @@ _STYLE = {
 
 
 def pictures(gap: Gap, rig: Rig) -> dict[str, bytes]:
-    """PNG files by name, which begins with the section: large, why, unknown, where or far.
+    """PNG files by name, which begins with the section: next, large, why, unknown, where or far.
 
     What the diagnosis lacks is left out; the rig gives the bodies that an unknown force is drawn on.
     """
@@ -43,6 +44,9 @@ def pictures(gap: Gap, rig: Rig) -> dict[str, bytes]:
 
 def _drawn(gap: Gap, rig: Rig) -> Iterator[tuple[str, tuple[float, float], Draw]]:
     """Name, width and height in inches, and the function that draws."""
+    if gap.next_experiments:
+        height = _FRAME_IN + _ROW_IN * len(gap.next_experiments)
+        yield "next_experiments", (_WIDE_IN, height), partial(_experiments, gap=gap)
     if gap.bands:
         yield "large_bands", (_WIDE_IN, 3.6), partial(_bands, gap=gap)
     if gap.causes:
@@ -114,6 +118,20 @@ def _closes(figure: Any, gap: Gap) -> None:
     axes.set(xlim=(0, 190), xticks=range(0, 101, 25), xlabel="share of the gap that it closes, %")
     axes.set_ylim(len(shown) - 0.4, -0.6)
     figure.suptitle("What each cause closes, with its 95 % interval", fontsize=10)
+
+
+def _experiments(figure: Any, gap: Gap) -> None:
+    """By how much each further recording is expected to raise the odds of the true one of two causes."""
+    shown = gap.next_experiments
+    sizes = [e.log_odds for e in shown]
+    names = [e.words + " (reference)" * (e.words == AGAIN) for e in shown]
+    colours = [GREY if e.words == AGAIN else BLUE for e in shown]
+    axes = lying_bars(figure, names, sizes, [f"{size:.1f}" for size in sizes], colours)
+    axes.axvline(DECIDED, color=INK, lw=1.2, ls="--", label="turns even odds into 95 %")
+    axes.margins(x=0.12)
+    axes.set(xlabel="expected gain of the log odds of the true one (natural logarithm)")
+    figure.legend(loc="outside lower right")
+    figure.suptitle(f"Which further recording tells {' from '.join(gap.next_between)}", fontsize=10)
 
 
 def _curve(figure: Any, curve: Curve) -> None:

@@ -13,6 +13,9 @@ from rig.container import part_of
 from rig.description import Rig, to_json
 
 CAPTIONS = {
+    "next_experiments": "Each further recording was simulated with either of the two, and the other one fitted to it. "
+    "The bar is the mean, over which of them is true, of what -2 ln p tells them apart by, as the logarithm of odds. "
+    "Grey: the same setting again.",
     "large_bands": "The share of the measured acceleration that each rig leaves unexplained, in bands of frequency. "
     "Nineteen of twenty null simulations (the believed rig within its tolerances) stay below the green line; a share "
     "below the dashed line is too small to matter.",

@@ -135,7 +135,7 @@ def _cost(one: Tried) -> float:
 
 
 def _singles(begun: Search, nothing: Tried) -> list[Tried]:
-    base, at = begun.base, _straightened(begun.at)
+    base, at = begun.base, straightened(begun.at)
     fresh = residual_of(base, base.rig, at.nuisance)
     steady = [c for c in begun.known if not c.kind.stochastic]
     laws = [c for c in steady if same_but_laws(base.rig, c.applied(base.rig, c.default))]
@@ -192,7 +192,7 @@ def _together(begun: Search, first: Tried, second: Screened, start: Residual) ->
     """Both fitted, from where the first stands."""
     parts = (*first.hypothesis.parts, second.candidate)
     values = np.concatenate([first.hypothesis.values, second.values])
-    return refined(begun, _fitted(begun, parts, values, _straightened(start), first.base))
+    return refined(begun, _fitted(begun, parts, values, straightened(start), first.base))
 
 
 def _alone(begun: Search, pair: Tried, first: Tried) -> Tried | None:
@@ -209,7 +209,7 @@ def fit_effects(
     begun: Search, parts: tuple[Candidate, ...], values: Float[np.ndarray, " parameters"], start: Residual
 ) -> Tried:
     """Effects fitted to the end from some values, and from the nuisance parameters and drifts of a residual."""
-    return refined(begun, _fitted(begun, parts, values, _straightened(start)))
+    return refined(begun, _fitted(begun, parts, values, straightened(start)))
 
 
 def _fitted(
@@ -288,7 +288,7 @@ def _stochastic(begun: Search, nothing: Tried, candidate: Candidate) -> Tried | 
     return _tried(begun, (candidate,), values, np.diag(spread**2), base, at)
 
 
-def _straightened(at: Residual) -> Residual:
+def straightened(at: Residual) -> Residual:
     """Where to start with an effect: nuisance parameters that were bent to do without it are straight again.
 
     They stay as they are where none is at its limit.

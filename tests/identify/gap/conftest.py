@@ -6,6 +6,7 @@ from msgspec.structs import replace
 
 from identify.gap.decision.sentence import sentence
 from identify.gap.results import (
+    AGAIN,
     Attribution,
     Band,
     Cause,
@@ -15,6 +16,7 @@ from identify.gap.results import (
     Left,
     Matters,
     MeanForce,
+    NextExperiment,
     Share,
     Surface,
     Unknown,
@@ -252,6 +254,13 @@ GAPS = {
         equivalent=(("added_mass", "clamp_compliance"),),
         separate_by=("added_mass: weigh the part", "clamp_compliance: measure close to the clamp"),
         channel_faults={"cradle_3": "dead"},
+        next_experiments=(
+            NextExperiment("hang a known 395 g on the cradle at 1 m", 7.3),
+            NextExperiment("record with 2.5 times the force", 2.1),
+            NextExperiment(AGAIN, 0.4),
+            NextExperiment("record with 0.3 times the force", -0.1),
+        ),
+        next_between=("added_mass", "clamp_compliance"),
     ),
     "pair": gap(
         "explained", "tolerances and noise leave as much in 31 % of all cases", (PAIR, CLAMP, CUBIC), 0.1, None
