@@ -53,7 +53,8 @@ def rest_hz(gap: Gap) -> list[tuple[float, float]]:
 
 
 def _no_gap(gap: Gap) -> list[str]:
-    steps = ["Nothing needs to be done: simulate with rig.json as it is."]
+    same = not (gap.between and gap.between.differing)
+    steps = ["Nothing needs to be done: simulate with rig.json as it is."] if same else []
     if gap.before.p_value < USUAL:
         return [
             *steps,

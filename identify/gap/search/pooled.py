@@ -24,8 +24,8 @@ from identify.gap.search.nominal import fit_nuisance
 from identify.gap.spectra import Record
 from rig.description import Rig
 
-ROUNDS = 3
-"""At most so many linearisations of all records, until no parameter moves by more than ..."""
+ROUNDS = 2
+"""At most so many steps, until no parameter moves by more than ..."""
 SETTLED = 0.1
 """... so many standard errors."""
 
@@ -182,19 +182,24 @@ def fitted_together(records: Sequence[Record], seen: Sequence[Reference], one: H
         return one
     rig, steps, bounds = records[0].rig, steps_of(parts), bounds_of(parts)
     build = partial(applied, rig, parts)
-    values, best, least = one.values, None, np.inf
-    for _ in range(ROUNDS):
-        cost, said = 0.0, []
+
+    def around(values: Values) -> tuple[Pooled, float]:
+        """What the records say, linearised about values, and their -2 ln p there with tolerances of their own."""
+        cost, said = 0.0, list[Information]()
         for record, reference in zip(records, seen, strict=True):
             looked = linearised(record, reference, build(values))
-            cost, said = cost + looked.cost, [*said, looked.with_parameters(build, values, steps, bounds[1])]
-        if best is not None and cost > least:
-            values = before
+            cost += looked.cost
+            said.append(looked.with_parameters(build, values, steps, bounds[1]))
+        return pooled(said, steps, bounds, values), cost
+
+    values, (best, least) = one.values, around(one.values)
+    for _ in range(ROUNDS):
+        if np.all(np.abs(best.values - values) < SETTLED * np.sqrt(np.diag(best.covariance))):
             break
-        best, least, before = pooled(said, steps, bounds, values), cost, values
-        values = best.values
-        if np.all(np.abs(values - before) < SETTLED * np.sqrt(np.diag(best.covariance))):
+        there, cost = around(best.values)
+        if cost > least:
             break
+        values, best, least = best.values, there, cost
     nuisances = {n: v for n, v in best.tolerances.items() if isinstance(n, Nuisance)}
     bent, _ = apply_nuisance(build(values), tuple(nuisances), np.array(list(nuisances.values())), records[0].tolerances)
     return Hypothesis(parts, values, best.covariance, one.misfit, bent)

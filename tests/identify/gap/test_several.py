@@ -5,7 +5,9 @@ from dataclasses import replace as with_fields
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from typer.testing import CliRunner
 
+from identify.cli import app
 from identify.gap.candidates import candidates, scale_of
 from identify.gap.decision.answer import Simulator, diagnose
 from identify.gap.decision.differences import differences
@@ -18,6 +20,7 @@ from rig.effects import effect_named
 from rig.errors import RigError
 from rig.excitation import force_history
 from rig.model.tolerances import LABORATORY
+from rig.recording import writing
 from rig.reference import Sdof
 from rig.replay import modal
 
@@ -111,3 +114,17 @@ def test_any_record_validates_and_a_recording_counts_once(nominal, nulls):
         diagnose(nominal[0], nominal[0], SIMULATOR, nulls)
     with pytest.raises(RigError, match="no recording"):
         diagnose([], None, SIMULATOR, nulls)
+
+
+def test_a_file_given_twice_or_missing_is_named(nominal, tmp_path):
+    paths = [tmp_path / f"{k}.mcap" for k in range(2)]
+    for path, one in zip(paths, nominal, strict=False):
+        with writing(path, RIG, {n: s.channels for n, s in one.signals.items()}, {}) as file:
+            file.append_all({n: s.values for n, s in one.signals.items()})
+
+    def error(*arguments):
+        return str(CliRunner().invoke(app, ["gap", *map(str, arguments)]).exception)
+
+    assert "given twice" in error(*paths, tmp_path / "." / "0.mcap")
+    assert "missing.mcap" in error(*paths, "--validate", tmp_path / "missing.mcap")
+    assert "cannot validate itself" in error(paths[0], "--validate", paths[0])
