@@ -23,6 +23,7 @@ from identify.gap.search.joint import Hypothesis, applied, bounds_of, steps_of
 from identify.gap.search.nominal import fit_nuisance
 from identify.gap.spectra import Record
 from rig.description import Rig
+from rig.errors import RigError
 
 ROUNDS = 2
 """At most so many steps, until no parameter moves by more than ..."""
@@ -160,6 +161,7 @@ def pooled(
         np.append(np.full(count, s * LIMIT), np.tile(end, times)) for s, end in zip((-1, 1), ends, strict=True)
     )
     z = centre + bounded(matrix, vector - matrix @ centre, low - centre, high - centre)
+    z = np.clip(z, low, high)  # the bounds have slack
     cost = sum(one.level for one in said) + float(z @ matrix @ z - 2 * vector @ z + centre @ (prior * centre))
     scale = np.tile(steps, times)
     covariance = np.linalg.inv(matrix)[count:, count:] * np.outer(scale, scale)
@@ -196,7 +198,10 @@ def fitted_together(records: Sequence[Record], seen: Sequence[Reference], one: H
     for _ in range(ROUNDS):
         if np.all(np.abs(best.values - values) < SETTLED * np.sqrt(np.diag(best.covariance))):
             break
-        there, cost = around(best.values)
+        try:
+            there, cost = around(best.values)
+        except RigError:  # no rig has these values together
+            break
         if cost > least:
             break
         values, best, least = best.values, there, cost
