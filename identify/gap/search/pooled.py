@@ -161,11 +161,11 @@ def pooled(
         np.append(np.full(count, s * LIMIT), np.tile(end, times)) for s, end in zip((-1, 1), ends, strict=True)
     )
     z = centre + bounded(matrix, vector - matrix @ centre, low - centre, high - centre)
-    z = np.clip(z, low, high)  # the bounds have slack
     cost = sum(one.level for one in said) + float(z @ matrix @ z - 2 * vector @ z + centre @ (prior * centre))
     scale = np.tile(steps, times)
     covariance = np.linalg.inv(matrix)[count:, count:] * np.outer(scale, scale)
-    return Pooled(dict(zip(names, z[:count].tolist(), strict=True)), z[count:] * scale, covariance, cost)
+    values = np.clip(z[count:] * scale, np.tile(bounds[0], times), np.tile(bounds[1], times))  # they have slack
+    return Pooled(dict(zip(names, z[:count].tolist(), strict=True)), values, covariance, cost)
 
 
 def references(records: Sequence[Record]) -> list[Reference]:
