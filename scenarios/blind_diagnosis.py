@@ -100,7 +100,7 @@ def diagnosed_cases(
 
 def nulls_made(task: NullsToMake) -> NullsMade:
     """Makes and keeps the null reference of a case, unless it is there."""
-    _, validation, _ = sound(read(Path(task.fit)), read(Path(task.validate)))
+    (_, validation), _ = sound(read(Path(task.fit)), read(Path(task.validate)))
     there = any(Path(task.nulls).glob(f"{task.key[:16]}.json"))
     began = time.process_time()
     believed = _believed(validation, task.tolerances)
@@ -137,7 +137,7 @@ def without_curves(gap: Gap) -> Gap:
 
 def _task(fit: Path, nulls: Path, tolerances: Tolerances | None) -> ToDiagnose:
     validate = fit.with_name(f"{fit.stem}_validate.mcap")
-    _, validation, _ = sound(read(fit), read(validate))
+    (_, validation), _ = sound(read(fit), read(validate))
     return ToDiagnose(
         case=fit.stem,
         fit=str(fit),

@@ -94,7 +94,7 @@ def best_of(cases: Sequence[Case], recordings: Path, kept: Path, tolerances: Tol
 
 def achieved(task: ToLay) -> Best:
     """What the diagnosis would have found, had it been told."""
-    _, validation, _ = sound(read(Path(task.fit)), read(Path(task.validate)))
+    (_, validation), _ = sound(read(Path(task.fit)), read(Path(task.validate)))
     record = record_of(validation, tolerances=task.tolerances or validation.rig.tolerances or LABORATORY)
     reference, matters = reference_of(base_of(record, record.rig)), Matters()
     alone = misfit(record, reference, fit_nuisance(record, record.rig, rounds=1)[1])

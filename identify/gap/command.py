@@ -22,10 +22,18 @@ SIMULATORS = "identify.simulators"
 
 
 def gap(
-    real: Annotated[Path, typer.Argument(help="The recording of reality; its rig.json is the rig that is believed.")],
+    real: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Recordings of reality, one or more of one rig; their rig.json is the rig that is believed."
+        ),
+    ],
     validate: Annotated[
         Path | None,
-        typer.Option(help="Another recording of it, at another level of force; otherwise REAL is cut in two."),
+        typer.Option(
+            help="The recording that is not fitted, one of REAL or another; else the last of several, or the last part "
+            "of a single one."
+        ),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for gap.json, gap.html and the corrected rig.json.")] = None,
     simulator: Annotated[
@@ -34,7 +42,7 @@ def gap(
     nulls: Annotated[
         Path | None,
         typer.Option(
-            help="File of the null reference, made where it is not there or of another rig; else beside REAL."
+            help="File of the null reference, made where it is not there or of another rig; else beside the first REAL."
         ),
     ] = None,
     tolerances: Annotated[
@@ -60,17 +68,23 @@ def gap(
 ) -> None:
     """Where the believed rig differs from reality, which effect causes it, and how far the gap shrinks with it.
 
-    Example: identify gap monday.mcap --validate tuesday.mcap --out results
+    Examples: identify gap monday.mcap --validate tuesday.mcap --out results
+
+    identify gap january.mcap april.mcap july.mcap --out results
     """
     if out is not None:
         refuse_existing(out / "gap.json", force)
     simulating = simulator_named(simulator)
     believed = tolerances_named(tolerances) if tolerances else None
-    recording = read(real)
-    validation = read(validate) if validate else None
-    kept = nulls or real.with_name(f"{recording.rig.name}-{simulator}.nulls.json")
+    recordings = {path.resolve(): read(path) for path in real}
+    if len(recordings) < len(real):
+        raise RigError("a recording is given twice; give each once")
+    validation = None if validate is None else recordings.get(validate.resolve()) or read(validate)
+    name = next(iter(recordings.values())).rig.name
+    kept = nulls or real[0].with_name(f"{name}-{simulator}.nulls.json")
     stages = {"nulls": (0.0, 0.6), "causes": (0.6, 0.4)}
-    with progress_bar(f"diagnosing {real.name}") as progress:
+    title = ", ".join(path.name for path in real)
+    with progress_bar(f"diagnosing {title}") as progress:
 
         def show(stage: str, fraction: float) -> None:
             begin, length = stages[stage]
@@ -78,7 +92,7 @@ def gap(
 
         with threadpool_limits(1):  # the matrices are small
             found, corrected = diagnose(
-                recording,
+                list(recordings.values()),
                 validation,
                 simulating,
                 kept,
@@ -90,7 +104,7 @@ def gap(
     if out is not None:
         from identify.gap.page.report import write_all
 
-        write_all(found, corrected, f"{recording.rig.name}: {real.name}", out)
+        write_all(found, corrected, f"{name}: {title}", out)
     if as_json:
         sys.stdout.buffer.write(msgspec.json.encode(found) + b"\n")
     else:

@@ -180,16 +180,22 @@ def reduced(base: Base, at: Residual) -> Reduced:
     )
     found = []
     for j, contact in enumerate(at.contacts):
-        weights, solver = base.seen[j].weights, contact.solver()
-        forces, eta = base.columns.contact_n[:, j].T, base.columns.eta_m[:, j].T
-        rows = np.zeros((contact.residual.size, count))
-        rows[: weights.size] = weights[:, None] * forces - (weights * contact.by_eta)[:, None] * eta
+        solver, rows = contact.solver(), by_nuisance(base, at, j)
         free, coupled = contact.columns.T @ contact.residual, contact.columns.T @ rows
         solved = solver.solve(coupled)
         matrix = matrix + rows.T @ rows - coupled.T @ solved
         gradient = gradient + rows.T @ contact.residual - solved.T @ free
         found.append(Eliminated(solver, rows, coupled, solved, free, solver.solve(free)))
     return Reduced(base, at, matrix, gradient, tuple(found))
+
+
+def by_nuisance(base: Base, at: Residual, contact: int) -> Float[np.ndarray, "_ nuisances"]:
+    """By how much a contact's residual falls with each nuisance parameter."""
+    weights, one = base.seen[contact].weights, at.contacts[contact]
+    forces, eta = base.columns.contact_n[:, contact].T, base.columns.eta_m[:, contact].T
+    rows = np.zeros((one.residual.size, len(base.columns.parameters)))
+    rows[: weights.size] = weights[:, None] * forces - (weights * one.by_eta)[:, None] * eta
+    return rows
 
 
 def fit(
@@ -216,7 +222,7 @@ def fit(
             np.concatenate([sign * LIMIT - at.nuisance, np.sort((np.stack(bounds) - values) / inside, axis=0)[k]])
             for k, sign in enumerate((-1.0, 1.0))
         ]
-        step = _bounded(held, normal.gradient, ends[0], ends[1])
+        step = bounded(held, normal.gradient, ends[0], ends[1])
         for halving in range(8):
             part = step / 2**halving
             moved = np.clip(values + (part * scaled)[count:], *bounds)
@@ -244,7 +250,7 @@ def fit(
     return Fit(values, covariance, at)
 
 
-def _bounded(
+def bounded(
     matrix: Float[np.ndarray, "n n"],
     gradient: Float[np.ndarray, " n"],
     low: Float[np.ndarray, " n"],

@@ -203,6 +203,15 @@ class Contact:
     def solver(self) -> SuperLU:
         return splu(csc_matrix(self.columns.T @ self.columns))
 
+    @cached_property
+    def drift_columns(self) -> csr_matrix:
+        """The columns of the slow motion alone."""
+        return self.columns[:, : self.seen.curve.knots]
+
+    @cached_property
+    def drift_solver(self) -> SuperLU:
+        return splu(csc_matrix(self.drift_columns.T @ self.drift_columns))
+
 
 def contact_residual(
     laid: Laid,

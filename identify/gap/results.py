@@ -182,6 +182,36 @@ class Matters(msgspec.Struct, frozen=True):
         return math.hypot(share / self.motion, *(one / self.contact for one in contact_shares))
 
 
+Trend = Literal["grows", "falls", "differs", "none"]
+
+
+class Compared(msgspec.Struct, frozen=True, kw_only=True):
+    """A parameter (EFFECT.FIELD, at a place) as each record has it by itself, in the order of the records.
+
+    Standard errors are those of a value beside the mean of all: the tolerances that all records share are not in them.
+    p_value is that of one value for all; trend is "none" where nothing more than chance is seen.
+    """
+
+    parameter: str
+    place: str
+    values: tuple[Value, ...]
+    p_value: float
+    trend: Trend
+
+
+class Between(msgspec.Struct, frozen=True, kw_only=True):
+    """What differs between records, the validation record among them. cause: the parameters of the likeliest cause that
+    do not differ, with the p-value of one value for all; differing: those of at most two effects, at all places, that
+    differ beyond chance, with p-values times the number looked at (Bonferroni)."""
+
+    records: tuple[str, ...]
+    """Their numbers, forces (root mean square), and which of them validates."""
+    cause: tuple[Compared, ...]
+    cause_p_value: float | None
+    differing: tuple[Compared, ...]
+    looked_at: int
+
+
 class NextExperiment(msgspec.Struct, frozen=True):
     """A further recording, and by how much (natural logarithm) it is expected to raise the odds of the true one of the
     two likeliest causes (or of one, and the believed rig) against the other."""
@@ -223,4 +253,6 @@ class Gap(msgspec.Struct, frozen=True, kw_only=True):
     attribution: Attribution
     figures: tuple[Figure, ...] = ()
     curves: tuple[Curve, ...] = ()
+    between: Between | None = None
+    """With more than two records."""
     channel_faults: dict[str, str] = {}

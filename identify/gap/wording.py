@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 from identify import wording
-from identify.gap.results import Cause, Gap, Left, Value
-from identify.wording import percent
+from identify.gap.results import Between, Cause, Compared, Gap, Left, Value
+from identify.wording import number, percent
 
 VERDICTS = {
     "no_gap": "no gap",
@@ -65,6 +65,21 @@ def joined(words: Sequence[str], last: str = "and") -> str:
     """ "a, b and c"."""
     *first, end = words
     return f"{', '.join(first)} {last} {end}" if first else end
+
+
+def between_records(between: Between) -> str:
+    """What differs between the records, in a sentence."""
+    if not between.differing:
+        return "Nothing differs between the records beyond what tolerances and noise explain."
+    return f"Between the records, {joined([differs(one) for one in between.differing])}."
+
+
+def differs(one: Compared) -> str:
+    """Such as "contact_clearance.factor (contact_2) grows (1.006, 1.006, 1.087)"."""
+    values = ", ".join(number(v.value) for v in one.values)
+    unit = "" if one.values[0].unit == "1" else f" {one.values[0].unit}"
+    place = f" ({one.place})" if one.place else ""
+    return f"{one.parameter}{place} {one.trend} ({values}{unit})"
 
 
 def others(gap: Gap) -> list[tuple[str, float]]:

@@ -1,6 +1,6 @@
 """From recordings to a diagnosis in words and numbers: the content of gap.json."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +9,7 @@ import numpy as np
 from identify.gap.candidates import Candidate, candidates, scale_of
 from identify.gap.decision.attribution import attribution
 from identify.gap.decision.comparison import Judged, closed, closed_interval, judged, log_priors
+from identify.gap.decision.differences import differences
 from identify.gap.decision.experiment import next_experiments
 from identify.gap.decision.null_reference import NullReference, Simulate, null_reference
 from identify.gap.decision.response_comparison import compared
@@ -21,6 +22,7 @@ from identify.gap.results import Band, Cause, Gap, Left, Matters, MeanForce, Nex
 from identify.gap.scales import BAND_HZ
 from identify.gap.search.joint import Hypothesis, Search, search
 from identify.gap.search.nominal import fit_nuisance
+from identify.gap.search.pooled import fitted_together
 from identify.gap.spectra import Record, record_of
 from identify.gap.unknown import UnknownForce, likeliest_force
 from identify.gap.unknown import sentence as described
@@ -50,7 +52,7 @@ class Simulator:
 
 
 def diagnose(
-    recording: Recording,
+    recordings: Recording | Sequence[Recording],
     validation: Recording | None,
     simulator: Simulator,
     kept: Path | None = None,
@@ -61,20 +63,29 @@ def diagnose(
 ) -> tuple[Gap, Rig]:
     """The diagnosis, and the rig corrected by it (the believed one, if no effect explains the gap at least in part).
 
-    The null reference is made by the simulator, or read from `kept` (see `null_reference`); tolerances say how exactly
-    the rig is believed (else the rig itself does, else they are a laboratory's). Raises RigError if the records do not
-    fit together or allow no diagnosis. With ask_next the next experiment is computed where two causes stay alike.
+    `validation` may be one of the recordings, or another; None: the last of several, or the last part of a single one.
+    Of several that are fitted, the one of the strongest force is searched; then all share the parameters of what was
+    found there, and what differs between the records is told. The null reference is made by the simulator, or read from
+    `kept` (see `null_reference`); tolerances say how exactly the rig is believed (else the rig itself does, else they
+    are a laboratory's). Raises RigError if the records do not fit together or allow no diagnosis. With ask_next the
+    next experiment is computed where two causes stay alike.
     """
-    if validation is None:
-        recording, validation = _halves(recording)
-    elif to_json(recording.rig) != to_json(validation.rig):
-        raise RigError("the validation recording is of another rig (their rig.json differ); record the same rig twice")
-    believed = tolerances or recording.rig.tolerances or LABORATORY
-    fit_part, other, faults = sound(recording, validation)
-    fit_record, record = (record_of(part, tolerances=believed) for part in (fit_part, other))
+    parts, last = _parts(recordings, validation)
+    believed = tolerances or parts[0].rig.tolerances or LABORATORY
+    parts, faults = sound(*parts)
+    every = [record_of(part, tolerances=believed) for part in parts]
+    other, record = parts[last], every[last]
+    fitted = [k for k in range(len(parts)) if k != last]
+    searched_on = max(fitted, key=lambda k: float(np.std(parts[k].force_n)))
+    fit_record = every[searched_on]
     nulls = null_reference(other, believed, simulator.simulate, simulator.name, lambda x: progress("nulls", x), kept)
-    hypotheses, known = searched(fit_record, lambda x: progress("causes", 0.7 * x))
+    several = len(fitted) > 1
+    hypotheses, known = searched(fit_record, lambda x: progress("causes", (0.4 if several else 0.7) * x))
     reference = _reference(record)
+    if several:
+        seen = [_reference(one) for one in every]
+        shared = [every[k] for k in fitted], [seen[k] for k in fitted]
+        hypotheses = [fitted_together(*shared, one) for one in hypotheses]
     priors = log_priors(hypotheses, known)
     base, at = fit_nuisance(record, record.rig, rounds=1)
     ranked = judged(record, reference, at, hypotheses, priors, lambda x: progress("causes", 0.7 + 0.2 * x))
@@ -87,6 +98,11 @@ def diagnose(
     if decision.verdict == "partly_explained" and decision.best:  # what the rest is
         unknown = _unknown(fit_record, record, decision.best.rig)
         swinging = breathing(record, fit_nuisance(record, decision.best.rig, rounds=1)[1])
+    between = None
+    if several:
+        cause = decision.best if decision.verdict in ("explained", "partly_explained") else None
+        names = [f"{k + 1}, {np.std(p.force_n):.3g} N{', validates' * (k == last)}" for k, p in enumerate(parts)]
+        between = differences(every, seen, cause, known, names, lambda x: progress("causes", 0.9 + 0.05 * x))
     progress("causes", 0.95)
     likeliest = decision.best.corrected if decision.best else other.rig
     figures, curves = compared(other, other.rig, likeliest, simulator.simulate)
@@ -121,6 +137,7 @@ def diagnose(
         attribution=attribution(base, at, nothing.misfit),
         figures=figures,
         curves=curves,
+        between=between,
         channel_faults=faults,
     )
     helps = decision.verdict in ("explained", "partly_explained")
@@ -141,13 +158,37 @@ def _reference(record: Record) -> Reference:
     return reference_of(base_of(record, record.rig))
 
 
-def sound(recording: Recording, validation: Recording) -> tuple[Recording, Recording, dict[str, str]]:
-    """Both recordings without the channels that are dead or clipped in either."""
-    fit_part, faults = sound_channels(recording)
-    other, more = sound_channels(validation, without=tuple(faults))
-    if more:
-        fit_part, _ = sound_channels(recording, without=tuple({**faults, **more}))
-    return fit_part, other, faults | more
+def sound(*recordings: Recording) -> tuple[list[Recording], dict[str, str]]:
+    """All recordings without the channels that are dead or clipped in any."""
+    faults: dict[str, str] = {}
+    for one in recordings:
+        faults |= sound_channels(one, without=tuple(faults))[1]
+    return [sound_channels(one, without=tuple(faults))[0] for one in recordings], faults
+
+
+def _parts(recordings: Recording | Sequence[Recording], validation: Recording | None) -> tuple[list[Recording], int]:
+    """All recordings in their order, and which of them validates."""
+    parts = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    if not parts:
+        raise RigError("no recording to diagnose; give one or more of the rig")
+    if validation is None and len(parts) == 1:
+        return list(_halves(parts[0])), 1
+    if validation is not None and not any(validation is one for one in parts):
+        parts.append(validation)
+    for k, one in enumerate(parts):
+        if to_json(one.rig) != to_json(parts[0].rig):
+            raise RigError(f"recording {k + 1} is of another rig (their rig.json differ); give recordings of one rig")
+        if any(_same(one, earlier) for earlier in parts[:k]):
+            raise RigError(f"recording {k + 1} is the same as an earlier one; give each recording once")
+    last = next((k for k, one in enumerate(parts) if one is validation), len(parts) - 1)
+    if len(parts) == 1:
+        raise RigError("the only recording cannot validate itself; leave --validate out, or give another recording")
+    return parts, last
+
+
+def _same(one: Recording, other: Recording) -> bool:
+    """Whether two recordings hold the same samples."""
+    return all(np.array_equal(s.values, other.signals[name].values) for name, s in one.signals.items())
 
 
 def _halves(recording: Recording) -> tuple[Recording, Recording]:

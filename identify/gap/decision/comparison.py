@@ -67,7 +67,7 @@ def judged(
         rig, corrected, left, without = record.rig, record.rig, alone, alone
         if one.parts:
             try:
-                rig = _of_this_record(record, one)
+                rig = of_this_record(record, one)
                 base, at = fit_nuisance(record, rig, rounds=1)
             except RigError:
                 continue
@@ -89,7 +89,8 @@ def left_without(record: Record, reference: Reference, base: Base, at: Residual)
     return misfit(record, reference, residual_of(base, record.rig, at.nuisance, unknowns))
 
 
-def _of_this_record(record: Record, one: Hypothesis) -> Rig:
+def of_this_record(record: Record, one: Hypothesis) -> Rig:
+    """The rig with the hypothesis, and what every record has its own of (a tone's phase) fitted to this one."""
     own = [
         sum(len(p.parameters) for p in one.parts[:k]) + list(part.parameters).index(name)
         for k, part in enumerate(one.parts)

@@ -3,13 +3,14 @@
 from msgspec.structs import replace
 
 from identify.gap.results import Gap
-from identify.gap.wording import MOST, cause_name, closes, closes_some, joined, leaves
+from identify.gap.wording import MOST, between_records, cause_name, closes, closes_some, joined, leaves
 from identify.wording import percent
 
 
 def sentence(gap: Gap, criterion: str) -> Gap:
     """The diagnosis with its sentence."""
     said = [_verdict(gap), *_alternatives(gap), *_limits(gap), f"Criterion: {criterion}."]
+    said += [between_records(gap.between)] if gap.between else []
     said += [f"Channel {name} is {what} and was left out." for name, what in gap.channel_faults.items()]
     return replace(gap, sentence=" ".join(said))
 

@@ -27,9 +27,18 @@ _BY_DEPENDENCE = {
 
 def next_steps(gap: Gap) -> list[str]:
     """What a reader of the diagnosis does now, most useful first."""
-    return {"no_gap": _no_gap, "explained": _explained, "partly_explained": _partly, "unknown": _unknown}[gap.verdict](
-        gap
-    )
+    by_verdict = {"no_gap": _no_gap, "explained": _explained, "partly_explained": _partly, "unknown": _unknown}
+    return [*_between(gap), *by_verdict[gap.verdict](gap)]
+
+
+def _between(gap: Gap) -> list[str]:
+    if gap.between is None or not gap.between.differing:
+        return []
+    names = joined(list(dict.fromkeys(one.parameter.split(".")[0] for one in gap.between.differing)))
+    return [
+        f"The machine was not the same in all records ({names}): find out what changed, and diagnose the records of "
+        "one state by themselves; what follows holds for the validation record."
+    ]
 
 
 def rest_hz(gap: Gap) -> list[tuple[float, float]]:
@@ -44,7 +53,8 @@ def rest_hz(gap: Gap) -> list[tuple[float, float]]:
 
 
 def _no_gap(gap: Gap) -> list[str]:
-    steps = ["Nothing needs to be done: simulate with rig.json as it is."]
+    same = not (gap.between and gap.between.differing)
+    steps = ["Nothing needs to be done: simulate with rig.json as it is."] if same else []
     if gap.before.p_value < USUAL:
         return [
             *steps,

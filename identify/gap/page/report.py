@@ -5,7 +5,15 @@ from pathlib import Path
 
 from identify import page
 from identify.gap.page.screen import COLOURS
-from identify.gap.page.sections import causes, how_large, response_comparison, unknown_force, what_next, where
+from identify.gap.page.sections import (
+    between_records,
+    causes,
+    how_large,
+    response_comparison,
+    unknown_force,
+    what_next,
+    where,
+)
 from identify.gap.results import Gap
 from identify.gap.wording import VERDICTS
 from identify.results import write_json
@@ -47,6 +55,7 @@ def write_page(gap: Gap, figures: Mapping[str, bytes], title: str, path: Path) -
         ("What to do next", "next", what_next(gap)),
         ("How large is the gap?", "large", how_large(gap)),
         ("What causes it?", "why", causes(gap)),
+        *([("What differs between the records?", "between", between_records(gap.between))] if gap.between else []),
         *([(rest, "unknown", unknown_force(gap.unknown))] if gap.unknown else []),
         ("Where does the gap lie?", "where", where(gap.attribution)),
         ("Simulated and measured", "far", response_comparison(gap)),

@@ -4,8 +4,9 @@ from collections.abc import Mapping, Sequence
 from html import escape
 
 from identify import page
+from identify.gap import wording
 from identify.gap.page.advice import next_steps, place, rest_hz
-from identify.gap.results import USUAL, Attribution, Cause, Gap, Left, Share, Unknown, Value
+from identify.gap.results import USUAL, Attribution, Between, Cause, Compared, Gap, Left, Share, Unknown, Value
 from identify.gap.wording import WHEN, cause_name, closes, closes_some, interval, joined, others, probability
 from identify.wording import number, percent
 
@@ -78,6 +79,24 @@ def causes(gap: Gap) -> str:
         table = page.table(head, [_cause_row(c) for c in further]) if further else ""
         every = "".join(_parameters(c) for c in (*idle, *further))
         text += f"<details><summary>Other causes that were judged</summary>{table}{every}</details>"
+    return text
+
+
+def between_records(between: Between) -> str:
+    """Each record's own values of what differs, and of the likeliest cause."""
+    text = f"<p>{escape(wording.between_records(between))}</p>"
+    rows = [*between.differing, *between.cause]
+    if rows:
+        head = ("parameter", "place", *(f"record {name}" for name in between.records), "", "p-value")
+        text += page.table(head, [_compared_row(one) for one in rows])
+        text += (
+            "<p>Each record's own value ± 1.96 standard errors beside the mean of all records: tolerances of the rig "
+            "are shared and not in them. p-value: how often records of an unchanged machine differ as much; of what "
+            f"differs, times the {between.looked_at} effects looked at.</p>"
+        )
+    if between.cause_p_value is not None:
+        agree = "agree" if between.cause_p_value >= USUAL else "do not agree"
+        text += f"<p>The records {agree} on the likeliest cause (p-value {percent(between.cause_p_value)}).</p>"
     return text
 
 
@@ -164,6 +183,11 @@ def _chance(rig: str, left: Left) -> str:
 
 def _cause_row(cause: Cause) -> tuple[str, ...]:
     return cause_name(cause), probability(cause.probability), closes(cause), *_shares(cause.left)
+
+
+def _compared_row(one: Compared) -> tuple[str, ...]:
+    mark = one.trend if one.trend != "none" else ""
+    return one.parameter, one.place, *(interval(v) for v in one.values), mark, percent(one.p_value)
 
 
 def _parameters(cause: Cause) -> str:

@@ -226,7 +226,7 @@ def _fitted(
     about, build = about or begun.base, partial(applied, begun.base.rig, parts)
     if start is None:
         about = base_of(about.record, build(values), None, about.scales, about.seen)
-    done = fit(about, build, values, _steps(parts), _bounds(parts), start, SHORT)
+    done = fit(about, build, values, steps_of(parts), bounds_of(parts), start, SHORT)
     return _tried(begun, parts, done.values, done.covariance, about, done.residual)
 
 
@@ -242,7 +242,7 @@ def refined(begun: Search, one: Tried) -> Tried:
     for _ in range(ROUNDS + singly_bent(begun.base.rig)):
         values = one.hypothesis.values
         about = base_of(one.base.record, build(values), one.residual, scales_at(one.base, one.residual))
-        done = fit(about, build, values, _steps(parts), _bounds(parts), one.residual)
+        done = fit(about, build, values, steps_of(parts), bounds_of(parts), one.residual)
         better = _tried(begun, parts, done.values, done.covariance, about, done.residual)
         gained = one.cost - better.cost
         one = better if gained > 0 else one
@@ -251,11 +251,13 @@ def refined(begun: Search, one: Tried) -> Tried:
     return one
 
 
-def _steps(parts: tuple[Candidate, ...]) -> Float[np.ndarray, " parameters"]:
+def steps_of(parts: tuple[Candidate, ...]) -> Float[np.ndarray, " parameters"]:
     return np.concatenate([p.steps for p in parts])
 
 
-def _bounds(parts: tuple[Candidate, ...]) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, " parameters"]]:
+def bounds_of(
+    parts: tuple[Candidate, ...],
+) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, " parameters"]]:
     low, high = (np.concatenate(ends) for ends in zip(*(p.bounds for p in parts), strict=True))
     return low, high
 

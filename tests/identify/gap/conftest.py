@@ -9,7 +9,9 @@ from identify.gap.results import (
     AGAIN,
     Attribution,
     Band,
+    Between,
     Cause,
+    Compared,
     Curve,
     Figure,
     Gap,
@@ -244,6 +246,25 @@ ONE_MASS = Attribution(
     parts={"linear": 1.0},
 )
 
+
+def compared(parameter, place, values, p_value, trend):
+    return Compared(
+        parameter=parameter,
+        place=place,
+        values=tuple(Value(v, 0.002, "1") for v in values),
+        p_value=p_value,
+        trend=trend,
+    )
+
+
+BETWEEN = Between(
+    records=("1, 12 N", "2, 18 N", "3, 24 N, validates"),
+    cause=(compared("sensor_gain.factor", "barrel_4", (1.02, 1.021, 1.019), 0.61, "none"),),
+    cause_p_value=0.61,
+    differing=(compared("contact_clearance.factor", "contact_2", (1.006, 1.006, 1.087), 3e-9, "grows"),),
+    looked_at=70,
+)
+
 GAPS = {
     "explained": gap(
         "explained",
@@ -263,7 +284,12 @@ GAPS = {
         next_between=("added_mass", "clamp_compliance"),
     ),
     "pair": gap(
-        "explained", "tolerances and noise leave as much in 31 % of all cases", (PAIR, CLAMP, CUBIC), 0.1, None
+        "explained",
+        "tolerances and noise leave as much in 31 % of all cases",
+        (PAIR, CLAMP, CUBIC),
+        0.1,
+        None,
+        between=BETWEEN,
     ),
     "partly_explained": gap(
         "partly_explained",

@@ -70,6 +70,7 @@ def test_the_page_says_the_verdict_then_what_to_do_then_why(written):
         "What to do next",
         "How large is the gap?",
         "What causes it?",
+        *(["What differs between the records?"] if gap.between else []),
         *unknown,
         "Where does the gap lie?",
         "Simulated and measured",
@@ -101,6 +102,13 @@ def test_every_number_is_on_the_page(written):
     said |= {percent(s.share) for s in (*where.band_hz, *where.time_s)}
     said |= {" / ".join(names) for names in gap.equivalent} | set(next_steps(gap))
     said |= set(gap.channel_faults) | set(gap.channel_faults.values())
+    if gap.between:
+        for one in (*gap.between.cause, *gap.between.differing):
+            said |= {one.parameter, one.place, percent(one.p_value), *(interval(v) for v in one.values)}
+        said |= {f"record {name}" for name in gap.between.records} | {"grows"}
+        differs = "contact_clearance.factor (contact_2) grows (1.006, 1.006, 1.087)"
+        assert f"Between the records, {differs}." in gap.sentence
+        assert "contact_clearance" in next_steps(gap)[0]
     if gap.unknown:
         said |= {gap.unknown.law, percent(gap.unknown.explained), f"{number(gap.unknown.rms_n, 3)} N rms"}
     assert said <= set(page.texts)
