@@ -6,8 +6,8 @@ While a contact presses, its residual force r over the law's tangent k is a chan
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
-from scipy.signal import lombscargle
+from jaxtyping import Bool, Float
+from scipy.fft import next_fast_len, rfft
 
 from identify.gap.law import Contact
 from identify.gap.residual import Residual
@@ -46,7 +46,7 @@ def breathing(record: Record, at: Residual) -> Breathing | None:
 
 
 def _of(record: Record, name: str, contact: Contact) -> Breathing | None:
-    """By the periodogram of unevenly spaced samples (scipy.signal.lombscargle), refined about its peak."""
+    """By the periodogram of the samples at which the contact presses, refined about its peak."""
     weights = contact.seen.weights
     tangent, side = decimated(
         np.stack([contact.tangent_n_per_m, contact.tangent_n_per_m * np.sign(contact.depth_m)]), contact.laid.finer
@@ -58,12 +58,29 @@ def _of(record: Record, name: str, contact: Contact) -> Breathing | None:
     left_n = contact.residual[: weights.size][pressed] / weights[pressed]
     change_m = -left_n * side[pressed] / tangent[pressed] ** 2
     resolution_hz = 1 / (time_s[-1] - time_s[0])
-    hz = np.arange(LOWEST_HZ, record.rate_hz / 4, resolution_hz / 3)
-    power = lombscargle(time_s, change_m, 2 * np.pi * hz, precenter=True, normalize=True)
-    near = hz[int(np.argmax(power))] + resolution_hz * np.linspace(-0.5, 0.5, 41)
+    hz, shares = _periodogram(change_m, pressed, record.rate_hz)
+    near = hz[int(np.argmax(shares))] + resolution_hz * np.linspace(-0.5, 0.5, 41)
     fits = [_harmonic(time_s, change_m, f) for f in near if f > 0]
     share, amplitude_m, frequency_hz = max(fits)
     return Breathing(name, amplitude_m, frequency_hz, share)
+
+
+def _periodogram(
+    change_m: Float[np.ndarray, " taken"], pressed: Bool[np.ndarray, " times"], rate_hz: float
+) -> tuple[Float[np.ndarray, " lines"], Float[np.ndarray, " lines"]]:
+    """Frequencies, and the share of the square of some even samples less their mean that a harmonic makes (Lomb,
+    Astrophys. Space Sci. 39, 1976). With Y their transform, W that of ones in their places, both zero elsewhere,
+
+        2 (W(0) |Y|^2 - Re(W(2 f) conj(Y)^2)) / (W(0)^2 - |W(2 f)|^2) / sum y^2
+    """
+    centred = np.zeros(pressed.size)
+    centred[pressed] = change_m - change_m.mean()
+    length = next_fast_len(3 * pressed.size, real=True)
+    ones, transform = rfft(pressed.astype(float), length), rfft(centred, length)
+    lines = np.arange(int(np.ceil(LOWEST_HZ * length / rate_hz)), length // 4)
+    count, twice, y = float(ones[0].real), ones[2 * lines], transform[lines]
+    fitted = 2 * (count * np.abs(y) ** 2 - (twice * y.conj() ** 2).real) / (count**2 - np.abs(twice) ** 2)
+    return lines * rate_hz / length, fitted / max(float(centred @ centred), 1e-300)
 
 
 def _harmonic(
