@@ -1,6 +1,7 @@
 """Gauss-Newton on the residual: parameters of effects, with nuisance parameters, drifts and contact tolerances."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,8 @@ from rig.errors import RigError
 STEPS = 12
 FINE = 1e-3
 """Derivatives are by this share of a candidate's steps: little is left once nuisance parameters are eliminated."""
+TRIES = 6
+"""Of a step, shorter and shorter, until the cost falls."""
 ROUNDING = 1e-9
 SETTLED = 3e-5
 """A whole step of Gauss-Newton is the last if the cost falls by a smaller share, a tenth of the errors; ..."""
@@ -55,6 +58,12 @@ class Normal:
     matrix: Float[np.ndarray, "global global"]
     gradient: Float[np.ndarray, " global"]
     eliminated: tuple[tuple[Float[np.ndarray, " _"], Float[np.ndarray, "_ global"]], ...]
+    without: float
+    """What the contacts' own unknowns alone lower the cost by."""
+
+    def promised(self, step: Float[np.ndarray, " global"]) -> float:
+        """What a step lowers the cost by, were the residual linear."""
+        return float(self.without + 2 * self.gradient @ step - step @ self.matrix @ step)
 
     def unknowns(self, step: Float[np.ndarray, " global"]) -> list[Float[np.ndarray, " _"]]:
         """The steps of the contacts' unknowns that go with a step of the others."""
@@ -168,7 +177,8 @@ class Reduced:
             gradient[count:] += mine.T @ contact.residual - solved.T @ eliminated.free
             back.append((eliminated.solved_free, np.concatenate([eliminated.solved, solved], axis=1)))
         matrix[count:, :count] = matrix[:count, count:].T
-        return Normal(matrix, gradient, tuple(back))
+        without = sum(float(e.free @ e.solved_free) for e in self.contacts)
+        return Normal(matrix, gradient, tuple(back), without)
 
 
 def reduced(base: Base, at: Residual) -> Reduced:
@@ -223,12 +233,15 @@ def fit(
             for k, sign in enumerate((-1.0, 1.0))
         ]
         step = bounded(held, normal.gradient, ends[0], ends[1])
-        for halving in range(8):
-            part = step / 2**halving
+        promised, share = normal.promised(step), 1.0
+        settled = max(SETTLED * at.cost, UNFIT * (at.cost - at.rows))
+        for _ in range(TRIES):
+            part = share * step
             moved = np.clip(values + (part * scaled)[count:], *bounds)
             part[count:] = (moved - values) / inside
-            along = [u / 2**halving for u in normal.unknowns(part * 2**halving)]
-            try:
+            along = [share * u for u in normal.unknowns(part / share)]
+            cost = np.inf
+            with suppress(RigError):  # no such rig
                 there = residual_of(
                     base,
                     build(moved),
@@ -236,15 +249,16 @@ def fit(
                     tuple(c.unknowns + u for c, u in zip(at.contacts, along, strict=True)),
                     like=at,
                 )
-            except RigError:
-                continue
-            if there.cost < at.cost:
+                cost = there.cost
+            if cost < at.cost or promised < settled:
                 break
-        else:
+            # the least of the parabola through both costs with the slope here, which is -2 promised
+            share *= np.clip(promised * share / (cost - at.cost + 2 * promised * share), 0.1, 0.5)
+        if cost >= at.cost:
             break
-        fell = at.cost - there.cost
+        fell = at.cost - cost
         values, at = moved, there
-        if not halving and fell < max(SETTLED * at.cost, UNFIT * (at.cost - at.rows)):
+        if share == 1 and fell < settled:
             break
     covariance = base.record.strictness * np.linalg.pinv(normal.matrix)[count:, count:] * np.outer(inside, inside)
     return Fit(values, covariance, at)

@@ -14,6 +14,7 @@ from identify.gap.spectra import Record
 from identify.modal import receptance
 from rig.description import Body, Rig, Sensor
 from rig.model.tolerances import Tolerances
+from rig.modes import modes_of
 from rig.oscillator import Oscillator
 
 LIMIT = 6.0
@@ -171,7 +172,9 @@ def _of_modes(
         "damping": -2 * loss * flexible,
     }
     flexing = np.arange(response.count) >= body.rigid_modes  # no matter which springs hold the body
-    elastic = np.flatnonzero(flexing & (natural_hz < BEYOND * omega[-1] / (2 * np.pi)))
+    by_belief = modes_of(record.rig, record.rig.body(body.name))  # so that all rigs have the same parameters
+    near = by_belief.frequencies_hz(response.count) < BEYOND * omega[-1] / (2 * np.pi)
+    elastic = np.flatnonzero(flexing & near)
     for kind, change in per_unit.items():
         if common := float(getattr(believed, kind)):
             yield _Change(Nuisance(kind, body.name), rows, common * chain * times(shapes, change))

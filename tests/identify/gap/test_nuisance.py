@@ -84,3 +84,12 @@ def test_the_fitted_rig_leaves_by_itself_what_was_left_beside_the_nuisance_param
     at, believed = residual_of(base, rig, values), residual_of(base, rig)
     there = residual_of(base_of(record, at.fitted_rig), at.fitted_rig)
     assert np.linalg.norm(there.linear - at.linear) < 0.05 * np.linalg.norm(believed.linear - at.linear)
+
+
+def test_a_rig_whose_modes_leave_the_band_has_the_same_nuisance_parameters():
+    settings = BarrelCradle(sensors="acceleration", duration_s=12.0, rms_n=1.0)
+    rig = settings.rig()
+    force_n = force_history(settings.force(), settings.duration_s, 1 / rig.sample_rate_hz)
+    record = record_of(modal(rig, rig, force_n, 1))
+    softer = replace(rig, bodies=tuple(replace(b, youngs_modulus_pa=0.5 * b.youngs_modulus_pa) for b in rig.bodies))
+    assert base_of(record, softer).columns.parameters == base_of(record, rig).columns.parameters
