@@ -167,25 +167,33 @@ def _singles(begun: Search, nothing: Tried) -> list[Tried]:
 
 def _seconds(begun: Search, first: Tried) -> list[Tried]:
     """Pairs of a first effect with what the library holds best for what it leaves; no effect pairs with itself."""
-    parts, values = first.hypothesis.parts, first.hypothesis.values
     rig = first.hypothesis.applied_to(begun.base.rig)
     base = base_of(begun.base.record, rig, first.residual, first.base.scales)
     at = fitted(base, first.residual).residual
     others = [c for c in begun.known if c.kind.name not in first.hypothesis.effects and _joins(c, rig)]
+    inner = Search(begun.reference, base, at, ())
+    held = any(p.kind.stochastic for p in first.hypothesis.parts)
     screened = score_screening(base, at, [c for c in others if not c.kind.stochastic])
     pairs = []
     for one in screened[:SECONDS]:
         if one.gain > WORTH * base.record.strictness:
             with suppress(RigError):  # two effects may make no rig where each makes one
-                pairs.append(_together(begun, first, one, at))
-    inner = Search(begun.reference, base, at, ())
+                if held:
+                    pairs.append(_beside(first, fit_effects(inner, (one.candidate,), one.values, at)))
+                else:
+                    pairs.append(_together(begun, first, one, at))
     for candidate in others:
         if candidate.kind.stochastic and (shaken := _stochastic(inner, inner.nothing(), candidate)):
-            own = shaken.hypothesis
-            both = np.concatenate([values, own.values])
-            covariance = block_diag(first.hypothesis.covariance, own.covariance)
-            pairs.append(_tried(begun, (*parts, candidate), both, covariance, shaken.base, shaken.residual))
+            pairs.append(_beside(first, shaken))
     return pairs
+
+
+def _beside(first: Tried, second: Tried) -> Tried:
+    """A pair of which the second was fitted with the first held, as one is known by its spectrum alone."""
+    one, other = first.hypothesis, second.hypothesis
+    values = np.concatenate([one.values, other.values])
+    covariance = block_diag(one.covariance, other.covariance)
+    return Tried(Hypothesis((*one.parts, *other.parts), values, covariance, other.misfit), second.base, second.residual)
 
 
 def _together(begun: Search, first: Tried, second: Screened, start: Residual) -> Tried:
