@@ -14,7 +14,7 @@ from rig.effect import Effect, Parameter, Place, Scale
 from rig.effects import effects
 from rig.errors import RigError
 
-PLACES = 4
+PLACES = 9
 """A parameter that says where, rather than how much, is tried at so many values of its range."""
 WHOLE = 8
 """A ratio is tried at so many values over its whole range."""

@@ -14,10 +14,10 @@ from identify.gap.decision.experiment import next_experiments
 from identify.gap.decision.null_reference import NullReference, Simulate, null_reference
 from identify.gap.decision.response_comparison import compared
 from identify.gap.decision.sentence import sentence
-from identify.gap.decision.verdict import Decision, decided, unknown_gain
+from identify.gap.decision.verdict import HALF, Decision, decided, unknown_gain
 from identify.gap.faults import sound_channels
 from identify.gap.likelihood import Misfit, Reference, reference_of
-from identify.gap.residual import base_of
+from identify.gap.residual import Residual, base_of
 from identify.gap.results import Band, Cause, Gap, Left, Matters, MeanForce, NextExperiment, Unknown, Value
 from identify.gap.scales import BAND_HZ
 from identify.gap.search.joint import Hypothesis, Search, search
@@ -89,15 +89,7 @@ def diagnose(
     priors = log_priors(hypotheses, known)
     base, at = fit_nuisance(record, record.rig, rounds=1)
     ranked = judged(record, reference, at, hypotheses, priors, lambda x: progress("causes", 0.7 + 0.2 * x))
-    decision = decided(ranked, None, record.strictness, nulls, matters)
-    unknown, swinging = None, None
-    if decision.verdict in ("partly_explained", "unknown"):
-        unknown = _unknown(fit_record, record, fit_record.rig)
-        decision = decided(ranked, unknown, record.strictness, nulls, matters)
-        swinging = breathing(record, at)
-    if decision.verdict == "partly_explained" and decision.best:  # what the rest is
-        unknown = _unknown(fit_record, record, decision.best.rig)
-        swinging = breathing(record, fit_nuisance(record, decision.best.rig, rounds=1)[1])
+    decision, unknown, swinging = _decided(fit_record, record, at, ranked, nulls, matters)
     between = None
     if several:
         cause = decision.best if decision.verdict in ("explained", "partly_explained") else None
@@ -200,6 +192,25 @@ def _halves(recording: Recording) -> tuple[Recording, Recording]:
         return Recording(recording.rig, signals, recording.provenance)
 
     return part(slice(0, cut)), part(slice(cut, None))
+
+
+def _decided(
+    fit_record: Record, record: Record, at: Residual, ranked: list[Judged], nulls: NullReference, matters: Matters
+) -> tuple[Decision, UnknownForce | None, Breathing | None]:
+    """The verdict; and of a gap that no effect explains, what acts unmeasured: beside the likeliest effects, if those
+    explain it in part."""
+    decision = decided(ranked, None, record.strictness, nulls, matters)
+    if decision.verdict not in ("partly_explained", "unknown"):
+        return decision, None, None
+    unknown = _unknown(fit_record, record, record.rig)
+    decision = decided(ranked, unknown, record.strictness, nulls, matters)
+    best = decision.best
+    if best and decision.verdict != "no_gap" and closed(best.without, best.misfit, matters) >= HALF:
+        beside = _unknown(fit_record, record, best.rig)
+        decision = decided(ranked, unknown, record.strictness, nulls, matters, beside)
+        if decision.verdict == "partly_explained":
+            unknown, at = beside, fit_nuisance(record, best.rig, rounds=1)[1]
+    return decision, unknown, breathing(record, at)
 
 
 def _unknown(fit_record: Record, record: Record, rig: Rig) -> UnknownForce | None:

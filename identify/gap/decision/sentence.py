@@ -2,7 +2,7 @@
 
 from msgspec.structs import replace
 
-from identify.gap.results import Gap
+from identify.gap.results import USUAL, Gap
 from identify.gap.wording import MOST, between_records, cause_name, closes, closes_some, joined, leaves
 from identify.wording import percent
 
@@ -18,7 +18,8 @@ def sentence(gap: Gap, criterion: str) -> Gap:
 def _verdict(gap: Gap) -> str:
     if gap.verdict == "no_gap":
         small = gap.matters.times(gap.before.share, gap.before.contact_shares.values()) <= 1
-        what = "that matters" if small else "beyond tolerances and noise"
+        usual = gap.before.p_value >= USUAL
+        what = "that matters" if small else "beyond tolerances and noise" if usual else "that surely matters"
         return f"There is no gap {what}: the believed rig leaves {leaves(gap.before)} unexplained."
     if gap.verdict == "unknown":
         found = f"There is a gap that no effect of the library explains. {_looks(gap, 'It')}"

@@ -5,7 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identify.gap.decision.comparison import PRIOR_UNKNOWN, TEMPERATURE, Judged, closed, probabilities, size
+from identify.gap.decision.comparison import (
+    PRIOR_UNKNOWN,
+    TEMPERATURE,
+    Judged,
+    closed,
+    matters_surely,
+    probabilities,
+    size,
+)
 from identify.gap.decision.null_reference import NullReference
 from identify.gap.results import USUAL, Matters, Verdict
 from identify.gap.unknown import UnknownForce
@@ -34,34 +42,44 @@ class Decision:
 
 
 def decided(
-    ranked: Sequence[Judged], unknown: UnknownForce | None, strictness: float, nulls: NullReference, matters: Matters
+    ranked: Sequence[Judged],
+    unknown: UnknownForce | None,
+    strictness: float,
+    nulls: NullReference,
+    matters: Matters,
+    beside: UnknownForce | None = None,
 ) -> Decision:
     """From hypotheses judged on the validation record, likeliest first, and the unmeasured force that explains it best.
 
     A gap that matters, and that tolerances and noise do not explain, is one: the probability of the believed rig alone
-    is then that of something unknown.
+    is then that of something unknown. `beside` is the unmeasured force that explains best what the likeliest effects
+    leave: these are then as likely as they are alone or with it.
     """
     nothing = next(j for j in ranked if not j.hypothesis.parts)
     best = next((j for j in ranked if j.hypothesis.parts), None)
     scores = [j.log_posterior for j in ranked]
+    if best and beside:
+        with_force = best.log_prior + _unknown_log_posterior(best, beside, strictness)
+        scores[ranked.index(best)] = float(np.logaddexp(best.log_posterior, with_force))
     scores.append(_unknown_log_posterior(nothing, unknown, strictness))
     *likely, of_unknown = (float(p) for p in probabilities(np.array(scores)))
     p_before = nulls.p_value(nothing.misfit)
     p_after = nulls.p_value(best.misfit) if best else p_before
-    if size(nothing.misfit, matters) > 1 and p_before < USUAL:
+    if matters_surely(nothing.misfit, matters) and p_before < USUAL:
         alone = ranked.index(nothing)
         of_unknown, likely[alone] = of_unknown + likely[alone], 0.0
     verdict, criterion = _judged(ranked, nothing, best, of_unknown > max(likely), p_before, p_after, matters)
     return Decision(verdict, criterion, tuple(likely), of_unknown, nothing, best, p_before, p_after)
 
 
-def _unknown_log_posterior(nothing: Judged, unknown: UnknownForce | None, strictness: float) -> float:
-    """An unmeasured force lowers -2 ln p by what it gains on the validation record, in samples that count."""
+def _unknown_log_posterior(alone: Judged, unknown: UnknownForce | None, strictness: float) -> float:
+    """An unmeasured force lowers the -2 ln p of a rig by what it gains on the validation record, in samples that
+    count."""
     gain = unknown_gain(unknown, strictness)
     if gain is None:
         return -np.inf
     prior = float(np.log(PRIOR_UNKNOWN / UNKNOWN_PLACES))
-    return prior - (nothing.misfit.minus_two_log - gain) / (2 * TEMPERATURE)
+    return prior - (alone.misfit.minus_two_log - gain) / (2 * TEMPERATURE)
 
 
 def unknown_gain(unknown: UnknownForce | None, strictness: float) -> float | None:
@@ -80,28 +98,33 @@ def _judged(
     p_after: float,
     matters: Matters,
 ) -> tuple[Verdict, str]:
-    before = size(nothing.misfit, matters)
     if best is None or ranked[0] is nothing or unknown_first:
-        return _without_effect(before, p_before, unknown_first)
+        return _without_effect(nothing, p_before, unknown_first, matters)
     without, after = size(best.without, matters), size(best.misfit, matters)
     made = float(np.sqrt(max(without**2 - after**2, 0.0)))
     share = closed(best.without, best.misfit, matters)
-    usual = p_after >= USUAL
-    verdict: Verdict = "explained" if after <= 1 or usual else "partly_explained" if share >= HALF else "unknown"
-    left = f"what is left is {after:.2g} times what matters"
-    if made <= 1 and before <= 1:
+    usual, little = p_after >= USUAL, not matters_surely(best.misfit, matters)
+    verdict: Verdict = "explained" if little or usual else "partly_explained" if share >= HALF else "unknown"
+    left = f"what is left is {_times(after, little)}"
+    if made <= 1 and not matters_surely(nothing.misfit, matters):
         return "no_gap", f"what the likeliest effect changes is {made:.2g} times what matters"
     if verdict == "unknown":
         return verdict, f"the likeliest effect closes {100 * max(share, 0.0):.0f} % of the gap alone"
-    if after > 1 and usual:
+    if usual and not little:
         left = f"tolerances and noise leave as much in {100 * p_after:.0f} % of all cases"
     return verdict, left
 
 
-def _without_effect(before: float, p_before: float, unknown_first: bool) -> tuple[Verdict, str]:
+def _without_effect(nothing: Judged, p_before: float, unknown_first: bool, matters: Matters) -> tuple[Verdict, str]:
     """Where no effect of the library is the likeliest hypothesis."""
-    if before <= 1:
-        return "no_gap", f"what the believed rig leaves is {before:.2g} times what matters"
+    if not matters_surely(nothing.misfit, matters):
+        return "no_gap", f"what the believed rig leaves is {_times(size(nothing.misfit, matters), True)}"
     if not unknown_first and p_before >= USUAL:
         return "no_gap", f"tolerances and noise leave as much in {100 * p_before:.0f} % of all cases"
     return "unknown", "no effect of the library is likelier than something unknown"
+
+
+def _times(left: float, little: bool) -> str:
+    """More than what matters by no more than its scatter is little too."""
+    scatter = ", by no more than its scatter over the record" if little and left > 1 else ""
+    return f"{left:.2g} times what matters{scatter}"

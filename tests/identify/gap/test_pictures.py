@@ -17,7 +17,7 @@ from identify.gap.page.unknown_pictures import left_ends_m
 from identify.gap.results import Attribution, Value
 from rig.reference import BarrelCradle
 
-NAMED = re.compile(r"(, (%|m|mm|s|Hz|N|m/s)|per mm|/Hz|N)$")
+NAMED = re.compile(r"(, (%|m|mm|s|Hz|N|m/s)|per mm|/Hz|N|natural logarithm\))$")
 
 
 def drawn(gap, rig):
@@ -55,6 +55,7 @@ def test_every_picture_is_a_png_that_shows_something(made):
 def test_every_section_has_pictures(made):
     gap, files, _ = made
     sections = {"large", "why", "where", "far"} | ({"unknown"} if gap.unknown else set())
+    sections |= {"next"} if gap.next_experiments else set()
     assert {name.split("_")[0] for name in files} == sections
     for kind, count in (("where_surface", len(gap.attribution.surface)), ("far_curve", len(gap.curves))):
         assert sum(name.startswith(kind) for name in files) == count
