@@ -124,6 +124,8 @@ def unknown_force(unknown: Unknown) -> str:
     if unknown.law:
         rows.append(("formula", unknown.law))
     rows.append(("explains, of the linear residual's mean square", percent(unknown.explained)))
+    if unknown.explained < wording.MOST:
+        said = f"It has no simple form. The nearest is {unknown.sentence}"
     text = f"<p>{escape(said)}.</p>" + page.table(("", ""), rows)
     if unknown.law:
         text += (
