@@ -8,8 +8,9 @@ from pathlib import Path
 import msgspec
 from msgspec.structs import replace
 
-from identify.gap.decision.answer import Simulator, diagnose, sound
+from identify.gap.decision.answer import Simulator, diagnose
 from identify.gap.decision.null_reference import null_key, null_reference
+from identify.gap.decision.recordings import sound
 from identify.gap.results import Gap
 from rig import replay
 from rig.errors import RigError

@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.table import Table
 
 from identify.gap.candidates import candidates, scale_of
-from identify.gap.decision.answer import ALIKE
+from identify.gap.decision.causes import ALIKE
 from identify.gap.decision.comparison import TEMPERATURE
 from identify.gap.decision.experiment import Experiment, begun_on, experiments, next_experiments, refitted
 from identify.gap.residual import base_of, residual_of

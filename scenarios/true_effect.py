@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 
 from identify.gap.candidates import candidates, scale_of
-from identify.gap.decision.answer import sound
 from identify.gap.decision.comparison import TEMPERATURE, closed, left_without, log_prior, size
+from identify.gap.decision.recordings import sound
 from identify.gap.likelihood import Misfit, Reference, misfit, reference_of
 from identify.gap.residual import base_of
 from identify.gap.results import Matters

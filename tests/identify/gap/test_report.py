@@ -11,7 +11,7 @@ from matplotlib.image import imread
 from msgspec.structs import replace
 from rich.console import Console
 
-from identify.gap.decision.answer import equivalent
+from identify.gap.decision.causes import equivalent
 from identify.gap.decision.sentence import sentence
 from identify.gap.page.advice import next_steps, rest_hz
 from identify.gap.page.pictures import pictures
