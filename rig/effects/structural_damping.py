@@ -1,5 +1,6 @@
 """A structure that dissipates more or less than believed."""
 
+from collections.abc import Sequence
 from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
@@ -15,6 +16,12 @@ class StructuralDamping(Effect, frozen=True):
     separated_by: ClassVar[str] = "record a free decay at a low level that opens no contact"
     factor: Annotated[float, Parameter("1", 0.1, 15.0, 1.0)] = 3.0
     body: str | None = None
+
+    @classmethod
+    def placements(cls, rig: Rig, sensors: Sequence[str]) -> list[dict[str, str | None]]:
+        """Also at all bodies, tied."""
+        everywhere: list[dict[str, str | None]] = [{"body": None}] if len(rig.bodies) > 1 else []
+        return super().placements(rig, sensors) + everywhere
 
     def applied_to(self, rig: Rig) -> Rig:
         chosen = rig.bodies if self.body is None else (self.body_of(rig, self.body),)

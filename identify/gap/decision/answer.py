@@ -20,7 +20,7 @@ from identify.gap.decision.unmeasured import unmeasured
 from identify.gap.decision.verdict import HALF, Decision, decided, unknown_gain
 from identify.gap.likelihood import Reference, reference_of
 from identify.gap.residual import Residual, base_of
-from identify.gap.results import Gap, Matters, NextExperiment
+from identify.gap.results import USUAL, Gap, Matters, NextExperiment
 from identify.gap.search.joint import Hypothesis, Search, search
 from identify.gap.search.nominal import fit_nuisance
 from identify.gap.search.pooled import fitted_together
@@ -151,9 +151,12 @@ def _decided(
     fit_record: Record, record: Record, at: Residual, ranked: list[Judged], nulls: NullReference, matters: Matters
 ) -> tuple[Decision, UnknownForce | None, Breathing | None]:
     """The verdict; and of a gap that no effect explains, what acts unmeasured: beside the likeliest effects, if those
-    explain it in part."""
+    explain it in part.
+
+    Effects that leave more than tolerances and noise must be likelier than something unmeasured, however little it is.
+    """
     decision = decided(ranked, None, record.strictness, nulls, matters)
-    if decision.verdict not in ("partly_explained", "unknown"):
+    if decision.verdict == "no_gap" or (decision.verdict == "explained" and decision.p_after >= USUAL):
         return decision, None, None
     unknown = _unknown(fit_record, record, record.rig)
     decision = decided(ranked, unknown, record.strictness, nulls, matters)
@@ -163,6 +166,8 @@ def _decided(
         decision = decided(ranked, unknown, record.strictness, nulls, matters, beside)
         if decision.verdict == "partly_explained":
             unknown, at = beside, fit_nuisance(record, best.rig, rounds=1)[1]
+    if decision.verdict in ("no_gap", "explained"):
+        return decision, None, None
     return decision, unknown, breathing(record, at)
 
 

@@ -17,11 +17,11 @@ from identify.gap.nuisance import LIMIT
 from identify.gap.residual import Base, Residual, base_of, rescaled, residual_of, same_but_laws, scales_at
 from identify.gap.search.base_excitation import fit_base_excitation
 from identify.gap.search.nominal import fitted, singly_bent
-from identify.gap.search.screening import Screened, grid_screening, score_screening
+from identify.gap.search.screening import Screened, grid_screening, law_screening, score_screening
 from rig.description import Rig
 from rig.errors import RigError
 
-BY_SCORE, BY_GRID, FRESH = 5, 3, 3
+BY_SCORE, BY_GRID, FRESH, BY_LAW = 5, 3, 3, 1
 """So many candidates of each screening are fitted for a few steps."""
 WORTH = 20.0
 """An effect that gains less of -2 ln p is not fitted: half of what the priors of one among some 26, at some 4 places,
@@ -105,14 +105,15 @@ def search(begun: Search, progress: Callable[[float], None]) -> list[Hypothesis]
     """Single effects and pairs that explain most, the likeliest on this record first, and the believed rig alone.
 
     Every effect is screened, those that promise most are fitted for a few steps, the best of them to the end. Behind
-    each of the best the library is screened again; a pair is fitted together, and what it found second is in turn
-    taken for the first.
+    each of the best the library is screened again; a pair is fitted together, and what the best pair found second is in
+    turn fitted alone and taken for the first.
     """
     nothing = begun.nothing()
     singles = _singles(begun, nothing)
     progress(0.5)
     pairs: dict[frozenset[str], Tried] = {}
     followed: set[frozenset[str]] = set()
+    turned: list[Tried] = []
     queue = singles[:FIRSTS] if singles and singles[0].leaves_something else []
     while queue:
         first = queue.pop(0)
@@ -124,9 +125,9 @@ def search(begun: Search, progress: Callable[[float], None]) -> list[Hypothesis]
             if key not in pairs or pair.cost < pairs[key].cost:
                 pairs[key] = pair
         progress(0.5 + 0.15 * len(followed))
-        if pairs and len(followed) == FIRSTS:
-            other = _alone(begun, min(pairs.values(), key=_cost), first)
-            queue += [other] if other else []
+        if pairs and not (queue or turned):
+            turned = _alone(begun, min(pairs.values(), key=_cost), {one.hypothesis.key for one in singles})
+            singles, queue = [*singles, *turned], turned.copy()
     return [one.hypothesis for one in sorted([nothing, *singles, *pairs.values()], key=_cost)]
 
 
@@ -157,6 +158,10 @@ def _singles(begun: Search, nothing: Tried) -> list[Tried]:
         if one.gain > WORTH * base.record.strictness:
             with suppress(RigError):
                 take(one.candidate.name, _fitted(begun, (one.candidate,), one.values, start))
+    for one in law_screening(base, fresh, laws)[:BY_LAW]:  # far from where the scales are those of the believed law
+        if one.gain > WORTH * base.record.strictness:
+            with suppress(RigError):
+                take(one.candidate.name, fit_effects(begun, (one.candidate,), one.values, fresh))
     for candidate in begun.known:
         if candidate.kind.stochastic and (shaken := _stochastic(begun, nothing, candidate)):
             take(candidate.name, shaken)
@@ -173,15 +178,19 @@ def _seconds(begun: Search, first: Tried) -> list[Tried]:
     others = [c for c in begun.known if c.kind.name not in first.hypothesis.effects and _joins(c, rig)]
     inner = Search(begun.reference, base, at, ())
     held = any(p.kind.stochastic for p in first.hypothesis.parts)
-    screened = score_screening(base, at, [c for c in others if not c.kind.stochastic])
+    steady = [c for c in others if not c.kind.stochastic]
+    fresh = residual_of(base, base.rig, at.nuisance)  # its slow motion did not follow another law yet
+    laws = [c for c in steady if same_but_laws(base.rig, c.applied(base.rig, c.default))]
+    screened = [(s, at) for s in score_screening(base, at, steady)[:SECONDS]]
+    screened += [(s, fresh) for s in law_screening(base, fresh, laws)[:BY_LAW]]
     pairs = []
-    for one in screened[:SECONDS]:
+    for one, start in screened:
         if one.gain > WORTH * base.record.strictness:
             with suppress(RigError):  # two effects may make no rig where each makes one
                 if held:
-                    pairs.append(_beside(first, fit_effects(inner, (one.candidate,), one.values, at)))
+                    pairs.append(_beside(first, fit_effects(inner, (one.candidate,), one.values, start)))
                 else:
-                    pairs.append(_together(begun, first, one, at))
+                    pairs.append(_together(begun, first, one, start))
     for candidate in others:
         if candidate.kind.stochastic and (shaken := _stochastic(inner, inner.nothing(), candidate)):
             pairs.append(_beside(first, shaken))
@@ -203,14 +212,14 @@ def _together(begun: Search, first: Tried, second: Screened, start: Residual) ->
     return refined(begun, _fitted(begun, parts, values, straightened(start), first.base))
 
 
-def _alone(begun: Search, pair: Tried, first: Tried) -> Tried | None:
-    """The part of a pair that was found second, fitted by itself."""
+def _alone(begun: Search, pair: Tried, known: set[frozenset[str]]) -> list[Tried]:
+    """The parts of a pair that are not known as single effects, each fitted by itself."""
     parts = zip(pair.hypothesis.parts, pair.hypothesis.split(), strict=True)
-    others = [(p, v) for p, v in parts if p.name not in first.hypothesis.key]
-    if len(others) != 1 or others[0][0].kind.stochastic:
-        return None
-    (part, values) = others[0]
-    return fit_effects(begun, (part,), values, begun.at)
+    return [
+        fit_effects(begun, (part,), values, begun.at)
+        for part, values in parts
+        if frozenset({part.name}) not in known and not part.kind.stochastic
+    ]
 
 
 def fit_effects(

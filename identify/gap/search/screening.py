@@ -1,6 +1,7 @@
 """Which effects are worth a fit: by the slope of the cost at what is believed, and over a grid of large values."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from identify.gap.grounded import needs_every_line
 from identify.gap.linear import linear_model
 from identify.gap.nuisance import LIMIT
 from identify.gap.peaks import peaks_hz
-from identify.gap.residual import Base, Residual, same_but_laws
+from identify.gap.residual import Base, Residual, residual_of, same_but_laws
 from identify.gap.spectra import Record
 from rig.description import Rig
 from rig.errors import RigError
@@ -105,6 +106,33 @@ def grid_screening(base: Base, candidates: Sequence[Candidate]) -> list[Screened
             least, values = min(costs, key=lambda c: c[0])
             found.append(Screened(candidate, before - least, values))
     return sorted(found, key=lambda one: -one.gain)
+
+
+def law_screening(base: Base, fresh: Residual, candidates: Sequence[Candidate]) -> list[Screened]:
+    """By the contact residuals over a grid of strengths, at a residual whose slow motion followed no law yet; the best
+    first.
+
+    Of effects that change contact laws alone. A smaller clearance has no slope where the believed contact is open. The
+    gain is that of a variance which is not known, sum of n ln(mean square) over the contacts, as the slow motion errs
+    more at one contact than at another.
+    """
+    unknowns, before = tuple(c.unknowns for c in fresh.contacts), _scatter(fresh)
+    found = []
+    for candidate in candidates:
+        values = candidate.starts()[0]
+        best = Screened(candidate, 0.0, values)
+        for strength in candidate.strengths(STRENGTHS):
+            tried = np.append(strength, values[1:])
+            with suppress(RigError):  # no such law
+                rig = candidate.applied(base.rig, tried)
+                there = residual_of(base, rig, fresh.nuisance, unknowns, like=fresh)
+                best = max(best, Screened(candidate, before - _scatter(there), tried), key=lambda one: one.gain)
+        found.append(best)
+    return sorted(found, key=lambda one: -one.gain)
+
+
+def _scatter(at: Residual) -> float:
+    return float(sum(c.residual.size * np.log(c.cost) for c in at.contacts))
 
 
 def _grid(candidate: Candidate) -> Iterator[Float[np.ndarray, " parameters"]]:
