@@ -177,7 +177,7 @@ class Reduced:
             gradient[count:] += mine.T @ contact.residual - solved.T @ eliminated.free
             back.append((eliminated.solved_free, np.concatenate([eliminated.solved, solved], axis=1)))
         matrix[count:, :count] = matrix[:count, count:].T
-        without = sum(float(e.free @ e.solved_free) for e in self.contacts)
+        without = float(sum(e.free @ e.solved_free for e in self.contacts))
         return Normal(matrix, gradient, tuple(back), without)
 
 
