@@ -145,7 +145,7 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """The parameters, if there are any, that every record has its own of, such as a phase."""
 
     @classmethod
-    def parameters(cls, scale: Scale) -> dict[str, Parameter]:  # noqa: ARG003 - the declared ranges know no scale
+    def parameters(cls, _: Scale, /) -> dict[str, Parameter]:
         """The numbers that can be fitted, the strength first, with ranges for this rig, force and place."""
         return parameters_of(cls)
 

@@ -254,9 +254,9 @@ def fit(
                 break
             # the least of the parabola through both costs with the slope here, which is -2 promised
             share *= np.clip(promised * share / (cost - at.cost + 2 * promised * share), 0.1, 0.5)
-        if cost >= at.cost:
-            break
         fell = at.cost - cost
+        if not fell > 0:
+            break
         values, at = moved, there
         if share == 1 and fell < settled:
             break

@@ -10,7 +10,7 @@ from identify.gap.scales import BAND_HZ
 from rig.description import Rig
 
 ALIKE = 0.05
-"""Single effects that are likelier than this beside the best one cannot be told apart from it."""
+"""Causes that are likelier than this beside the best one cannot be told apart from it."""
 AT_LIMIT = 1e-3
 """A parameter within this share of its range from an end stands there."""
 

@@ -14,10 +14,10 @@ from identify.gap.candidates import Candidate
 from identify.gap.fit import fit
 from identify.gap.likelihood import Misfit, Reference, misfit
 from identify.gap.nuisance import LIMIT
-from identify.gap.residual import Base, Residual, base_of, rescaled, residual_of, same_but_laws, scales_at
+from identify.gap.residual import Base, Residual, base_of, rescaled, residual_of, scales_at
 from identify.gap.search.base_excitation import fit_base_excitation
 from identify.gap.search.nominal import fitted, singly_bent
-from identify.gap.search.screening import Screened, grid_screening, law_screening, score_screening
+from identify.gap.search.screening import Screened, grid_screening, law_screening, of_laws, score_screening
 from rig.description import Rig
 from rig.errors import RigError
 
@@ -139,7 +139,7 @@ def _singles(begun: Search, nothing: Tried) -> list[Tried]:
     base, at = begun.base, straightened(begun.at)
     fresh = residual_of(base, base.rig, at.nuisance)
     steady = [c for c in begun.known if not c.kind.stochastic]
-    laws = [c for c in steady if same_but_laws(base.rig, c.applied(base.rig, c.default))]
+    laws = of_laws(base.rig, steady)
     screened = chain(
         [(s, at) for s in score_screening(base, at, steady)[:BY_SCORE]],
         [(s, fresh) for s in score_screening(base, fresh, laws)[:FRESH]],
@@ -180,7 +180,7 @@ def _seconds(begun: Search, first: Tried) -> list[Tried]:
     held = any(p.kind.stochastic for p in first.hypothesis.parts)
     steady = [c for c in others if not c.kind.stochastic]
     fresh = residual_of(base, base.rig, at.nuisance)  # its slow motion did not follow another law yet
-    laws = [c for c in steady if same_but_laws(base.rig, c.applied(base.rig, c.default))]
+    laws = of_laws(base.rig, steady)
     screened = [(s, at) for s in score_screening(base, at, steady)[:SECONDS]]
     screened += [(s, fresh) for s in law_screening(base, fresh, laws)[:BY_LAW]]
     pairs = []

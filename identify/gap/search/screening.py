@@ -108,11 +108,16 @@ def grid_screening(base: Base, candidates: Sequence[Candidate]) -> list[Screened
     return sorted(found, key=lambda one: -one.gain)
 
 
+def of_laws(rig: Rig, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Those that change contact laws alone."""
+    return [c for c in candidates if same_but_laws(rig, c.applied(rig, c.default))]
+
+
 def law_screening(base: Base, fresh: Residual, candidates: Sequence[Candidate]) -> list[Screened]:
     """By the contact residuals over a grid of strengths, at a residual whose slow motion followed no law yet; the best
     first.
 
-    Of effects that change contact laws alone. A smaller clearance has no slope where the believed contact is open. The
+    Of effects `of_laws`. A smaller clearance has no slope where the believed contact is open. The
     gain is that of a variance which is not known, sum of n ln(mean square) over the contacts, as the slow motion errs
     more at one contact than at another.
     """
