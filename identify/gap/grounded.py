@@ -1,12 +1,14 @@
 """Forces of cubic springs and dampers to the ground, by the measured motion at their places."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Complex, Float
 
 from identify.gap.response import Response, times, weights_of
 from identify.gap.spectra import FINE_HZ, Record
 from rig.contact import FRICTION_SPEED_M_PER_S
-from rig.description import PointDamper, PointSpring, Rig, Station
+from rig.description import PointDamper, PointMass, PointSpring, Rig, Station
 
 Spectrum = Complex[np.ndarray, " lines"]
 Motions = Complex[np.ndarray, "sensors lines"]
@@ -17,7 +19,7 @@ def ground_forces(
 ) -> list[tuple[Station, Spectrum]]:
     """Where each spring and damper pushes the rig, and with which force: -k3 w^3, or -c v - F tanh(v / v0)."""
     springs, dampers = _bending(rig), rig.dampers
-    moved = _displaced(responses, places, [*springs, *dampers], displacements)
+    moved = displaced_at(responses, places, [*springs, *dampers], displacements)
     found = []
     for spring, w in zip(springs, moved, strict=False):
         (fine,) = _finely(record, 3, w)
@@ -42,7 +44,7 @@ def ground_force_changes(
 ) -> list[tuple[Station, Spectrum]]:
     """The derivative of each of the `ground_forces` along a change of the displacements."""
     springs, dampers = _bending(rig), rig.dampers
-    both = [_displaced(responses, places, [*springs, *dampers], d) for d in (displacements, changes)]
+    both = [displaced_at(responses, places, [*springs, *dampers], d) for d in (displacements, changes)]
     found = []
     for spring, w, more in zip(springs, *both, strict=False):
         fine, change = _finely(record, 3, w, more)
@@ -66,13 +68,13 @@ def _bending(rig: Rig) -> list[PointSpring]:
     return [s for s in rig.springs if s.cubic_n_per_m3]
 
 
-def _displaced(
+def displaced_at(
     responses: tuple[Response, ...],
     places: list[Station | None],
-    attached: list[PointSpring | PointDamper],
+    attached: Sequence[PointSpring | PointDamper | PointMass],
     displacements: Motions,
 ) -> Complex[np.ndarray, "attached lines"]:
-    """The displacements where something is attached, from those of the sensors."""
+    """The displacements (or accelerations) where something is attached, from those of the sensors."""
     stations: list[Station | None] = [a.station for a in attached]
     return times(np.sum([weights_of(r, places, stations) for r in responses], axis=0), displacements)
 

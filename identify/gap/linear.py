@@ -11,6 +11,7 @@ law; so is a_base, held by its spectrum. What they leave, in standard deviations
 sensors less contacts tell it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -66,32 +67,41 @@ class Linear:
     def modal(self) -> tuple[Complex[np.ndarray, "modes lines"], ...]:
         """The accelerations of each body's modes."""
         forces = np.stack([*(force_n for _, force_n in self.pushes), *self.contact_n])
-        return tuple(r.accelerance * times(self._into(r).T, forces) for r in self.responses)
+        pushed = [station for station, _ in self.pushes]
+        return tuple(r.accelerance * times(self._into(r, pushed).T, forces) for r in self.responses)
 
     @cached_property
     def eta_m(self) -> Complex[np.ndarray, "contacts lines"]:
         """The relative displacements, without the slow part that integration loses."""
-        record, places = self.record, _places(self.record, self.rig)
-        forces = np.stack([*(force_n for _, force_n in self.pushes), *self.contact_n])
+        record, places = self.record, places_of(self.record, self.rig)
         displacements = record.displaced / self.chain
-        eta = np.zeros((len(self.rig.contacts), record.omega.size), dtype=complex)
+        eta = self.unseen_m(self.pushes, self.contact_n)
         for response in self.responses:
-            into, over = self._into(response), across(self.rig, response)
-            weights = _across_weights(self.rig, response, places)
-            missed = over - weights @ response.shapes(places)
-            moved = np.einsum("icl,il->cl", response.transfer(missed, into), forces)
-            eta += times(weights, displacements) + moved * record.twice_integrated
+            eta += times(_across_weights(self.rig, response, places), displacements)
         return eta
+
+    def unseen_m(
+        self,
+        pushes: Sequence[tuple[Station, Complex[np.ndarray, " lines"]]],
+        contact_n: Complex[np.ndarray, "contacts lines"],
+    ) -> Complex[np.ndarray, "contacts lines"]:
+        """The relative displacements that forces make in the modes which the sensors do not tell."""
+        places, forces = places_of(self.record, self.rig), np.stack([*(force_n for _, force_n in pushes), *contact_n])
+        moved = np.zeros((len(self.rig.contacts), forces.shape[1]), dtype=complex)
+        for response in self.responses:
+            into, over = self._into(response, [station for station, _ in pushes]), across(self.rig, response)
+            missed = over - _across_weights(self.rig, response, places) @ response.shapes(places)
+            moved += np.einsum("icl,il->cl", response.transfer(missed, into), forces)
+        return moved * self.record.twice_integrated
 
     @cached_property
     def holding_n(self) -> Float[np.ndarray, " contacts"]:
         """The constant contact forces under static loads."""
         return _holding(self.rig, self.responses)
 
-    def _into(self, response: Response) -> Float[np.ndarray, "inputs modes"]:
-        """How known and contact forces drive a body's modes."""
-        pushed = response.shapes([station for station, _ in self.pushes])
-        return np.concatenate([pushed, -across(self.rig, response)])
+    def _into(self, response: Response, pushed: list[Station]) -> Float[np.ndarray, "inputs modes"]:
+        """How forces at some places, and contact forces, drive a body's modes."""
+        return np.concatenate([response.shapes(pushed), -across(self.rig, response)])
 
     def projected(
         self, change: Complex[np.ndarray, "some lines"], sensors: list[int] | slice = slice(None)
@@ -117,7 +127,7 @@ def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray
     """
     chain = chain_of(record, rig)
     responses = tuple(_response(record, rig, body) for body in rig.bodies)
-    places = _places(record, rig)
+    places = places_of(record, rig)
     pushes = _pushes(record, rig, responses, places, chain)
     contacts = len(rig.contacts)
     made = _accelerations(rig, responses, places, [at for at, _ in pushes], record.omega.size)
@@ -169,7 +179,7 @@ def across(rig: Rig, response: Response) -> Float[np.ndarray, "contacts modes"]:
     return response.shapes([c.at for c in rig.contacts]) - response.shapes([c.against for c in rig.contacts])
 
 
-def _places(record: Record, rig: Rig) -> list[Station | None]:
+def places_of(record: Record, rig: Rig) -> list[Station | None]:
     """Where the rig has the record's sensors."""
     named = {s.name: s for s in rig.sensors}
     return [named[s.name].station for s in record.sensors]
@@ -240,12 +250,19 @@ def bent(
     record: Record, model: Linear, displaced: Complex[np.ndarray, "sensors lines"]
 ) -> Complex[np.ndarray, "sensors lines"]:
     """What the sensors give beside, as springs and dampers to the ground are displaced less than the sensors say."""
-    found = np.zeros(displaced.shape, dtype=complex)
     places: list[Station | None] = [s.station for s in record.sensors]
     less = ground_force_changes(record, model.rig, model.responses, places, record.displaced / model.chain, displaced)
-    for station, force_n in less:
+    return -delivered_by(model, places, less)
+
+
+def delivered_by(
+    model: Linear, places: list[Station | None], forces: Sequence[tuple[Station, Complex[np.ndarray, " lines"]]]
+) -> Complex[np.ndarray, "sensors lines"]:
+    """What sensors at some places deliver of forces at others."""
+    found = np.zeros(model.chain.shape, dtype=complex)
+    for station, force_n in forces:
         for r in model.responses:
-            found -= model.chain * (r.transfer(r.shapes(places), r.shapes([station]))[0] * force_n)
+            found += model.chain * (r.transfer(r.shapes(places), r.shapes([station]))[0] * force_n)
     return found
 
 

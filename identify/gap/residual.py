@@ -149,7 +149,7 @@ def residual_of(
 ) -> Residual:
     """The residual of a rig at some nuisance parameters and contact unknowns (none of either: zero), without any fit.
 
-    `like` is a residual of the same linear rig, whose linear part is then not computed again.
+    `like` is a residual of the same base, of which nothing is computed again that is the same.
     """
     record, parameters = base.record, base.columns.parameters
     nuisance = np.zeros(len(parameters)) if nuisance is None else nuisance
@@ -162,12 +162,20 @@ def residual_of(
     if unknowns is None:
         unknowns = tuple(start_of(at, s, record.rate_hz) for at, s in zip(laid, base.seen, strict=True))
     beside = nuisance - base.about
-    linear = bare - np.tensordot(beside, base.columns.residual, 1) if beside.any() else bare
-    more_n, more_m = (-np.tensordot(beside, c, 1) for c in (base.columns.contact_n, base.columns.eta_m))
-    contacts = tuple(
-        contact_residual(laid[j], base.seen[j], rig.contacts[j].law, unknowns[j], more_n[j], more_m[j])
-        for j in range(len(rig.contacts))
-    )
+    same = like if like is not None and model is like.model and nuisance is like.nuisance else None
+    if same:
+        linear = same.linear
+    else:
+        linear = bare - np.tensordot(beside, base.columns.residual, 1) if beside.any() else bare
+
+    def contact(j: int) -> Contact:
+        law = rig.contacts[j].law
+        if same and same.contacts[j].law == law and same.contacts[j].unknowns is unknowns[j]:
+            return same.contacts[j]
+        more_n, more_m = (-beside @ c[:, j] for c in (base.columns.contact_n, base.columns.eta_m))
+        return contact_residual(laid[j], base.seen[j], law, unknowns[j], more_n, more_m)
+
+    contacts = tuple(contact(j) for j in range(len(rig.contacts)))
     return Residual(rig, model, laid, bare, linear, contacts, nuisance, parameters, record.strictness)
 
 

@@ -1,6 +1,6 @@
 """The search over the library, jointly: single effects, and pairs that do not depend on which of the two came first."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -30,8 +30,11 @@ SHORT, ROUNDS, SETTLED = 3, 4, 1.0
 """Steps of a first fit; at most so many rounds to the end, until one gains less than this of -2 ln p."""
 KEPT, RIVAL = 3, 0.5
 """So many of those are fitted to the end, if they gained this share of what the best one did."""
-FIRSTS, SECONDS = 2, 2
-"""So many single effects are followed by a search for another, of which so many are fitted together with it."""
+FIRSTS, SECONDS = 3, 2
+"""So many effects at most are followed by a search for another, of which so many are fitted together with it."""
+FAR, SHOWN = 200.0, 2
+"""Hypotheses whose -2 ln p is larger by so much are not compared on another record, where the odds of a single one are
+e^(200 / (2 * 4)) = 7e10; the best so many always are."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,16 @@ class Hypothesis:
     @property
     def key(self) -> frozenset[str]:
         return frozenset(p.name for p in self.parts)
+
+    @property
+    def cost(self) -> float:
+        """On the record that it was fitted to."""
+        return self.misfit.minus_two_log
+
+    @property
+    def leaves_something(self) -> bool:
+        """Whether more is left above noise and tolerated shares than an effect must gain."""
+        return self.misfit.excess > WORTH
 
     def split(self) -> list[Float[np.ndarray, " parameters"]]:
         """The values of each part."""
@@ -70,12 +83,7 @@ class Tried:
 
     @property
     def cost(self) -> float:
-        return self.hypothesis.misfit.minus_two_log
-
-    @property
-    def leaves_something(self) -> bool:
-        """Whether more is left above noise and tolerated shares than an effect must gain."""
-        return self.hypothesis.misfit.excess > WORTH
+        return self.hypothesis.cost
 
 
 def applied(rig: Rig, parts: Sequence[Candidate], values: Float[np.ndarray, " parameters"]) -> Rig:
@@ -102,36 +110,38 @@ class Search:
 
 
 def search(begun: Search, progress: Callable[[float], None]) -> list[Hypothesis]:
-    """Single effects and pairs that explain most, the likeliest on this record first, and the believed rig alone.
+    """The believed rig, and the single effects and pairs that explain most, the likeliest on this record first.
 
     Every effect is screened, those that promise most are fitted for a few steps, the best of them to the end. Behind
-    each of the best the library is screened again; a pair is fitted together, and what the best pair found second is in
-    turn fitted alone and taken for the first.
+    the best the library is screened again, and a pair is fitted together. Each part of the best pair is in turn taken
+    first, so that a pair does not depend on which of the two was found first.
     """
     nothing = begun.nothing()
     singles = _singles(begun, nothing)
     progress(0.5)
-    pairs: dict[frozenset[str], Tried] = {}
+    pairs: dict[frozenset[str], Hypothesis] = {}
     followed: set[frozenset[str]] = set()
-    turned: list[Tried] = []
-    queue = singles[:FIRSTS] if singles and singles[0].leaves_something else []
-    while queue:
+    queue = singles[:1]
+    while queue and len(followed) < FIRSTS:
         first = queue.pop(0)
-        if first.hypothesis.key in followed or not first.leaves_something:
+        if first.hypothesis.key in followed or not first.hypothesis.leaves_something:
             continue
         followed.add(first.hypothesis.key)
         for pair in _seconds(begun, first):
-            key = pair.hypothesis.key
-            if key not in pairs or pair.cost < pairs[key].cost:
-                pairs[key] = pair
-        progress(0.5 + 0.15 * len(followed))
-        if pairs and not (queue or turned):
-            turned = _alone(begun, min(pairs.values(), key=_cost), {one.hypothesis.key for one in singles})
-            singles, queue = [*singles, *turned], turned.copy()
-    return [one.hypothesis for one in sorted([nothing, *singles, *pairs.values()], key=_cost)]
+            if pair.key not in pairs or pair.cost < pairs[pair.key].cost:
+                pairs[pair.key] = pair
+        progress(0.5 + 0.5 * len(followed) / FIRSTS)
+        best = min(pairs.values(), key=_cost, default=None)
+        if best and best.leaves_something and not queue:
+            known = {one.hypothesis.key: one for one in singles}
+            queue = _parts(begun, best, known)
+            singles += [one for one in queue if one.hypothesis.key not in known]
+    found = sorted([*(one.hypothesis for one in singles), *pairs.values()], key=_cost)
+    near = [one for i, one in enumerate(found) if i < SHOWN or one.cost < found[0].cost + FAR]
+    return sorted([nothing.hypothesis, *near], key=_cost)
 
 
-def _cost(one: Tried) -> float:
+def _cost(one: Tried | Hypothesis) -> float:
     return one.cost
 
 
@@ -165,12 +175,17 @@ def _singles(begun: Search, nothing: Tried) -> list[Tried]:
     for candidate in begun.known:
         if candidate.kind.stochastic and (shaken := _stochastic(begun, nothing, candidate)):
             take(candidate.name, shaken)
-    gains = {name: nothing.cost - one.cost for name, one in found.items()}
-    least = max(WORTH / 2, RIVAL * max(gains.values(), default=0.0))
-    return sorted((refined(begun, one) for name, one in found.items() if gains[name] > least), key=_cost)
+    return sorted((refined(begun, one) for one in _rivals(found.values(), nothing)), key=_cost)
 
 
-def _seconds(begun: Search, first: Tried) -> list[Tried]:
+def _rivals(found: Iterable[Tried], before: Tried) -> list[Tried]:
+    """Those that gained about as much as the best one did."""
+    gains = [(before.cost - one.cost, one) for one in found]
+    least = max(WORTH / 2, RIVAL * max((gain for gain, _ in gains), default=0.0))
+    return [one for gain, one in gains if gain > least]
+
+
+def _seconds(begun: Search, first: Tried) -> list[Hypothesis]:
     """Pairs of a first effect with what the library holds best for what it leaves; no effect pairs with itself."""
     rig = first.hypothesis.applied_to(begun.base.rig)
     base = base_of(begun.base.record, rig, first.residual, first.base.scales)
@@ -183,42 +198,45 @@ def _seconds(begun: Search, first: Tried) -> list[Tried]:
     laws = of_laws(base.rig, steady)
     screened = [(s, at) for s in score_screening(base, at, steady)[:SECONDS]]
     screened += [(s, fresh) for s in law_screening(base, fresh, laws)[:BY_LAW]]
-    pairs = []
+    found: dict[str, Tried] = {}
     for one, start in screened:
         if one.gain > WORTH * base.record.strictness:
             with suppress(RigError):  # two effects may make no rig where each makes one
                 if held:
-                    pairs.append(_beside(first, fit_effects(inner, (one.candidate,), one.values, start)))
+                    pair = _fitted(inner, (one.candidate,), one.values, straightened(start))
                 else:
-                    pairs.append(_together(begun, first, one, start))
+                    pair = _together(begun, first, one, start)
+                name = one.candidate.name
+                found[name] = min(found.get(name, pair), pair, key=_cost)
+    rivals = [refined(inner if held else begun, one) for one in _rivals(found.values(), first)]
+    pairs = [_beside(first, one) if held else one.hypothesis for one in rivals]
     for candidate in others:
         if candidate.kind.stochastic and (shaken := _stochastic(inner, inner.nothing(), candidate)):
             pairs.append(_beside(first, shaken))
     return pairs
 
 
-def _beside(first: Tried, second: Tried) -> Tried:
+def _beside(first: Tried, second: Tried) -> Hypothesis:
     """A pair of which the second was fitted with the first held, as one is known by its spectrum alone."""
     one, other = first.hypothesis, second.hypothesis
     values = np.concatenate([one.values, other.values])
-    covariance = block_diag(one.covariance, other.covariance)
-    return Tried(Hypothesis((*one.parts, *other.parts), values, covariance, other.misfit), second.base, second.residual)
+    return Hypothesis((*one.parts, *other.parts), values, block_diag(one.covariance, other.covariance), other.misfit)
 
 
 def _together(begun: Search, first: Tried, second: Screened, start: Residual) -> Tried:
-    """Both fitted, from where the first stands."""
+    """Both fitted for a few steps, from where the first stands."""
     parts = (*first.hypothesis.parts, second.candidate)
     values = np.concatenate([first.hypothesis.values, second.values])
-    return refined(begun, _fitted(begun, parts, values, straightened(start), first.base))
+    return _fitted(begun, parts, values, straightened(start), first.base)
 
 
-def _alone(begun: Search, pair: Tried, known: set[frozenset[str]]) -> list[Tried]:
-    """The parts of a pair that are not known as single effects, each fitted by itself."""
-    parts = zip(pair.hypothesis.parts, pair.hypothesis.split(), strict=True)
+def _parts(begun: Search, pair: Hypothesis, known: Mapping[frozenset[str], Tried]) -> list[Tried]:
+    """Each part of a pair alone, fitted by itself unless it is known."""
+    parts = zip(pair.parts, pair.split(), strict=True)
     return [
-        fit_effects(begun, (part,), values, begun.at)
+        known.get(frozenset({part.name})) or fit_effects(begun, (part,), values, begun.at)
         for part, values in parts
-        if frozenset({part.name}) not in known and not part.kind.stochastic
+        if not part.kind.stochastic
     ]
 
 

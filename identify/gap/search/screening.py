@@ -14,6 +14,7 @@ from identify.gap.linear import linear_model
 from identify.gap.nuisance import LIMIT
 from identify.gap.peaks import peaks_hz
 from identify.gap.residual import Base, Residual, residual_of, same_but_laws
+from identify.gap.search.attached import attached
 from identify.gap.spectra import Record
 from rig.description import Rig
 from rig.errors import RigError
@@ -63,7 +64,8 @@ def _looked(
         moved = start.copy()
         moved[i] = start[i] + candidate.steps[i]
         try:
-            columns.append(derivative(base, candidate.applied(base.rig, moved), at))
+            rig = candidate.applied(base.rig, moved)
+            columns.append(attached(base, rig, at) or derivative(base, rig, at))
         except RigError:
             return None
     normal = equations.joined(columns)
