@@ -163,10 +163,9 @@ def residual_of(
         unknowns = tuple(start_of(at, s, record.rate_hz) for at, s in zip(laid, base.seen, strict=True))
     beside = nuisance - base.about
     same = like if like is not None and model is like.model and nuisance is like.nuisance else None
-    if same:
-        linear = same.linear
-    else:
-        linear = bare - np.tensordot(beside, base.columns.residual, 1) if beside.any() else bare
+    linear = same.linear if same else bare
+    if beside.any() and not same:
+        linear = bare - np.tensordot(beside, base.columns.residual, 1)
 
     def contact(j: int) -> Contact:
         law = rig.contacts[j].law

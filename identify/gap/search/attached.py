@@ -1,4 +1,4 @@
-"""The column of what is attached to one point of a body, or acts there, by the measured motion: cheap, for a screening."""
+"""The column of what is attached to a point of a body, or acts there, by the measured motion: cheap, to screen with."""
 
 import numpy as np
 from jaxtyping import Complex
