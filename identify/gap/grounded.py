@@ -59,6 +59,11 @@ def ground_force_changes(
     return found
 
 
+def pushed_by_motion(rig: Rig) -> bool:
+    """Whether forces to the ground are had from the measured motion."""
+    return bool(_bending(rig) or rig.dampers)
+
+
 def needs_every_line(rig: Rig) -> bool:
     """Whether forces to the ground mix frequencies, so that a selection of a record's lines does not tell them."""
     return bool(_bending(rig)) or any(d.friction_n for d in rig.dampers)

@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Complex, Float
 
-from identify.gap.grounded import ground_force_changes, ground_forces
+from identify.gap.grounded import ground_force_changes, ground_forces, pushed_by_motion
 from identify.gap.response import Response, dynamics_of, times, weights_of
 from identify.gap.spectra import Record
 from rig.description import Body, Rig, Station
@@ -204,7 +204,7 @@ def _pushes(
     lagged = record.force * np.exp(-1j * record.omega * rig.force_sensor.lag_s) / rig.force_sensor.gain
     tones = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in rig.tones]
     held = []
-    if rig.springs or rig.dampers:
+    if pushed_by_motion(rig):
         held = ground_forces(record, rig, responses, places, record.displaced / chain)
     return ((rig.force_at, lagged), *tones, *held)
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from msgspec.structs import replace
 
+from identify.gap.grounded import pushed_by_motion
 from identify.gap.linear import Linear, bent
 from identify.gap.response import Response, times
 from identify.gap.spectra import Record
@@ -88,7 +89,7 @@ def _projected(
     record: Record, model: Linear, change: _Change
 ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
     """With what the springs do whose displacement is not the measured one."""
-    if change.displaced is None or not (model.rig.springs or model.rig.dampers):
+    if change.displaced is None or not pushed_by_motion(model.rig):
         return model.projected(change.delivered, change.sensors)
     displaced, delivered = np.zeros_like(model.chain), np.zeros_like(model.chain)
     displaced[change.sensors], delivered[change.sensors] = change.displaced, change.delivered

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from msgspec.structs import replace
 
+from identify.gap.grounded import pushed_by_motion
 from identify.gap.law import Contact, Laid, Seen, contact_residual, laid_out, seen_contacts, start_of
 from identify.gap.linear import Linear, linear_model
 from identify.gap.nuisance import Columns, Nuisance, apply_nuisance, columns_of, residual_scale, with_nuisance
@@ -180,7 +181,7 @@ def residual_of(
 
 def same_but_sensors(one: Rig, other: Rig) -> bool:
     """Whether two rigs differ in their sensors' gains and delays at most, and no force is had from what they show."""
-    return replace(one, sensors=other.sensors) == other and not (one.springs or one.dampers)
+    return replace(one, sensors=other.sensors) == other and not pushed_by_motion(one)
 
 
 def same_but_laws(one: Rig, other: Rig) -> bool:

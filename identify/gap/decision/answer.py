@@ -25,7 +25,7 @@ from identify.gap.search.joint import Hypothesis, Search, search
 from identify.gap.search.nominal import fit_nuisance
 from identify.gap.search.pooled import fitted_together
 from identify.gap.spectra import Record, record_of
-from identify.gap.unknown import UnknownForce, likeliest_force
+from identify.gap.unknown import Sought, likeliest_force
 from identify.gap.unknown.play import Breathing, breathing
 from rig.description import Rig
 from rig.errors import RigError
@@ -117,7 +117,7 @@ def diagnose(
         probability_unknown=decision.unknown,
         nothing_minus_two_log=nothing.misfit.minus_two_log,
         unknown_gain=unknown_gain(unknown, record.strictness),
-        unknown=unmeasured(other.rig, unknown, swinging, rest, matters),
+        unknown=unmeasured(other.rig, unknown.described() if unknown else None, swinging, rest, matters),
         bands=bands_of(without, after, nulls),
         equivalent=equivalent(causes) if causes else (),
         separate_by=confirmed_by(causes, ranked),
@@ -149,7 +149,7 @@ def _reference(record: Record) -> Reference:
 
 def _decided(
     fit_record: Record, record: Record, at: Residual, ranked: list[Judged], nulls: NullReference, matters: Matters
-) -> tuple[Decision, UnknownForce | None, Breathing | None]:
+) -> tuple[Decision, Sought | None, Breathing | None]:
     """The verdict; and of a gap that no effect explains, what acts unmeasured: beside the likeliest effects, if those
     explain it in part.
 
@@ -171,7 +171,7 @@ def _decided(
     return decision, unknown, breathing(record, at)
 
 
-def _unknown(fit_record: Record, record: Record, rig: Rig) -> UnknownForce | None:
+def _unknown(fit_record: Record, record: Record, rig: Rig) -> Sought | None:
     """What acts unmeasured beside a rig."""
     try:
         return likeliest_force(fit_record, rig, record)

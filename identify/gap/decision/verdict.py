@@ -16,7 +16,7 @@ from identify.gap.decision.comparison import (
 )
 from identify.gap.decision.null_reference import NullReference
 from identify.gap.results import USUAL, Matters, Verdict
-from identify.gap.unknown import UnknownForce
+from identify.gap.unknown import Sought
 
 HALF = 0.5
 """An effect explains the gap in part if it closes this share of it: more than it leaves."""
@@ -43,11 +43,11 @@ class Decision:
 
 def decided(
     ranked: Sequence[Judged],
-    unknown: UnknownForce | None,
+    unknown: Sought | None,
     strictness: float,
     nulls: NullReference,
     matters: Matters,
-    beside: UnknownForce | None = None,
+    beside: Sought | None = None,
 ) -> Decision:
     """From hypotheses judged on the validation record, likeliest first, and the unmeasured force that explains it best.
 
@@ -72,7 +72,7 @@ def decided(
     return Decision(verdict, criterion, tuple(likely), of_unknown, nothing, best, p_before, p_after)
 
 
-def _unknown_log_posterior(alone: Judged, unknown: UnknownForce | None, strictness: float) -> float:
+def _unknown_log_posterior(alone: Judged, unknown: Sought | None, strictness: float) -> float:
     """An unmeasured force lowers the -2 ln p of a rig by what it gains on the validation record, in samples that
     count."""
     gain = unknown_gain(unknown, strictness)
@@ -82,7 +82,7 @@ def _unknown_log_posterior(alone: Judged, unknown: UnknownForce | None, strictne
     return prior - (alone.misfit.minus_two_log - gain) / (2 * TEMPERATURE)
 
 
-def unknown_gain(unknown: UnknownForce | None, strictness: float) -> float | None:
+def unknown_gain(unknown: Sought | None, strictness: float) -> float | None:
     """What an unmeasured force gains on the validation record, in samples that count; 0 where the records differ."""
     if unknown is None:
         return None

@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from msgspec.structs import replace as changed
 from scipy.ndimage import uniform_filter1d
+from scipy.optimize import minimize_scalar
 from scipy.signal.windows import hann
 
 from identify.gap.candidates import Candidate
@@ -13,8 +14,8 @@ from identify.gap.residual import Base, Residual
 from identify.gap.spectra import SMOOTHED_HZ
 from rig.description import BaseMotion
 
-SKIRT = 5e-3
-"""So much of the power is left outside the band at either end."""
+WINDOW_LINES, WINDOW_POWERS = 1.5, 35 / 18
+"""Of a Hann window: its noise bandwidth in lines, and by how much it lowers the number of independent powers."""
 LEVELS = 10.0 ** np.arange(-9, 3, 0.5)
 """Spectral densities that are tried, (m/s^2)^2/Hz."""
 
@@ -49,23 +50,54 @@ def fit_base_excitation(
     seen, size = seen / level, size / level
     bounds = candidate.parameters
     inside = (hz >= bounds["low_hz"].low) & (hz <= bounds["high_hz"].high)
-    best, band = 0.0, slice(0, 0)
-    for level in LEVELS:
-        gains = np.where(inside, seen * (1 - 1 / (1 + level * size)) - np.log1p(level * size), 0.0)
-        total, found = _largest(gains)
+    best, band, density = 0.0, slice(0, 0), 0.0
+    for tried in LEVELS:
+        total, found = _largest(np.where(inside, _gains(tried, seen, size), 0.0))
         if total > best:
-            best, band = total, found
+            best, band, density = total, found, tried
     if not best > 0:
         return None
-    power = np.cumsum(np.maximum(seen[band] - 1, 0.0) / np.maximum(size[band], 1e-300))
-    band = slice(*(band.start + np.searchsorted(power, np.array([SKIRT, 1 - SKIRT]) * power[-1])))
-    edges = hz[band.start], hz[band.stop]
-    rms = float(np.sqrt(power[-1] * (hz[2] - hz[1])))
-    values = np.array([np.clip(rms, 0, bounds["acceleration_rms_m_per_s2"].high), *edges])
-    lines = max(1.0, (band.stop - band.start) * record.samples / record.length)
-    resolution = record.sample_rate_hz / record.samples
-    spread = np.array([rms / np.sqrt(2 * lines), resolution, resolution])
-    return values, spread
+    taken = (record.taken.stop - record.taken.start) * record.factor
+    density, relative = _density(density, seen[band], size[band], taken / record.length)
+    gains = np.where(inside, _gains(density, seen, size), 0.0) * taken / record.length / WINDOW_LINES
+    sums = np.concatenate([[0.0], np.cumsum(gains)])
+    resolution = record.sample_rate_hz / taken
+    middle = (band.start + band.stop) // 2
+    edges = [_edge(hz[:middle], -sums[:middle], resolution), _edge(hz[middle:], sums[middle:-1], resolution)]
+    (low, of_low), (high, of_high) = edges
+    rms = float(np.sqrt(density * record.samples / taken * (high - low)))
+    values = np.array([np.clip(rms, 0, bounds["acceleration_rms_m_per_s2"].high), low, high])
+    return values, np.array(
+        [rms * np.hypot(relative / 2, np.hypot(of_low, of_high) / (2 * (high - low))), of_low, of_high]
+    )
+
+
+def _gains(
+    density: float, seen: Float[np.ndarray, " lines"], size: Float[np.ndarray, " lines"]
+) -> Float[np.ndarray, " lines"]:
+    """By how much a density raises the log likelihood of each line."""
+    return np.asarray(seen * (1 - 1 / (1 + density * size)) - np.log1p(density * size))
+
+
+def _density(
+    start: float, seen: Float[np.ndarray, " lines"], size: Float[np.ndarray, " lines"], share: float
+) -> tuple[float, float]:
+    """The likeliest density within a decade of a start, and its relative standard error by Fisher's information."""
+    ends = np.log(start) + np.array([-1.0, 1.0]) * np.log(10)
+    found = minimize_scalar(lambda x: -np.sum(_gains(np.exp(x), seen, size)), bounds=ends, method="bounded")
+    density = float(np.exp(found.x))
+    heard = density * size / (1 + density * size)
+    return density, float(1 / np.sqrt(max(np.sum(heard**2) * share / WINDOW_POWERS, 1e-300)))
+
+
+def _edge(
+    hz: Float[np.ndarray, " lines"], log_likelihood: Float[np.ndarray, " lines"], resolution_hz: float
+) -> tuple[float, float]:
+    """Mean and standard deviation of a band's edge, anywhere as likely beforehand, smeared by the window."""
+    weights = np.exp(log_likelihood - np.max(log_likelihood))
+    weights /= weights.sum()
+    mean = float(weights @ hz)
+    return mean, float(np.sqrt(weights @ (hz - mean) ** 2 + resolution_hz**2))
 
 
 def _lines(base: Base, at: Residual) -> Complex[np.ndarray, "sensors lines"]:

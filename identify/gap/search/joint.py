@@ -127,15 +127,16 @@ def search(begun: Search, progress: Callable[[float], None]) -> list[Hypothesis]
         if first.hypothesis.key in followed or not first.hypothesis.leaves_something:
             continue
         followed.add(first.hypothesis.key)
-        for pair in _seconds(begun, first):
+        for pair in _seconds(begun, first, min((p.cost for p in pairs.values()), default=np.inf)):
             if pair.key not in pairs or pair.cost < pairs[pair.key].cost:
                 pairs[pair.key] = pair
         progress(0.5 + 0.5 * len(followed) / FIRSTS)
         best = min(pairs.values(), key=_cost, default=None)
         if best and best.leaves_something and not queue:
             known = {one.hypothesis.key: one for one in singles}
-            queue = _parts(begun, best, known)
-            singles += [one for one in queue if one.hypothesis.key not in known]
+            parts = _parts(begun, best, known)
+            singles += [one for one in parts if one.hypothesis.key not in known]
+            queue = _rivals([singles[0], *parts], nothing)
     found = sorted([*(one.hypothesis for one in singles), *pairs.values()], key=_cost)
     near = [one for i, one in enumerate(found) if i < SHOWN or one.cost < found[0].cost + FAR]
     return sorted([nothing.hypothesis, *near], key=_cost)
@@ -175,7 +176,7 @@ def _singles(begun: Search, nothing: Tried) -> list[Tried]:
     for candidate in begun.known:
         if candidate.kind.stochastic and (shaken := _stochastic(begun, nothing, candidate)):
             take(candidate.name, shaken)
-    return sorted((refined(begun, one) for one in _rivals(found.values(), nothing)), key=_cost)
+    return _refined_all(begun, _rivals(found.values(), nothing))
 
 
 def _rivals(found: Iterable[Tried], before: Tried) -> list[Tried]:
@@ -185,8 +186,11 @@ def _rivals(found: Iterable[Tried], before: Tried) -> list[Tried]:
     return [one for gain, one in gains if gain > least]
 
 
-def _seconds(begun: Search, first: Tried) -> list[Hypothesis]:
-    """Pairs of a first effect with what the library holds best for what it leaves; no effect pairs with itself."""
+def _seconds(begun: Search, first: Tried, least: float) -> list[Hypothesis]:
+    """Pairs of a first effect with what the library holds best for what it leaves; no effect pairs with itself.
+
+    least is the cost of the best pair so far.
+    """
     rig = first.hypothesis.applied_to(begun.base.rig)
     base = base_of(begun.base.record, rig, first.residual, first.base.scales)
     at = fitted(base, first.residual).residual
@@ -208,7 +212,7 @@ def _seconds(begun: Search, first: Tried) -> list[Hypothesis]:
                     pair = _together(begun, first, one, start)
                 name = one.candidate.name
                 found[name] = min(found.get(name, pair), pair, key=_cost)
-    rivals = [refined(inner if held else begun, one) for one in _rivals(found.values(), first)]
+    rivals = _refined_all(inner if held else begun, _rivals(found.values(), first), least)
     pairs = [_beside(first, one) if held else one.hypothesis for one in rivals]
     for candidate in others:
         if candidate.kind.stochastic and (shaken := _stochastic(inner, inner.nothing(), candidate)):
@@ -232,19 +236,24 @@ def _together(begun: Search, first: Tried, second: Screened, start: Residual) ->
 
 def _parts(begun: Search, pair: Hypothesis, known: Mapping[frozenset[str], Tried]) -> list[Tried]:
     """Each part of a pair alone, fitted by itself unless it is known."""
+    least = min((one.cost for one in known.values()), default=np.inf)
     parts = zip(pair.parts, pair.split(), strict=True)
     return [
-        known.get(frozenset({part.name})) or fit_effects(begun, (part,), values, begun.at)
+        known.get(frozenset({part.name})) or fit_effects(begun, (part,), values, begun.at, least)
         for part, values in parts
         if not part.kind.stochastic
     ]
 
 
 def fit_effects(
-    begun: Search, parts: tuple[Candidate, ...], values: Float[np.ndarray, " parameters"], start: Residual
+    begun: Search,
+    parts: tuple[Candidate, ...],
+    values: Float[np.ndarray, " parameters"],
+    start: Residual,
+    least: float = np.inf,
 ) -> Tried:
     """Effects fitted to the end from some values, and from the nuisance parameters and drifts of a residual."""
-    return refined(begun, _fitted(begun, parts, values, straightened(start)))
+    return refined(begun, _fitted(begun, parts, values, straightened(start)), least)
 
 
 def _fitted(
@@ -265,10 +274,10 @@ def _fitted(
     return _tried(begun, parts, done.values, done.covariance, about, done.residual)
 
 
-def refined(begun: Search, one: Tried) -> Tried:
+def refined(begun: Search, one: Tried, least: float = np.inf) -> Tried:
     """Fitted to the end, with scales and linearisation renewed about where the parameters have come to.
 
-    What is known by its spectrum alone keeps its values.
+    What is known by its spectrum alone keeps its values. It ends where the cost stays `FAR` above the least of others.
     """
     parts = one.hypothesis.parts
     if any(p.kind.stochastic for p in parts):
@@ -281,9 +290,18 @@ def refined(begun: Search, one: Tried) -> Tried:
         better = _tried(begun, parts, done.values, done.covariance, about, done.residual)
         gained = one.cost - better.cost
         one = better if gained > 0 else one
-        if gained < SETTLED:
+        if gained < SETTLED or one.cost > least + FAR:
             break
     return one
+
+
+def _refined_all(begun: Search, rivals: Iterable[Tried], least: float = np.inf) -> list[Tried]:
+    """The best to the end, the others as far as they stay near it."""
+    found = []
+    for one in sorted(rivals, key=_cost):
+        found.append(refined(begun, one, least))
+        least = min(least, found[-1].cost)
+    return sorted(found, key=_cost)
 
 
 def steps_of(parts: tuple[Candidate, ...]) -> Float[np.ndarray, " parameters"]:

@@ -1,7 +1,7 @@
 """The smallest unmeasured force that explains a gap: found on one record, demanded of another."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import msgspec
@@ -85,7 +85,37 @@ class UnknownForce(msgspec.Struct, frozen=True, kw_only=True):
     """One-sided, by bands of 2 Hz: N^2/Hz, of a sensor (m/s^2)^2/Hz."""
 
 
-def likeliest_force(fit: Record, rig: Rig, validation: Record) -> UnknownForce:
+@dataclass(frozen=True)
+class Sought:
+    """The unmeasured force that explains the fit record best, what the validation record alone shows (again), and that
+    record with the place and the shape of the spectrum held.
+    """
+
+    there: Located
+    again: Located
+    held: Located
+
+    @property
+    def same_place(self) -> bool:
+        return same_place(self.there, self.again)
+
+    @property
+    def validation_gain(self) -> float:
+        return self.held.gain
+
+    def described(self) -> UnknownForce:
+        """With its law, and when it acts."""
+        law, course, law_share, shown = None, None, 0.0, 0.0
+        if self.there.candidate.stations:
+            course = course_of(self.there)
+            law = shortest(laws(course), NAMED) if explained_share(self.there) > DESCRIBED else None
+            if law is not None:
+                freely = explained(self.held.observed, self.held.response, self.held.before)
+                law_share, shown = law.share, kept(course_of(replace(self.held, after=freely)), law)
+        return _told(self.there, self.again, self.held, course, law, law_share, shown)
+
+
+def likeliest_force(fit: Record, rig: Rig, validation: Record) -> Sought:
     """The unmeasured force that explains the fit record best beside a rig, and how far both records agree.
 
     Whether it deserves to be believed, `same_place` and the gains say. Raises RigError if there are too few sensors to
@@ -94,15 +124,7 @@ def likeliest_force(fit: Record, rig: Rig, validation: Record) -> UnknownForce:
     there = located(observed(fit, rig))
     other = observed(validation, rig)
     again = located(other)
-    held = _held(there, other, again)
-    law, course, law_share, shown = None, None, 0.0, 0.0
-    if there.candidate.stations:
-        course = course_of(there)
-        law = shortest(laws(course), NAMED) if explained_share(there) > DESCRIBED else None
-        if law is not None:
-            freely = explained(other, held.response, held.before)
-            law_share, shown = law.share, kept(course_of(replace(held, after=freely)), law)
-    return _told(there, again, held, course, law, law_share, shown)
+    return Sought(there, again, _held(there, other, again))
 
 
 def _held(there: Located, own: Observed, again: Located) -> Located:

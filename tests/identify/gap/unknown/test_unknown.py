@@ -26,7 +26,7 @@ def both(world, unknown, spoilt=None, rms_n=5.0):
 
 def found_in(world, unknown, spoilt=None, rms_n=5.0):
     fit, validation = both(world, unknown, spoilt, rms_n)
-    found = likeliest_force(fit, world.rig, validation)
+    found = likeliest_force(fit, world.rig, validation).described()
     assert found.same_place
     assert min(found.explained_share, found.validation_explained_share) >= 0.5
     return found
@@ -105,7 +105,7 @@ def test_a_sensor_that_clips_is_a_sensor(world):
 
 def test_a_null_shows_no_force(world):
     fit, validation = both(world, None)
-    found = likeliest_force(fit, world.rig, validation)
+    found = likeliest_force(fit, world.rig, validation).described()
     assert found.validation_explained_share < 0.3
     assert found.law == ""
 
@@ -114,7 +114,7 @@ def test_a_small_force_is_placed_and_gains_more_than_nothing(world):
     course = world.random_n(0.01)
     small = ((Station("beam", 0.7),), lambda *_: course)
     records = [both(world, unknown) for unknown in (None, small)]
-    nothing, found = (likeliest_force(fit, world.rig, validation) for fit, validation in records)
+    nothing, found = (likeliest_force(fit, world.rig, validation).described() for fit, validation in records)
     assert found.same_place
     assert found.validation_explained_share < 0.5
     assert found.validation_gain > 2 * max(nothing.validation_gain, 0.0)
