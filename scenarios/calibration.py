@@ -33,11 +33,15 @@ class Bin(msgspec.Struct, frozen=True):
 
 
 class Calibration(msgspec.Struct, frozen=True):
-    """Of the likeliest hypothesis: the reliability diagram, the Brier score, and that of the rule before."""
+    """Of the likeliest hypothesis: the reliability diagram, the Brier score, and that of the rule before.
+
+    An answer that lacks only what is below its limit is right; brier_whole counts it as wrong.
+    """
 
     bins: tuple[Bin, ...]
     brier: float
     brier_before: float
+    brier_whole: float
 
 
 class Tempered(msgspec.Struct, frozen=True):
@@ -73,7 +77,7 @@ def hypotheses_of(c: Compared) -> Hypotheses:
     gap = c.found.gap
     prior = [cause.log_prior for cause in gap.causes] + [np.log(PRIOR_NOTHING)]
     costs = [cause.minus_two_log for cause in gap.causes] + [gap.nothing_minus_two_log]
-    right = [c.is_truth(cause.effects) for cause in gap.causes] + [c.nothing_right]
+    right = [c.holds(cause.effects) for cause in gap.causes] + [c.nothing_right]
     if gap.unknown_gain is not None:
         prior.append(np.log(PRIOR_UNKNOWN / UNKNOWN_PLACES))
         costs.append(gap.nothing_minus_two_log - gap.unknown_gain)
@@ -81,10 +85,11 @@ def hypotheses_of(c: Compared) -> Hypotheses:
     return Hypotheses(np.array(prior), np.array(costs), np.array(right))
 
 
-def likeliest(c: Compared) -> tuple[float, bool]:
-    """The probability of the likeliest hypothesis, and whether it is right."""
-    gap = c.found.gap
-    told = [(cause.probability, c.is_truth(cause.effects)) for cause in gap.causes[:1]]
+def likeliest(c: Compared, whole: bool = False) -> tuple[float, bool]:
+    """The probability of the likeliest hypothesis, and whether it is right; with `whole` only if it holds every effect,
+    those below their limits too."""
+    gap, right = c.found.gap, c.is_truth if whole else c.holds
+    told = [(cause.probability, right(cause.effects)) for cause in gap.causes[:1]]
     told += [(gap.probability_nothing, c.nothing_right), (gap.probability_unknown, c.unknown_right)]
     return max(told, key=lambda t: t[0])
 
@@ -93,7 +98,7 @@ def likeliest_before(c: Compared) -> tuple[float, bool]:
     """Likewise by the rule before, as far as what is stored tells."""
     gap = c.found.gap
     left = [size_of(cause.left, gap.matters) for cause in gap.causes] + [c.best.before]
-    right = [c.is_truth(cause.effects) for cause in gap.causes] + [c.nothing_right]
+    right = [c.holds(cause.effects) for cause in gap.causes] + [c.nothing_right]
     scores = -OLD_POWER * np.log(np.maximum(left, 1e-12))
     first = int(np.argmax(scores))
     return float(np.exp(scores[first] - logsumexp(scores))), right[first]
@@ -115,7 +120,7 @@ def calibrated(compared: Sequence[Compared]) -> Calibration:
         if np.any(inside):
             count, of = int(right[inside].sum()), int(inside.sum())
             bins.append(Bin(low, high, float(said[inside].mean()), count, of, wilson(count, of)))
-    return Calibration(tuple(bins), brier(now), brier(before))
+    return Calibration(tuple(bins), brier(now), brier(before), brier([likeliest(c, whole=True) for c in compared]))
 
 
 def brier(told: Sequence[tuple[float, bool]]) -> float:

@@ -42,7 +42,10 @@ def limits_told(board: Score) -> str:
 def calibration_told(found: Calibration) -> str:
     """The reliability and the Brier scores in one line."""
     bins = "; ".join(f"{b.probability:.2f}: {b.right} of {b.of}" for b in found.bins)
-    return f"right by probability: {bins}. Brier score {found.brier:.3f}, of the rule before {found.brier_before:.3f}"
+    whole = f"{found.brier_whole:.3f} with effects below their limits"
+    return (
+        f"right by probability: {bins}. Brier score {found.brier:.3f} ({whole}), rule before {found.brier_before:.3f}"
+    )
 
 
 def temperature_told(found: Tempered) -> str:

@@ -84,6 +84,11 @@ class Compared:
         """Whether these are the true effects, all of the library."""
         return self.truth.kind in ("single", "pair") and sorted(effects) == sorted(self.names)
 
+    def holds(self, effects: Sequence[str]) -> bool:
+        """Whether these are the true effects, but for such as are below their limits."""
+        shown = {name for name, best in zip(self.names, self.best.effects, strict=False) if best.above}
+        return self.truth.kind in ("single", "pair") and bool(effects) and shown <= {*effects} <= {*self.names}
+
     @property
     def right(self) -> bool:
         return self.is_truth(self.named)
@@ -101,7 +106,9 @@ class Compared:
 
     @property
     def nothing_right(self) -> bool:
-        """No gap is the right answer to a null, and to what is below its limit."""
+        """No gap is the right answer to a null, and to what is below its limit: of a pair, to two such effects."""
+        if self.truth.kind == "pair":
+            return not any(effect.above for effect in self.best.effects)
         return self.truth.kind == "null" or not self.above
 
     @property

@@ -26,7 +26,7 @@ TRIES = 6
 """Of a step, shorter and shorter, until the cost falls."""
 ROUNDING = 1e-9
 SETTLED = 3e-5
-"""A whole step of Gauss-Newton is the last if the cost falls by a smaller share, a tenth of the errors; ..."""
+"""A step of Gauss-Newton is the last if the cost falls by a smaller share, a tenth of the errors; ..."""
 UNFIT = 1e-3
 """... or by a smaller share of what no noise explains."""
 
@@ -223,6 +223,7 @@ def fit(
     """
     at = residual_of(base, build(values), *(_state(start) if start else (None, None)))
     count, sizes = len(base.columns.parameters), np.eye(values.size)
+    slow = 0
     for _ in range(most):
         inside = FINE * np.where(values + steps > bounds[1], -steps, steps)
         normal = reduced(base, at).joined([derivative(base, build(values + s), at) for s in sizes * inside])
@@ -258,7 +259,8 @@ def fit(
         if not fell > 0:
             break
         values, at = moved, there
-        if share == 1 and fell < settled:
+        slow = slow + 1 if fell < settled else 0
+        if slow and (share == 1 or slow == 2):
             break
     covariance = base.record.strictness * np.linalg.pinv(normal.matrix)[count:, count:] * np.outer(inside, inside)
     return Fit(values, covariance, at)

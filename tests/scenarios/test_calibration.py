@@ -16,7 +16,7 @@ from scenarios.calibration import (
     likeliest_before,
     size_of,
 )
-from tests.scenarios.blind_cases import BELOW, case, cause, compared, effect, gap
+from tests.scenarios.blind_cases import ABOVE, BELOW, case, cause, compared, effect, gap
 
 GAIN = case("single", effect("force_gain", factor=1.1))
 DRAG = case("outside", effect("quadratic_drag", drag_n_s2_per_m2=4.0))
@@ -47,6 +47,14 @@ def test_nothing_is_right_below_the_limit():
     assert likeliest(compared(GAIN, one, BELOW)) == (0.9, True)
     assert likeliest(compared(DRAG, one, before=1.0)) == (0.9, True)
     assert likeliest(compared(DRAG, one, before=2.0)) == (0.9, False)
+
+
+def test_a_pair_of_which_one_is_below_its_limit_is_that_of_the_other():
+    pair = case("pair", effect("force_gain", factor=1.1), effect("tone", frequency_hz=20.0))
+    one, other = (gap("explained", cause(name, probability=0.9), nothing=0.0) for name in ("force_gain", "tone"))
+    assert likeliest(compared(pair, one, ABOVE, BELOW)) == (0.9, True)
+    assert likeliest(compared(pair, one, ABOVE, BELOW), whole=True) == (0.9, False)
+    assert likeliest(compared(pair, other, ABOVE, BELOW)) == (0.9, False)
 
 
 def test_the_rule_before_weighs_what_is_left():

@@ -21,10 +21,10 @@ LEVELS = 10.0 ** np.arange(-9, 3, 0.5)
 
 
 def fit_base_excitation(
-    base: Base, at: Residual, candidate: Candidate
+    base: Base, at: Residual, candidate: Candidate, least: float = 0.0
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]] | None:
     """The best base motion (level, lower and upper end of its band) with standard errors, by its likelihood over all
-    bands and levels; None where the residual has none of it.
+    bands and levels; None where the residual has none of it, or -2 ln p gains no more than `least`.
 
     With y the residual, p the pattern of a base motion of unit density, both of unit noise, a density S lowers the
     cost of a line by 2 (|p'y|^2/s (1 - 1/(1 + S s)) - log(1 + S s)), s = |p|^2; the best interval of lines is that
@@ -55,9 +55,9 @@ def fit_base_excitation(
         total, found = _largest(np.where(inside, _gains(tried, seen, size), 0.0))
         if total > best:
             best, band, density = total, found, tried
-    if not best > 0:
-        return None
     taken = (record.taken.stop - record.taken.start) * record.factor
+    if not 2 * best * taken / record.length > least * record.strictness:
+        return None
     density, relative = _density(density, seen[band], size[band], taken / record.length)
     gains = np.where(inside, _gains(density, seen, size), 0.0) * taken / record.length / WINDOW_LINES
     sums = np.concatenate([[0.0], np.cumsum(gains)])

@@ -329,7 +329,7 @@ def _tried(
 
 def _stochastic(begun: Search, nothing: Tried, candidate: Candidate) -> Tried | None:
     """An effect of which only the spectrum is known: its values are not fitted over time."""
-    found = fit_base_excitation(nothing.base, nothing.residual, candidate)
+    found = fit_base_excitation(nothing.base, nothing.residual, candidate, WORTH)
     if found is None:
         return None
     values, spread = found

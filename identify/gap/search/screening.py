@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.gap.candidates import Candidate
-from identify.gap.fit import Reduced, derivative, reduced
+from identify.gap.fit import Column, Reduced, derivative, reduced
 from identify.gap.grounded import needs_every_line
 from identify.gap.linear import linear_model
 from identify.gap.nuisance import LIMIT
@@ -43,45 +43,44 @@ def score_screening(base: Base, at: Residual, candidates: Sequence[Candidate]) -
     """
     equations = reduced(base, at)
     sharp_hz = peaks_hz(base, at, PEAKS).tolist() if any(c.kind.scanned for c in candidates) else []
-    found = []
-    for candidate in candidates:
-        best = Screened(candidate, 0.0, candidate.default)
-        for start in candidate.starts(sharp_hz):
-            looked = _looked(base, equations, candidate, start)
-            if looked and looked.gain > best.gain:
-                best = looked
-        found.append(best)
+    found = [max(_looked(base, equations, c, sharp_hz), key=lambda one: one.gain) for c in candidates]
     return sorted(found, key=lambda one: -one.gain)
 
 
-def _looked(
-    base: Base, equations: Reduced, candidate: Candidate, start: Float[np.ndarray, " parameters"]
-) -> Screened | None:
-    """What the strengths promise from one start, each within its bounds; None where the record does not see them."""
+def _looked(base: Base, equations: Reduced, candidate: Candidate, sharp_hz: Sequence[float]) -> list[Screened]:
+    """What the strengths promise from every start, each within its bounds; nothing where the record sees nothing."""
     strong, at = candidate.strong, equations.at
-    columns = []
-    for i in strong:
-        moved = start.copy()
-        moved[i] = start[i] + candidate.steps[i]
-        try:
-            rig = candidate.applied(base.rig, moved)
-            columns.append(attached(base, rig, at) or derivative(base, rig, at))
-        except RigError:
-            return None
+    found = [Screened(candidate, 0.0, candidate.default)]
+    starts: list[Float[np.ndarray, " parameters"]] = []
+    columns: list[Column] = []
+    for start in candidate.starts(sharp_hz):
+        with suppress(RigError):  # no such rig
+            own: list[Column] = []
+            for i in strong:
+                moved = start.copy()
+                moved[i] = start[i] + candidate.steps[i]
+                rig = candidate.applied(base.rig, moved)
+                own.append(attached(base, rig, at) or derivative(base, rig, at))
+            starts.append(start)
+            columns += own
     normal = equations.joined(columns)
     count = len(equations.gradient)
-    free, own = np.flatnonzero(np.abs(at.nuisance) < LIMIT - 1e-6), slice(count, None)
-    inner = np.linalg.solve(normal.matrix[np.ix_(free, free)], normal.matrix[free, own])
-    curvature = normal.matrix[own, own] - normal.matrix[own][:, free] @ inner
-    slope = normal.gradient[own] - inner.T @ normal.gradient[free]
-    if np.any(np.diag(curvature) <= 1e-9 * np.maximum(np.diag(normal.matrix)[own], 1.0)):
-        return None  # nothing moves there, as a force on a clamp
+    free = np.flatnonzero(np.abs(at.nuisance) < LIMIT - 1e-6)
+    inner = np.linalg.solve(normal.matrix[np.ix_(free, free)], normal.matrix[free, count:])
     steps = candidate.steps[strong]
     low, high = (ends[strong] for ends in candidate.bounds)
-    size = (np.clip(start[strong] + np.linalg.solve(curvature, slope) * steps, low, high) - start[strong]) / steps
-    values = start.copy()
-    values[strong] = start[strong] + size * steps
-    return Screened(candidate, float(2 * slope @ size - size @ curvature @ size), values)
+    for k, start in enumerate(starts):
+        mine = slice(count + k * len(strong), count + (k + 1) * len(strong))
+        solved = inner[:, mine.start - count : mine.stop - count]
+        curvature = normal.matrix[mine, mine] - normal.matrix[mine][:, free] @ solved
+        slope = normal.gradient[mine] - solved.T @ normal.gradient[free]
+        if np.any(np.diag(curvature) <= 1e-9 * np.maximum(np.diag(normal.matrix)[mine], 1.0)):
+            continue  # nothing moves there, as a force on a clamp
+        size = (np.clip(start[strong] + np.linalg.solve(curvature, slope) * steps, low, high) - start[strong]) / steps
+        values = start.copy()
+        values[strong] = start[strong] + size * steps
+        found.append(Screened(candidate, float(2 * slope @ size - size @ curvature @ size), values))
+    return found
 
 
 def grid_screening(base: Base, candidates: Sequence[Candidate]) -> list[Screened]:
