@@ -29,6 +29,8 @@ CLOSED = 5.0
 STRUCK = 0.1
 """... where it also exceeds this share of its root mean square, which no open contact's error does, it is closed."""
 
+DEEP, DEPTHS = 3.0, 2000
+"""Penetrations at which a law is inverted: up to so many times that of a linear stop, and how many."""
 EDGE = 8
 """A contact force so few samples before a record ends rings on: the low-pass of its law lacks what follows."""
 
@@ -130,14 +132,20 @@ def added_n_per_m(rig: Rig, contact: int) -> float:
     return float(sum(s.stiffness_n_per_m for s in rig.springs if s.station.body == body))
 
 
-def start_of(laid: Laid, seen: Seen, rate_hz: float) -> Float[np.ndarray, " unknowns"]:
-    """The drift by the samples at which the contact is clearly closed; zero where they do not tell it."""
+def start_of(laid: Laid, seen: Seen, law: DeadZone, rate_hz: float) -> Float[np.ndarray, " unknowns"]:
+    """The drift by the samples at which the contact is clearly closed; zero where they do not tell it.
+
+    Clearance and stiffness are regressed along with it; the law gives its other terms.
+    """
     start = np.zeros(seen.curve.knots + 3)
+    eta, rate, time_s = (x[:: laid.finer] for x in (laid.eta_m, laid.rate_m_per_s, laid.time_s))
+    force = laid.force_n - law.force_n(np.zeros_like(eta), rate)  # what acts in the gap too
+    shifted = (law.upper_clearance_m - law.lower_clearance_m) / 2 + np.sign(force) * law.wear_m_per_s * time_s
     observed = Observed(
-        eta_m=laid.eta_m[:: laid.finer],
-        velocity_m_per_s=laid.rate_m_per_s[:: laid.finer],
+        eta_m=eta - shifted,
+        velocity_m_per_s=rate,
         sample_rate_hz=rate_hz,
-        force_n=laid.force_n,
+        force_n=law.stiffness_n_per_m * _depth_m(law, force),
         factor=1,
         quiet_n=0.0,
         drift=None,
@@ -146,6 +154,19 @@ def start_of(laid: Laid, seen: Seen, rate_hz: float) -> Float[np.ndarray, " unkn
         with suppress(RigError):
             start[:-3] = regressed(observed, seen.curve)[1]
     return start
+
+
+def _depth_m(law: DeadZone, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
+    """The penetration at which the law's elastic force is as large."""
+    soft = min(law.stiffness_n_per_m, law.lower_stiffness_n_per_m)
+    if law.exponent == 1 and not law.cubic_n_per_m3:
+        return force_n / np.where(force_n < 0, law.lower_stiffness_n_per_m, law.stiffness_n_per_m)
+    depth = np.linspace(0.0, DEEP * np.max(np.abs(force_n)) / soft, DEPTHS)
+    found = np.zeros_like(force_n)
+    for sign in (-1, 1):
+        elastic = np.maximum.accumulate(sign * law.elastic_n(sign * depth))
+        found += sign * np.interp(np.maximum(sign * force_n, 0.0), elastic, depth)
+    return found
 
 
 @dataclass(frozen=True)

@@ -161,7 +161,9 @@ def residual_of(
         laid = laid_out(record, model)
         bare = residual_scale(record) * record.in_time(model.residual)
     if unknowns is None:
-        unknowns = tuple(start_of(at, s, record.rate_hz) for at, s in zip(laid, base.seen, strict=True))
+        unknowns = tuple(
+            start_of(at, s, c.law, record.rate_hz) for at, s, c in zip(laid, base.seen, rig.contacts, strict=True)
+        )
     beside = nuisance - base.about
     same = like if like is not None and model is like.model and nuisance is like.nuisance else None
     linear = same.linear if same else bare

@@ -17,6 +17,9 @@ from identify.gap.decision.comparison import (
 from identify.gap.decision.null_reference import NullReference
 from identify.gap.results import USUAL, Matters, Verdict
 from identify.gap.unknown import Sought
+from identify.gap.unknown.force import SAME_M
+from identify.gap.unknown.location import Candidate
+from rig.description import Rig
 
 HALF = 0.5
 """An effect explains the gap in part if it closes this share of it: more than it leaves."""
@@ -53,12 +56,13 @@ def decided(
 
     A gap that matters, and that tolerances and noise do not explain, is one: the probability of the believed rig alone
     is then that of something unknown. `beside` is the unmeasured force that explains best what the likeliest effects
-    leave: these are then as likely as they are alone or with it.
+    leave: these are then as likely as they are alone or with it. Not where it acts at their very place: one force of
+    another law is no companion, but their rival.
     """
     nothing = next(j for j in ranked if not j.hypothesis.parts)
     best = next((j for j in ranked if j.hypothesis.parts), None)
     scores = [j.log_posterior for j in ranked]
-    if best and beside:
+    if best and beside and not acts_where_they_do(beside.there.candidate, nothing.rig, best.rig):
         with_force = best.log_prior + _unknown_log_posterior(best, beside, strictness)
         scores[ranked.index(best)] = float(np.logaddexp(best.log_posterior, with_force))
     scores.append(_unknown_log_posterior(nothing, unknown, strictness))
@@ -70,6 +74,22 @@ def decided(
         of_unknown, likely[alone] = of_unknown + likely[alone], 0.0
     verdict, criterion = _judged(ranked, nothing, best, of_unknown > max(likely), p_before, p_after, matters)
     return Decision(verdict, criterion, tuple(likely), of_unknown, nothing, best, p_before, p_after)
+
+
+def acts_where_they_do(force: Candidate, believed: Rig, rig: Rig) -> bool:
+    """Whether an unmeasured force acts where effects do: at what they attached, at a contact or in a sensor that they
+    changed."""
+    if force.kind == "sensor":
+        changed = [b.name for a, b in zip(believed.sensors, rig.sensors, strict=True) if a != b]
+        return changed == [force.sensor]
+    there = [c.at for c, d in zip(rig.contacts, believed.contacts, strict=True) if c.law != d.law]
+    for kind in ("springs", "dampers", "masses", "tones"):
+        there += [one.station for one in getattr(rig, kind)[len(getattr(believed, kind)) :]]
+    return any(
+        one.body == other.body and abs(one.position_m - other.position_m) <= SAME_M
+        for one in force.stations
+        for other in there
+    )
 
 
 def _unknown_log_posterior(alone: Judged, unknown: Sought | None, strictness: float) -> float:

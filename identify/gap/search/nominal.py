@@ -3,22 +3,30 @@
 import numpy as np
 
 from identify.gap.fit import Fit, fit
+from identify.gap.likelihood import misfit, reference_of
 from identify.gap.residual import Base, Residual, base_of, rescaled
 from identify.gap.spectra import Record
 from rig.description import Rig
 from rig.oscillator import Oscillator
 
-ROUNDS = 2
-"""Scales and fit each follow the other; after two rounds neither moves by what would matter."""
+ROUNDS, MOST, SETTLED = 2, 6, 1.0
+"""Scales and fit follow each other so many times, and more often while more is left than noise and tolerated shares,
+and -2 ln p falls by more than this: a slow motion in a wrong minimum takes some rounds out of it."""
 
 
 def fit_nuisance(record: Record, rig: Rig, rounds: int = ROUNDS) -> tuple[Base, Residual]:
     """The base at the estimated scales, and the residual fitted in it."""
     base = base_of(record, rig)
+    reference = reference_of(base)
     at = fitted(base).residual
-    for _ in range(max(rounds, singly_bent(rig))):
+    left = misfit(record, reference, at)
+    for k in range(MOST):
         base = rescaled(base, at)
         at = fitted(base, at).residual
+        before, left = left, misfit(record, reference, at)
+        falls = left.excess > SETTLED and before.minus_two_log - left.minus_two_log > SETTLED
+        if k + 1 >= max(rounds, singly_bent(rig)) and not falls:
+            break
     return base, at
 
 
