@@ -76,26 +76,24 @@ def explained(
     own: Observed,
     candidate: Complex[np.ndarray, "lines rows"],
     start: Explained,
-    held: bool = False,
+    cleared: Complex[np.ndarray, "lines rows"] | None = None,
     shape: Float[np.ndarray, " bands"] | None = None,
 ) -> Explained:
     """With a force of the candidate's residual per unit force, from the nuisances and noise of `start`.
 
-    `held` leaves the nuisances where they are: quick, for a first choice. `shape` is a spectrum of which only the size
-    is free.
+    With the residual `cleared` of the nuisances of `start` these stay where they are: quick, for a first choice. `shape`
+    is a spectrum of which only the size is free.
     """
+    held = cleared is not None
     size = np.linalg.norm(candidate, axis=1)
     direction = candidate.conj() / np.maximum(size, 1e-300)[:, None]
-    bare = np.einsum("lr,lr->l", direction, own.residual)
+    bare = np.einsum("lr,lr->l", direction, own.residual if cleared is None else cleared)
     columns = np.zeros((len(own.names), 0)) if held else _along(direction, own.columns)
     theta, noise = start.theta, start.noise
     spectrum = start.spectrum if np.any(start.spectrum) else None
     squares = size**2
     for turn in range(1 if held else ROUNDS):
-        if held:
-            along = bare - np.einsum("lr,lr->l", direction, np.tensordot(theta, own.columns, 1))
-        else:
-            along = bare - theta @ columns
+        along = bare if held else bare - theta @ columns
         noise, spectrum = _scored(own, squares, np.abs(along) ** 2, left(own, theta), noise, spectrum, shape)
         if held or turn == ROUNDS - 1:
             break
@@ -113,6 +111,14 @@ def explained(
         + np.sum(np.log(whole) + np.abs(along) ** 2 / whole)
     ) + _held(own, theta)
     return Explained(criterion, theta, noise, spectrum, size, along)
+
+
+def cleared_of(own: Observed, theta: Float[np.ndarray, " columns"]) -> Complex[np.ndarray, "lines rows"]:
+    """The residual without what the nuisances make."""
+    found = own.residual.copy()
+    for value, column in zip(theta, own.columns, strict=True):
+        found -= value * column
+    return found
 
 
 def _held(own: Observed, theta: Float[np.ndarray, " columns"]) -> float:

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Complex
 
-from identify.gap.unknown.evidence import Explained, explained, normal, without
+from identify.gap.unknown.evidence import Explained, cleared_of, explained, normal, without
 from identify.gap.unknown.nuisance import drifting
 from identify.gap.unknown.observed import Observed, with_columns
 from rig.description import Rig, Station
@@ -72,7 +72,8 @@ def located(own: Observed, near: Candidate | None = None, within_m: float = 0.1)
     places = [c for c in candidates(own.record.rig) if near is None or _beside(c, near, within_m)]
     if near is not None and near.kind != "distributed":
         places.append(near)
-    firsts = {c: explained(own, response_of(own, c), before, held=True) for c in places}
+    cleared = cleared_of(own, before.theta)
+    firsts = {c: explained(own, response_of(own, c), before, cleared) for c in places}
     best: list[Located] = []
     for kind in ("force", "pair", "sensor"):
         chosen = sorted((c for c in firsts if c.kind == kind), key=lambda c: firsts[c].criterion)[:LOOKED_AT]

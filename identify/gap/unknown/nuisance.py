@@ -44,7 +44,7 @@ def nuisances(
         column = own.gated(model.chain * pattern * course / deviation)
         if np.any(column):
             names.append(name)
-            columns.append(column)
+            columns.append(column.astype(np.complex64))  # they are many
             back = own.rowed((read[:, None] * deviation / model.chain.conj())[:, own.lines])
             there = own.rowed((model.chain * pattern / deviation)[:, own.lines])
             stretch.append(2 * float(np.sum(back.conj() * there).real))

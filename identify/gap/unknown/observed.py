@@ -190,20 +190,20 @@ def with_columns(
     columns: Complex[np.ndarray, "columns lines rows"],
     stretch: Float[np.ndarray, " columns"],
 ) -> Observed:
-    """With these columns and the sums over bands."""
-    flat = np.ascontiguousarray(columns).view(float)
+    """With these columns and the sums over bands. The columns are kept in single precision."""
     own = np.ascontiguousarray(bare.residual).view(float)
     ends = np.append(bare.starts, own.shape[0])
     squares, crossed, gram = [], [], []
     for first, last in pairwise(ends):
-        part, rest = flat[:, first:last].reshape(len(flat), -1), own[first:last].ravel()
+        part = np.ascontiguousarray(columns[:, first:last], dtype=complex).view(float).reshape(len(columns), -1)
+        rest = own[first:last].ravel()
         squares.append(rest @ rest)
         crossed.append(part @ rest)
         gram.append(part @ part.T)
     return replace(
         bare,
         names=names,
-        columns=columns,
+        columns=columns.astype(np.complex64),
         squares=np.array(squares),
         crossed=np.array(crossed),
         gram=np.array(gram),
