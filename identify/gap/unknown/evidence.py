@@ -81,8 +81,8 @@ def explained(
 ) -> Explained:
     """With a force of the candidate's residual per unit force, from the nuisances and noise of `start`.
 
-    With the residual `cleared` of the nuisances of `start` these stay where they are: quick, for a first choice. `shape`
-    is a spectrum of which only the size is free.
+    With the residual `cleared` of the nuisances of `start` these stay where they are: quick, for a first choice.
+    `shape` is a spectrum of which only the size is free.
     """
     held = cleared is not None
     size = np.linalg.norm(candidate, axis=1)
