@@ -160,8 +160,10 @@ def _decided(
         return decision, None, None
     unknown = _unknown(fit_record, record, record.rig)
     decision = decided(ranked, unknown, record.strictness, nulls, matters)
+    if decision.verdict in ("no_gap", "explained"):
+        return decision, None, None
     best = decision.best
-    if best and decision.verdict != "no_gap" and closed(best.without, best.misfit, matters) >= HALF:
+    if best and closed(best.without, best.misfit, matters) >= HALF:
         beside = _unknown(fit_record, record, best.rig)
         decision = decided(ranked, unknown, record.strictness, nulls, matters, beside)
         if decision.verdict == "partly_explained":
