@@ -88,6 +88,11 @@ class Misfit:
         return float(self.per_cell * np.sum(np.log(posterior_level(self.levels))))
 
     @cached_property
+    def peak(self) -> float:
+        """The largest part of any one band."""
+        return float(self.per_cell * np.max(np.sum(np.log(posterior_level(self.levels)), axis=1)))
+
+    @cached_property
     def law(self) -> float:
         """The part of the contacts."""
         return float(self.samples * np.sum(np.log(posterior_level(self.contacts))))

@@ -16,8 +16,8 @@ from identify.gap.decision.null_reference import NullReference, Simulate, null_r
 from identify.gap.decision.recordings import parts_of, sound
 from identify.gap.decision.response_comparison import compared
 from identify.gap.decision.sentence import sentence
-from identify.gap.decision.unmeasured import unmeasured
-from identify.gap.decision.verdict import HALF, Decision, decided, unknown_gain
+from identify.gap.decision.unmeasured import cost_with, unmeasured
+from identify.gap.decision.verdict import HALF, Decision, acts_where_they_do, decided
 from identify.gap.likelihood import Reference, reference_of
 from identify.gap.residual import Residual, base_of
 from identify.gap.results import USUAL, Gap, Matters, NextExperiment
@@ -83,7 +83,8 @@ def diagnose(
     priors = log_priors(hypotheses, known)
     base, at = fit_nuisance(record, record.rig, rounds=1)
     ranked = judged(record, reference, at, hypotheses, priors, lambda x: progress("causes", 0.7 + 0.2 * x))
-    decision, unknown, swinging = _decided(fit_record, record, at, ranked, nulls, matters)
+    told = _decided(fit_record, record, reference, at, ranked, nulls, matters)
+    decision, unknown, swinging = told.decision, told.unknown, told.swinging
     between = None
     if several:
         cause = decision.best if decision.verdict in ("explained", "partly_explained") else None
@@ -116,7 +117,7 @@ def diagnose(
         probability_nothing=decision.probabilities[ranked.index(nothing)],
         probability_unknown=decision.unknown,
         nothing_minus_two_log=nothing.misfit.minus_two_log,
-        unknown_gain=unknown_gain(unknown, record.strictness),
+        unknown_gain=told.unknown_gain,
         unknown=unmeasured(other.rig, unknown.described() if unknown else None, swinging, rest, matters),
         bands=bands_of(without, after, nulls),
         equivalent=equivalent(causes) if causes else (),
@@ -147,30 +148,51 @@ def _reference(record: Record) -> Reference:
     return reference_of(base_of(record, record.rig))
 
 
+@dataclass(frozen=True)
+class _Decided:
+    """The decision, what acts unmeasured or swings where the verdict asks for it, and by how much -2 ln p of the
+    believed rig falls with it."""
+
+    decision: Decision
+    unknown: Sought | None = None
+    swinging: Breathing | None = None
+    unknown_gain: float | None = None
+
+
 def _decided(
-    fit_record: Record, record: Record, at: Residual, ranked: list[Judged], nulls: NullReference, matters: Matters
-) -> tuple[Decision, Sought | None, Breathing | None]:
+    fit_record: Record,
+    record: Record,
+    reference: Reference,
+    at: Residual,
+    ranked: list[Judged],
+    nulls: NullReference,
+    matters: Matters,
+) -> _Decided:
     """The verdict; and of a gap that no effect explains, what acts unmeasured: beside the likeliest effects, if those
     explain it in part.
 
     Effects that leave more than tolerances and noise must be likelier than something unmeasured, however little it is.
     """
-    decision = decided(ranked, None, record.strictness, nulls, matters)
+    decision = decided(ranked, None, nulls, matters)
     if decision.verdict == "no_gap" or (decision.verdict == "explained" and decision.p_after >= USUAL):
-        return decision, None, None
-    unknown = _unknown(fit_record, record, record.rig)
-    decision = decided(ranked, unknown, record.strictness, nulls, matters)
+        return _Decided(decision)
+    unknown, nothing, best = _unknown(fit_record, record, record.rig), decision.nothing, decision.best
+    cost = cost_with(record, reference, record.rig, unknown, nothing.misfit) if unknown else None
+    gain = None if cost is None else nothing.misfit.minus_two_log - cost
+    decision = decided(ranked, cost, nulls, matters)
     if decision.verdict in ("no_gap", "explained"):
-        return decision, None, None
-    best = decision.best
+        return _Decided(decision, unknown_gain=gain)
     if best and closed(best.without, best.misfit, matters) >= HALF:
-        beside = _unknown(fit_record, record, best.rig)
-        decision = decided(ranked, unknown, record.strictness, nulls, matters, beside)
+        rest = _unknown(fit_record, record, best.rig)
+        beside = None
+        if rest and not acts_where_they_do(rest.there.candidate, record.rig, best.rig):
+            beside = cost_with(record, reference, best.rig, rest, best.misfit)
+        decision = decided(ranked, cost, nulls, matters, beside)
         if decision.verdict == "partly_explained":
-            unknown, at = beside, fit_nuisance(record, best.rig, rounds=1)[1]
+            unknown, at = rest, fit_nuisance(record, best.rig, rounds=1)[1]
     if decision.verdict in ("no_gap", "explained"):
-        return decision, None, None
-    return decision, unknown, breathing(record, at)
+        return _Decided(decision, unknown_gain=gain)
+    return _Decided(decision, unknown, breathing(record, at), gain)
 
 
 def _unknown(fit_record: Record, record: Record, rig: Rig) -> Sought | None:

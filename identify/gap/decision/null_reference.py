@@ -41,11 +41,12 @@ simulator that the diagnosis is handed."""
 
 
 class Null(msgspec.Struct, frozen=True):
-    """What one null simulation leaves: -2 ln p, the contacts' part of it, and the unexplained shares by band, overall,
-    and of each contact force."""
+    """What one null simulation leaves: -2 ln p, the contacts' part of it and that of the worst band, and the unexplained
+    shares by band, overall, and of each contact force."""
 
     minus_two_log: float
     law: float
+    peak: float
     shares: tuple[float, ...]
     share: float
     contact_shares: tuple[float, ...]
@@ -60,14 +61,14 @@ class NullReference(msgspec.Struct, frozen=True):
     def p_value(self, left: Misfit) -> float:
         """How often tolerances and noise alone leave as much: Student's prediction from the nulls' -2 ln p.
 
-        The contacts' part is judged apart from the rest, as one contact is a small share of the whole; the smaller
-        p-value counts, twice (Bonferroni).
+        The contacts' part and that of the worst band are judged apart, as one contact or one sharp line is a small
+        share of the whole; the smallest p-value counts, three times (Bonferroni).
         """
-        parts = np.array([[n.minus_two_log - n.law, n.law] for n in self.nulls])
+        parts = np.array([[n.minus_two_log - n.law, n.law, n.peak] for n in self.nulls])
         spread = np.maximum(parts.std(axis=0, ddof=1) * np.sqrt(1 + 1 / len(parts)), 1.0)
-        here = np.array([left.minus_two_log - left.law, left.law])
+        here = np.array([left.minus_two_log - left.law, left.law, left.peak])
         beyond = student.sf((here - parts.mean(axis=0)) / spread, len(parts) - 1)
-        return min(1.0, 2 * float(beyond.min()))
+        return min(1.0, 3 * float(beyond.min()))
 
     def usual_shares(self) -> Float[np.ndarray, " bands"]:
         """By band: the share that nineteen of twenty nulls stay below."""
@@ -163,7 +164,12 @@ def _left(recording: Recording, tolerances: Tolerances) -> Null:
     reference = reference_of(base_of(record, record.rig))
     left = misfit(record, reference, fit_nuisance(record, record.rig, rounds=1)[1])
     return Null(
-        left.minus_two_log, left.law, tuple(left.shares.tolist()), left.share, tuple(left.contact_shares.tolist())
+        left.minus_two_log,
+        left.law,
+        left.peak,
+        tuple(left.shares.tolist()),
+        left.share,
+        tuple(left.contact_shares.tolist()),
     )
 
 

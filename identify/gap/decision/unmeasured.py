@@ -1,11 +1,30 @@
-"""What acts unmeasured, in gap.json: the force, or the clearance that swings."""
+"""What acts unmeasured: how likely a record is with it, and how gap.json tells it."""
 
-from identify.gap.likelihood import Misfit
+from dataclasses import replace
+
+from identify.gap.likelihood import Misfit, Reference, misfit
 from identify.gap.results import Matters, MeanForce, Unknown
-from identify.gap.unknown import UnknownForce
+from identify.gap.search.nominal import fit_nuisance
+from identify.gap.spectra import Record
+from identify.gap.unknown import Sought, UnknownForce
 from identify.gap.unknown import sentence as described
 from identify.gap.unknown.play import Breathing
 from rig.description import Rig
+
+
+def cost_with(record: Record, reference: Reference, rig: Rig, found: Sought, alone: Misfit) -> float:
+    """-2 ln p of a validation record with an unmeasured force beside a rig, which alone leaves `alone`.
+
+    The force is taken off what the sensors delivered, and the rig fitted to the rest like any other. Its course is free
+    to follow one direction of the residual's many: there nothing is gained. Nor is it where the records do not show the
+    same.
+    """
+    if not found.same_place:
+        return alone.minus_two_log
+    cleared = replace(record, delivered=record.delivered - found.delivered())
+    left = misfit(cleared, reference, fit_nuisance(cleared, rig, rounds=1)[1])
+    followed = found.directions / found.held.observed.rows
+    return left.minus_two_log + followed * (alone.linear - left.linear)
 
 
 def unmeasured(

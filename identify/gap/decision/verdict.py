@@ -16,7 +16,6 @@ from identify.gap.decision.comparison import (
 )
 from identify.gap.decision.null_reference import NullReference
 from identify.gap.results import USUAL, Matters, Verdict
-from identify.gap.unknown import Sought
 from identify.gap.unknown.force import SAME_M
 from identify.gap.unknown.location import Candidate
 from rig.description import Rig
@@ -46,26 +45,25 @@ class Decision:
 
 def decided(
     ranked: Sequence[Judged],
-    unknown: Sought | None,
-    strictness: float,
+    unknown: float | None,
     nulls: NullReference,
     matters: Matters,
-    beside: Sought | None = None,
+    beside: float | None = None,
 ) -> Decision:
-    """From hypotheses judged on the validation record, likeliest first, and the unmeasured force that explains it best.
+    """From hypotheses judged on the validation record, likeliest first; `unknown` is -2 ln p of it with the unmeasured
+    force that explains it best.
 
     A gap that matters, and that tolerances and noise do not explain, is one: the probability of the believed rig alone
-    is then that of something unknown. `beside` is the unmeasured force that explains best what the likeliest effects
-    leave: these are then as likely as they are alone or with it. Not where it acts at their very place: one force of
-    another law is no companion, but their rival.
+    is then that of something unknown. `beside` is -2 ln p with the likeliest effects and the unmeasured force that
+    explains best what they leave: they are then as likely as they are alone or with it.
     """
     nothing = next(j for j in ranked if not j.hypothesis.parts)
     best = next((j for j in ranked if j.hypothesis.parts), None)
     scores = [j.log_posterior for j in ranked]
-    if best and beside and not acts_where_they_do(beside.there.candidate, nothing.rig, best.rig):
-        with_force = best.log_prior + _unknown_log_posterior(best, beside, strictness)
+    if best:
+        with_force = _log_posterior(best.log_prior, beside)
         scores[ranked.index(best)] = float(np.logaddexp(best.log_posterior, with_force))
-    scores.append(_unknown_log_posterior(nothing, unknown, strictness))
+    scores.append(_log_posterior(0.0, unknown))
     *likely, of_unknown = (float(p) for p in probabilities(np.array(scores)))
     p_before = nulls.p_value(nothing.misfit)
     p_after = nulls.p_value(best.misfit) if best else p_before
@@ -78,7 +76,7 @@ def decided(
 
 def acts_where_they_do(force: Candidate, believed: Rig, rig: Rig) -> bool:
     """Whether an unmeasured force acts where effects do: at what they attached, at a contact or in a sensor that they
-    changed."""
+    changed. One force of another law is no companion of theirs, but their rival."""
     if force.kind == "sensor":
         changed = [b.name for a, b in zip(believed.sensors, rig.sensors, strict=True) if a != b]
         return changed == [force.sensor]
@@ -92,21 +90,11 @@ def acts_where_they_do(force: Candidate, believed: Rig, rig: Rig) -> bool:
     )
 
 
-def _unknown_log_posterior(alone: Judged, unknown: Sought | None, strictness: float) -> float:
-    """An unmeasured force lowers the -2 ln p of a rig by what it gains on the validation record, in samples that
-    count."""
-    gain = unknown_gain(unknown, strictness)
-    if gain is None:
+def _log_posterior(log_prior: float, cost: float | None) -> float:
+    """With an unmeasured force, which may be at any of `UNKNOWN_PLACES`; without any: impossible."""
+    if cost is None:
         return -np.inf
-    prior = float(np.log(PRIOR_UNKNOWN / UNKNOWN_PLACES))
-    return prior - (alone.misfit.minus_two_log - gain) / (2 * TEMPERATURE)
-
-
-def unknown_gain(unknown: Sought | None, strictness: float) -> float | None:
-    """What an unmeasured force gains on the validation record, in samples that count; 0 where the records differ."""
-    if unknown is None:
-        return None
-    return unknown.validation_gain / strictness if unknown.same_place else 0.0
+    return log_prior + float(np.log(PRIOR_UNKNOWN / UNKNOWN_PLACES)) - cost / (2 * TEMPERATURE)
 
 
 def _judged(

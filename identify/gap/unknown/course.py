@@ -114,13 +114,20 @@ class Course:
         return np.asarray(np.interp(at, np.arange(coarse.size), coarse))
 
 
+def force_of(located: Located) -> Complex[np.ndarray, " alllines"]:
+    """The likeliest force, or the likeliest signal of a sensor: S |g| t / (s + S |g|^2)."""
+    own, after = located.observed, located.after
+    noise, spectrum = own.spread(after.noise), own.spread(after.spectrum)
+    force = np.zeros(own.record.omega.size, dtype=complex)
+    force[own.lines] = spectrum * after.size * after.along / (noise + spectrum * after.size**2)
+    return force
+
+
 def course_of(located: Located) -> Course:
     """Of a force or a pair."""
     own, after = located.observed, located.after
-    record = own.record
+    record, force = own.record, force_of(located)
     noise, spectrum = own.spread(after.noise), own.spread(after.spectrum)
-    force = np.zeros(record.omega.size, dtype=complex)
-    force[own.lines] = spectrum * after.size * after.along / (noise + spectrum * after.size**2)
     acceleration = np.zeros(record.omega.size, dtype=complex)
     for station, sign in zip(located.candidate.stations, (1.0, -1.0), strict=False):
         acceleration += sign * (own.motion(station) + sign * _beyond(located, station) * force)

@@ -6,18 +6,18 @@ from typing import Literal
 
 import msgspec
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 
 from identify.gap.results import Surface, Value
 from identify.gap.spectra import Record
-from identify.gap.unknown.course import FINER, Course, course_of, explained_share
+from identify.gap.unknown.course import FINER, Course, course_of, explained_share, force_of
 from identify.gap.unknown.descent import kept
 from identify.gap.unknown.description import laws, shortest
 from identify.gap.unknown.evidence import explained
 from identify.gap.unknown.forms import Against
 from identify.gap.unknown.law import Law
 from identify.gap.unknown.location import Kind, Located, located, response_of
-from identify.gap.unknown.nuisance import observed
+from identify.gap.unknown.nuisance import drift_accelerations, observed
 from identify.gap.unknown.observed import BAND_HZ, Observed
 from identify.kinematics import QUIET_S
 from rig.description import Rig, Station
@@ -102,6 +102,25 @@ class Sought:
     @property
     def validation_gain(self) -> float:
         return self.held.gain
+
+    @property
+    def directions(self) -> int:
+        """How many directions of the residual, of `held.observed.rows`, are free to follow it."""
+        return 0 if self.there.candidate.kind == "distributed" else 1
+
+    def delivered(self) -> Complex[np.ndarray, "sensors alllines"]:
+        """What the sensors of the validation record deliver of it, at its likeliest course."""
+        own, candidate = self.held.observed, self.held.candidate
+        found = np.zeros(own.model.chain.shape, dtype=complex)
+        if candidate.kind == "distributed":
+            for body, growth in zip(candidate.bodies, self.held.growth, strict=True):
+                found += growth * drift_accelerations(own, body)
+        elif candidate.kind == "sensor":
+            found[[s.name for s in own.record.sensors].index(candidate.sensor)] = force_of(self.held)
+        else:
+            for station, sign in zip(candidate.stations, (1.0, -1.0), strict=False):
+                found += sign * own.accelerance(station) * force_of(self.held)
+        return own.model.chain * found
 
     def described(self) -> UnknownForce:
         """With its law, and when it acts."""

@@ -88,7 +88,12 @@ def nuisances(
 
 
 def drifting(own: Observed, body: str) -> Complex[np.ndarray, "lines rows"]:
-    """The residual by a modulus of a body that grows by its own size over the record: -Phi H FFT[tau omega_n^2 q].
+    """The residual by a modulus of a body that grows by its own size over the record."""
+    return own.gated(own.model.chain * drift_accelerations(own, body) / own.model.spread)
+
+
+def drift_accelerations(own: Observed, body: str) -> Complex[np.ndarray, "sensors alllines"]:
+    """Accelerations by a modulus that grows by its own size over the record: -Phi H FFT[tau omega_n^2 q].
 
     tau runs from -1/2 to 1/2; a constant change is a nuisance already.
     """
@@ -106,4 +111,4 @@ def drifting(own: Observed, body: str) -> Complex[np.ndarray, "lines rows"]:
             found += response.shapes([s.station for s in record.sensors])[:, near] @ (
                 response.accelerance[near] * pushed
             )
-    return own.gated(model.chain * found / model.spread)
+    return found

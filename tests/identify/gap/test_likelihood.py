@@ -83,31 +83,35 @@ def test_probabilities_sum_to_one_and_follow_the_odds():
     assert found[1] / found[0] == pytest.approx(3.0)
 
 
-def leaving(rest: float, law: float) -> Misfit:
-    """-2 ln p of the contacts, and of the rest."""
+def leaving(rest: float, law: float, peak: float = 1.0) -> Misfit:
+    """-2 ln p of the contacts, of the rest, and the part of the worst band."""
     bare = left(1.0)
     found = replace(bare, freedom=rest - (bare.minus_two_log - bare.law))
-    vars(found)["law"] = law
+    vars(found).update(law=law, peak=peak)
     return found
+
+
+def null(rest: float, law: float = -60.0, peak: float = 1.0) -> Null:
+    return Null(rest + law, law, peak, (0.0,), 0.0, ())
 
 
 def test_p_values_of_nulls_are_uniform():
     rng = np.random.default_rng(3)
     values = []
     for _ in range(400):
-        rest, law = rng.normal(50.0, 9.0, 13), rng.normal(-60.0, 3.0, 13)
-        nulls = NullReference(
-            "key", tuple(Null(r + w, w, (0.0,), 0.0, ()) for r, w in zip(rest, law, strict=True))[:12]
-        )
-        values.append(nulls.p_value(leaving(float(rest[12]), float(law[12]))))
+        rest, law, peak = rng.normal(50.0, 9.0, 13), rng.normal(-60.0, 3.0, 13), rng.normal(4.0, 2.0, 13)
+        nulls = NullReference("key", tuple(map(null, rest, law, peak))[:12])
+        values.append(nulls.p_value(leaving(float(rest[12]), float(law[12]), float(peak[12]))))
     assert np.mean(np.array(values) < 0.05) == pytest.approx(0.05, abs=0.03)
-    assert np.mean(np.array(values) < 0.5) == pytest.approx(0.44, abs=0.08)  # 1 - 0.75^2, of two parts
+    assert np.mean(np.array(values) < 0.5) == pytest.approx(0.42, abs=0.08)  # 1 - (5/6)^3, of three parts
 
 
-def test_a_contact_alone_beyond_the_nulls_shows():
+def test_a_contact_or_a_band_alone_beyond_the_nulls_shows():
     rng = np.random.default_rng(5)
-    nulls = NullReference("key", tuple(Null(r - 60.0, -60.0, (0.0,), 0.0, ()) for r in rng.normal(50.0, 90.0, 12)))
+    nulls = NullReference("key", tuple(null(r) for r in rng.normal(50.0, 90.0, 12)))
     assert nulls.p_value(leaving(50.0, 0.0)) < 1e-4
+    assert nulls.p_value(leaving(50.0, -60.0, 20.0)) < 1e-4
+    assert nulls.p_value(leaving(50.0, -60.0)) > 0.5
 
 
 def test_a_phase_randomized_force_keeps_its_spectrum_and_its_silence():
