@@ -41,8 +41,8 @@ simulator that the diagnosis is handed."""
 
 
 class Null(msgspec.Struct, frozen=True):
-    """What one null simulation leaves: -2 ln p, the contacts' part of it and that of the worst band, and the unexplained
-    shares by band, overall, and of each contact force."""
+    """What one null simulation leaves: -2 ln p, the contacts' part of it and that of the worst band, and the
+    unexplained shares by band, overall, and of each contact force."""
 
     minus_two_log: float
     law: float
