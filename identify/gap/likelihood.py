@@ -3,12 +3,13 @@
 With L_bi the mean square of the linear residual of sensor i in band b and L_j that of contact j, both in the variances
 that noise and the tolerated shares of the unmodelled make, and an inverse-gamma prior of the true variances around,
 
-    -2 ln p = sum_bi N_b ln((1 + L_bi) / 2) + sum_j N_j ln((1 + L_j) / 2) + pulls^2 + drift + freedom
+    -2 ln p = sum_bi N_b ln((1 + L_bi) / 2) + sum_j N_j ln((1 + L_j) / 2) + pulls^2 + drift + freedom + sharp
 
 A variance that is not known makes a residual ten times too large cost N ln 100 / 2, not N * 50: what lasts (a shape
 that is slightly wrong, a cable) is one error, however many samples show it. N are the samples that count as
 independent; drift is what the prior of the slow motion costs, freedom what inputs cost that are known by their spectrum
-alone (their own squares, and the determinant of their marginal likelihood). Kennedy and O'Hagan, J. R. Stat. Soc. B 63,
+alone (their own squares, and the determinant of their marginal likelihood). No error of a model is as sharp as one
+line: sharp is what lines cost that stand out of those beside them. Kennedy and O'Hagan, J. R. Stat. Soc. B 63,
 2001; the Student form is that of Lange et al., J. Am. Stat. Assoc. 84, 1989.
 """
 
@@ -17,11 +18,17 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.ndimage import maximum_filter1d
+from scipy.signal.windows import hann
 
 from identify.gap.law import Contact, Seen
 from identify.gap.residual import Base, Residual
 from identify.gap.scales import band_of_lines, by_band, posterior_level, second_levels
 from identify.gap.spectra import Record
+
+BESIDE, OUTSTANDING = (3, 8), 100.0
+"""A sensor's line is compared with those from the third to the eighth on either side: a Hann window keeps them apart,
+and a resonance of 1 % damping at 8 Hz lifts them all. Above so many times their median power it stands out."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +72,7 @@ class Misfit:
     pulls: Float[np.ndarray, " pulls"]
     drift: float
     freedom: float
+    sharp: float
     samples: float
 
     @property
@@ -100,7 +108,7 @@ class Misfit:
     @property
     def minus_two_log(self) -> float:
         """-2 ln p, up to a constant of the record."""
-        return self.linear + self.law + float(self.pulls @ self.pulls) + self.drift + self.freedom
+        return self.linear + self.law + float(self.pulls @ self.pulls) + self.drift + self.freedom + self.sharp
 
     @property
     def excess(self) -> float:
@@ -109,7 +117,7 @@ class Misfit:
         Logarithms, so that closing a gap means closing it everywhere: a mean square would be content with its peaks.
         """
         cells = self.per_cell * np.sum(np.log(np.maximum(self.levels, 1.0)))
-        return float(cells + self.samples * np.sum(np.log(np.maximum(self.contacts, 1.0))))
+        return float(cells + self.samples * np.sum(np.log(np.maximum(self.contacts, 1.0)))) + self.sharp
 
     @property
     def shares(self) -> Float[np.ndarray, " bands"]:
@@ -159,8 +167,23 @@ def misfit(record: Record, reference: Reference, at: Residual) -> Misfit:
         pulls=at.pulls,
         drift=drift / record.strictness,
         freedom=(inputs + at.model.log_determinant * at.linear.shape[1] / lines) / record.strictness,
+        sharp=_sharp(at.linear[: len(record.sensors)], len(record.sensors) - len(at.contacts)),
         samples=at.linear.shape[1] / record.strictness,
     )
+
+
+def _sharp(linear: Float[np.ndarray, "sensors times"], directions: int) -> float:
+    """2 R/sensors ln(power over `OUTSTANDING` times that of the lines beside), over sensors and lines that stand out.
+
+    A line is two real values of an unknown variance; R directions of the sensors are not free to follow the contacts.
+    """
+    power = np.abs(np.fft.rfft(linear * hann(linear.shape[1]))) ** 2
+    apart = range(BESIDE[0], BESIDE[1] + 1)
+    beside = np.median([np.roll(power, sign * k, axis=1) for k in apart for sign in (-1, 1)], axis=0)
+    ratio = power / np.maximum(OUTSTANDING * beside, 1e-300)
+    ratio[power < maximum_filter1d(power, 2 * BESIDE[0] - 1, axis=1)] = 0.0
+    inner = ratio[:, BESIDE[1] : -BESIDE[1]]
+    return float(2 * directions / len(linear) * np.sum(np.log(np.maximum(inner, 1.0))))
 
 
 def _of_contact(seen: Seen, contact: Contact, seconds: int) -> list[list[float]]:

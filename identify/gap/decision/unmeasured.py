@@ -24,7 +24,7 @@ def cost_with(record: Record, reference: Reference, rig: Rig, found: Sought, alo
     cleared = replace(record, delivered=record.delivered - found.delivered())
     left = misfit(cleared, reference, fit_nuisance(cleared, rig, rounds=1)[1])
     followed = found.directions / found.held.observed.rows
-    return left.minus_two_log + followed * (alone.linear - left.linear)
+    return left.minus_two_log + followed * (alone.linear + alone.sharp - left.linear - left.sharp)
 
 
 def unmeasured(

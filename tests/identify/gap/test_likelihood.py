@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from identify.gap.decision.comparison import closed, closed_interval, probabilities, size
 from identify.gap.decision.null_reference import Null, NullReference, phase_randomized
-from identify.gap.likelihood import Misfit, Reference
+from identify.gap.likelihood import Misfit, Reference, _sharp
 from identify.gap.results import Matters
 from identify.gap.scales import band_levels, estimated_scales, posterior_level, prior_scales
 from identify.gap.spectra import record_of
@@ -32,6 +33,7 @@ def left(level: float, contact_n: float = 0.0, pulls: float = 0.0) -> Misfit:
         pulls=np.full(4, pulls),
         drift=0.0,
         freedom=0.0,
+        sharp=0.0,
         samples=80.0,
     )
 
@@ -112,6 +114,16 @@ def test_a_contact_or_a_band_alone_beyond_the_nulls_shows():
     assert nulls.p_value(leaving(50.0, 0.0)) < 1e-4
     assert nulls.p_value(leaving(50.0, -60.0, 20.0)) < 1e-4
     assert nulls.p_value(leaving(50.0, -60.0)) > 0.5
+
+
+def test_a_line_is_no_error_of_a_model():
+    rng = np.random.default_rng(6)
+    time = np.arange(8000) / 300.0
+    noise = rng.standard_normal((12, 8000))
+    resonance = lfilter([1.0], [1.0, -2 * 0.9995 * np.cos(2 * np.pi * 20 / 300), 0.9995**2], rng.standard_normal(8000))
+    assert _sharp(noise, 10) < 5.0
+    assert _sharp(noise + resonance / resonance.std(), 10) < 5.0
+    assert _sharp(noise + np.cos(2 * np.pi * 42.25 * time), 10) > 20.0
 
 
 def test_a_phase_randomized_force_keeps_its_spectrum_and_its_silence():
