@@ -152,7 +152,7 @@ def _singles(begun: Search, nothing: Tried) -> list[Tried]:
     steady = [c for c in begun.known if not c.kind.stochastic]
     laws = of_laws(base.rig, steady)
     screened = chain(
-        [(s, at) for s in score_screening(base, at, steady)[:BY_SCORE]],
+        [(s, at) for s in _screened(base, at, steady, nothing, BY_SCORE)],
         [(s, fresh) for s in score_screening(base, fresh, laws)[:FRESH]],
         [(s, None) for s in grid_screening(base, steady)[:BY_GRID]],
     )
@@ -166,7 +166,7 @@ def _singles(begun: Search, nothing: Tried) -> list[Tried]:
             del found[worse]
 
     for one, start in screened:
-        if one.gain > WORTH * base.record.strictness:
+        if one.gain > WORTH * base.record.strictness or one.candidate.kind.scanned:
             with suppress(RigError):
                 take(one.candidate.name, _fitted(begun, (one.candidate,), one.values, start))
     for one in law_screening(base, fresh, laws)[:BY_LAW]:  # far from where the scales are those of the believed law
@@ -177,6 +177,14 @@ def _singles(begun: Search, nothing: Tried) -> list[Tried]:
         if candidate.kind.stochastic and (shaken := _stochastic(begun, nothing, candidate)):
             take(candidate.name, shaken)
     return _refined_all(begun, _rivals(found.values(), nothing))
+
+
+def _screened(base: Base, at: Residual, candidates: Sequence[Candidate], left: Tried, most: int) -> list[Screened]:
+    """The best by score; and the best tone, which raises one line only, where lines stand out of what is left."""
+    found = score_screening(base, at, candidates)
+    tones = [one for one in found if one.candidate.kind.scanned]
+    best = [one for one in found if one not in tones][:most]
+    return best + (tones[:1] if left.hypothesis.misfit.sharp > WORTH else [])
 
 
 def _rivals(found: Iterable[Tried], before: Tried) -> list[Tried]:
@@ -200,11 +208,11 @@ def _seconds(begun: Search, first: Tried, least: float) -> list[Hypothesis]:
     steady = [c for c in others if not c.kind.stochastic]
     fresh = residual_of(base, base.rig, at.nuisance)  # its slow motion did not follow another law yet
     laws = of_laws(base.rig, steady)
-    screened = [(s, at) for s in score_screening(base, at, steady)[:SECONDS]]
+    screened = [(s, at) for s in _screened(base, at, steady, first, SECONDS)]
     screened += [(s, fresh) for s in law_screening(base, fresh, laws)[:BY_LAW]]
     found: dict[str, Tried] = {}
     for one, start in screened:
-        if one.gain > WORTH * base.record.strictness:
+        if one.gain > WORTH * base.record.strictness or one.candidate.kind.scanned:
             with suppress(RigError):  # two effects may make no rig where each makes one
                 if held:
                     pair = _fitted(inner, (one.candidate,), one.values, straightened(start))
