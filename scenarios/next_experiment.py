@@ -27,7 +27,7 @@ from identify.gap.decision.comparison import TEMPERATURE
 from identify.gap.decision.experiment import Experiment, begun_on, experiments, next_experiments, refitted
 from identify.gap.residual import base_of, residual_of
 from identify.gap.results import AGAIN, NextExperiment
-from identify.gap.search.joint import Hypothesis, Search
+from identify.gap.search.hypothesis import Hypothesis, Search
 from identify.gap.search.screening import grid_screening, score_screening
 from identify.gap.spectra import Record, record_of
 from identify.spectra import force_band

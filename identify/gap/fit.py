@@ -10,7 +10,6 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 from scipy.sparse.linalg import SuperLU
 
-from identify.gap.law import added_n_per_m
 from identify.gap.linear import chain_of
 from identify.gap.nuisance import LIMIT, at_contacts, residual_scale
 from identify.gap.residual import Base, Residual, linear_of, residual_of, same_but_laws, same_but_sensors
@@ -91,9 +90,7 @@ def derivative(base: Base, moved: Rig, at: Residual) -> Column:
     less = change[:sensors] + np.einsum("isl,il->sl", old.by_input, inputs)
     left, less_n = old.projected(less * old.spread)
     less_force = record.in_time(less_n) + (old.holding_n - new.holding_n)[:, None]
-    for j, contact in enumerate(at.contacts):
-        if stiffer := added_n_per_m(moved, j) - added_n_per_m(at.rig, j):
-            less_force[j] += stiffer * (contact.seen.curve.value @ contact.unknowns[: contact.seen.curve.knots])
+    less_force += (new.slow_n_per_m - old.slow_n_per_m) @ np.stack([c.slow_m for c in at.contacts])
     contacts = _by_motion(record, at, less_force, old.eta_m - new.eta_m)
     return residual_scale(record) * record.in_time(left), contacts
 

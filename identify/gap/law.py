@@ -18,9 +18,7 @@ from identify.gap.spectra import Record
 from identify.joint import Observed, regressed
 from identify.spectra import decimated
 from rig.contact import DeadZone, damping_share
-from rig.description import Rig
 from rig.errors import RigError
-from rig.oscillator import Oscillator
 
 WALL = 100.0
 """Beyond `LIMIT` standard deviations these weigh so many times more: something else is wrong."""
@@ -118,18 +116,10 @@ def laid_out(record: Record, model: Linear) -> tuple[Laid, ...]:
     eta, rate = record.finely(model.eta_m), record.finely(model.eta_m, 1)
     time_s = record.taken.start / record.rate_hz + np.arange(eta.shape[1]) / (record.rate_hz * finer)
     forces = record.in_time(model.contact_n) + model.holding_n[:, None]
-    springs = [
-        0.0 if d is None else d.spring_n_per_m + added_n_per_m(model.rig, j) for j, d in enumerate(record.drifts)
-    ]
-    return tuple(Laid(f, e, r, time_s, finer, s) for f, e, r, s in zip(forces, eta, rate, springs, strict=True))
-
-
-def added_n_per_m(rig: Rig, contact: int) -> float:
-    """The linear springs to the ground that a single mass under a contact has beside its own."""
-    body = rig.contacts[contact].at.body
-    if not isinstance(rig.body(body), Oscillator):
-        return 0.0
-    return float(sum(s.stiffness_n_per_m for s in rig.springs if s.station.body == body))
+    return tuple(
+        Laid(f, e, r, time_s, finer, s)
+        for f, e, r, s in zip(forces, eta, rate, np.diag(model.slow_n_per_m), strict=True)
+    )
 
 
 def start_of(laid: Laid, seen: Seen, law: DeadZone, rate_hz: float) -> Float[np.ndarray, " unknowns"]:
@@ -157,15 +147,14 @@ def start_of(laid: Laid, seen: Seen, law: DeadZone, rate_hz: float) -> Float[np.
 
 
 def _depth_m(law: DeadZone, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
-    """The penetration at which the law's elastic force is as large."""
-    soft = min(law.stiffness_n_per_m, law.lower_stiffness_n_per_m)
-    if law.exponent == 1 and not law.cubic_n_per_m3:
-        return force_n / np.where(force_n < 0, law.lower_stiffness_n_per_m, law.stiffness_n_per_m)
-    depth = np.linspace(0.0, DEEP * np.max(np.abs(force_n)) / soft, DEPTHS)
+    """The penetration at which the law's elastic force is as large; zero for a law without stiffness."""
+    stiffness = max(law.stiffness_n_per_m, law.lower_stiffness_n_per_m)
     found = np.zeros_like(force_n)
-    for sign in (-1, 1):
-        elastic = np.maximum.accumulate(sign * law.elastic_n(sign * depth))
-        found += sign * np.interp(np.maximum(sign * force_n, 0.0), elastic, depth)
+    if stiffness:
+        depth = np.linspace(0.0, DEEP * np.max(np.abs(force_n)) / stiffness, DEPTHS)
+        for sign in (-1, 1):
+            elastic = np.maximum.accumulate(sign * law.elastic_n(sign * depth))
+            found += sign * np.interp(np.maximum(sign * force_n, 0.0), elastic, depth)
     return found
 
 
@@ -200,6 +189,10 @@ class Contact:
         """The law with clearance, stiffness and damping as they were fitted within their tolerances."""
         more = self.unknowns[-1] * self.seen.trusted[2] * self.law.stiffness_n_per_m
         return changed(self.within, damping_n_s_per_m=max(0.0, float(self.law.damping_n_s_per_m + more)))
+
+    @property
+    def slow_m(self) -> Float[np.ndarray, " times"]:
+        return np.asarray(self.seen.curve.value @ self.unknowns[: self.seen.curve.knots])
 
     @cached_property
     def by_eta(self) -> Float[np.ndarray, " times"]:

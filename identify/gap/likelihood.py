@@ -60,8 +60,8 @@ class Misfit:
     """What a rig leaves of a record, second by second.
 
     left is the variance of the linear residual (as `Reference.usual`), contact_left the square of each contact's
-    residual in the reference's variances, contact_n its mean square beyond noise (N^2) and force_n that of the contact
-    force.
+    residual in the reference's variances, contact_n2 its mean square beyond noise and force_n2 that of the contact
+    force (N^2). sharp is what the lines cost that stand out (`sharp_lines`).
     """
 
     reference: Reference
@@ -167,12 +167,12 @@ def misfit(record: Record, reference: Reference, at: Residual) -> Misfit:
         pulls=at.pulls,
         drift=drift / record.strictness,
         freedom=(inputs + at.model.log_determinant * at.linear.shape[1] / lines) / record.strictness,
-        sharp=_sharp(at.linear[: len(record.sensors)], len(record.sensors) - len(at.contacts)),
+        sharp=sharp_lines(at.linear[: len(record.sensors)], len(record.sensors) - len(at.contacts)),
         samples=at.linear.shape[1] / record.strictness,
     )
 
 
-def _sharp(linear: Float[np.ndarray, "sensors times"], directions: int) -> float:
+def sharp_lines(linear: Float[np.ndarray, "sensors times"], directions: int) -> float:
     """2 R/sensors ln(power over `OUTSTANDING` times that of the lines beside), over sensors and lines that stand out.
 
     A line is two real values of an unknown variance; R directions of the sensors are not free to follow the contacts.

@@ -25,6 +25,9 @@ from rig.description import Body, Rig, Station
 from rig.modes import modes_of, participation
 from rig.oscillator import Oscillator
 
+FREE = 1e-3
+"""What floats is held by so little (s^-2) that its compliance has an inverse: as at 0.005 Hz."""
+
 
 @dataclass(frozen=True, eq=False)
 class Linear:
@@ -98,6 +101,20 @@ class Linear:
     def holding_n(self) -> Float[np.ndarray, " contacts"]:
         """The constant contact forces under static loads."""
         return _holding(self.rig, self.responses)
+
+    @cached_property
+    def slow_n_per_m(self) -> Float[np.ndarray, "contacts contacts"]:
+        """The contact forces that slow relative displacements take, where springs act on the high-passed ones alone.
+
+        The inverse of the static compliance of the modes that the springs hold.
+        """
+        held = np.concatenate(
+            [(2 * np.pi * r.dynamics.natural_hz[: r.dynamics.high_passed]) ** 2 for r in self.responses]
+        )
+        over = np.concatenate([across(self.rig, r)[:, : r.dynamics.high_passed] for r in self.responses], axis=1)
+        if not np.any(held):
+            return np.zeros((len(over), len(over)))
+        return np.asarray(np.linalg.pinv(over / np.maximum(held, FREE) @ over.T, rcond=1e-12, hermitian=True))
 
     def _into(self, response: Response, pushed: list[Station]) -> Float[np.ndarray, "inputs modes"]:
         """How forces at some places, and contact forces, drive a body's modes."""
@@ -210,10 +227,11 @@ def _pushes(
 
 
 def _response(record: Record, rig: Rig, body: Body) -> Response:
-    """Of a mass with accelerometers alone, its spring acts on the high-passed displacement only."""
+    """With accelerometers alone, springs under a mass or a floating body act on its high-passed displacement only."""
     modes, count = modes_of(rig, body), body.most_modes
     natural_hz, zeta = modes.frequencies_hz(count), modes.damping_ratios(count)
-    high_passed = isinstance(body, Oscillator) and not record.zero_known
+    loose = 1 if isinstance(body, Oscillator) else body.rigid_modes
+    high_passed = 0 if record.zero_known else loose
     dynamics = dynamics_of(natural_hz.tobytes(), zeta.tobytes(), record.omega.tobytes(), high_passed)
     return Response(body, modes, count, dynamics)
 

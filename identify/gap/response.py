@@ -17,13 +17,13 @@ from rig.modes import Modes
 class Dynamics:
     """Modes on the lines of a record; one object for the same modes, so that products of theirs are kept.
 
-    high_passed: their springs act on the high-passed displacement alone.
+    The springs of so many of the lowest act on the high-passed displacement alone.
     """
 
     natural_hz: Float[np.ndarray, " modes"]
     damping_ratios: Float[np.ndarray, " modes"]
     omega: Float[np.ndarray, " lines"]
-    high_passed: bool
+    high_passed: int
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Response:
 
 
 @lru_cache(maxsize=16)
-def dynamics_of(natural_hz: bytes, damping_ratios: bytes, omega_rad_per_s: bytes, high_passed: bool) -> Dynamics:
+def dynamics_of(natural_hz: bytes, damping_ratios: bytes, omega_rad_per_s: bytes, high_passed: int) -> Dynamics:
     """Of the modes whose doubles are given."""
     hz, zeta, omega = (np.frombuffer(values) for values in (natural_hz, damping_ratios, omega_rad_per_s))
     return Dynamics(hz, zeta, omega, high_passed)
@@ -68,12 +68,11 @@ def dynamics_of(natural_hz: bytes, damping_ratios: bytes, omega_rad_per_s: bytes
 @lru_cache(maxsize=4)
 def _accelerance(modes: Dynamics) -> Complex[np.ndarray, "modes lines"]:
     hz, zeta, omega = modes.natural_hz, modes.damping_ratios, modes.omega
-    if modes.high_passed:
-        natural = 2 * np.pi * hz[:, None]
+    found = -(omega**2) * receptance(hz, zeta, omega / (2 * np.pi))
+    for mode in range(modes.high_passed):
+        natural = 2 * np.pi * hz[mode]
         held = natural**2 * integrated(omega, -2, CORNER_HZ)
-        found = 1 / (1 + held + 2 * zeta[:, None] * natural * integrated(omega, -1, CORNER_HZ))
-    else:
-        found = -(omega**2) * receptance(hz, zeta, omega / (2 * np.pi))
+        found[mode] = 1 / (1 + held + 2 * zeta[mode] * natural * integrated(omega, -1, CORNER_HZ))
     found[hz == 0] = 1.0
     found.flags.writeable = False
     return found

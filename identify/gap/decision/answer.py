@@ -21,7 +21,8 @@ from identify.gap.decision.verdict import HALF, Decision, acts_where_they_do, de
 from identify.gap.likelihood import Reference, reference_of
 from identify.gap.residual import Residual, base_of
 from identify.gap.results import USUAL, Gap, Matters, NextExperiment
-from identify.gap.search.joint import Hypothesis, Search, search
+from identify.gap.search.hypothesis import Hypothesis, Search
+from identify.gap.search.joint import search
 from identify.gap.search.nominal import fit_nuisance
 from identify.gap.search.pooled import fitted_together
 from identify.gap.spectra import Record, record_of

@@ -12,7 +12,7 @@ from identify.gap.fit import fit
 from identify.gap.likelihood import Misfit, Reference, misfit
 from identify.gap.residual import Base, Residual, residual_of
 from identify.gap.results import Matters
-from identify.gap.search.joint import Hypothesis, applied
+from identify.gap.search.hypothesis import Hypothesis, applied
 from identify.gap.search.nominal import fit_nuisance
 from identify.gap.spectra import Record
 from rig.description import Rig

@@ -23,7 +23,7 @@ from identify.gap.decision.comparison import TEMPERATURE, Judged, of_this_record
 from identify.gap.fit import Values
 from identify.gap.likelihood import Reference
 from identify.gap.results import USUAL, Between, Compared, Trend, Value
-from identify.gap.search.joint import applied, bounds_of, steps_of
+from identify.gap.search.hypothesis import applied, bounds_of, steps_of
 from identify.gap.search.pooled import Information, Linearised, Pooled, linearised, pooled
 from identify.gap.spectra import Record
 from rig.description import Rig

@@ -20,7 +20,7 @@ from identify.gap.fit import fit
 from identify.gap.likelihood import misfit, reference_of
 from identify.gap.residual import base_of, scales_at
 from identify.gap.results import AGAIN, NextExperiment
-from identify.gap.search.joint import ROUNDS, SETTLED, Hypothesis, Search, applied, straightened
+from identify.gap.search.hypothesis import ROUNDS, SETTLED, Hypothesis, Search, applied, straightened
 from identify.gap.search.nominal import fit_nuisance
 from identify.gap.spectra import REACH, Record, record_of
 from rig.description import PointMass, Rig, Station

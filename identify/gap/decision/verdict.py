@@ -16,6 +16,7 @@ from identify.gap.decision.comparison import (
 )
 from identify.gap.decision.null_reference import NullReference
 from identify.gap.results import USUAL, Matters, Verdict
+from identify.gap.search.attached import ATTACHED
 from identify.gap.unknown.force import SAME_M
 from identify.gap.unknown.location import Candidate
 from rig.description import Rig
@@ -81,7 +82,7 @@ def acts_where_they_do(force: Candidate, believed: Rig, rig: Rig) -> bool:
         changed = [b.name for a, b in zip(believed.sensors, rig.sensors, strict=True) if a != b]
         return changed == [force.sensor]
     there = [c.at for c, d in zip(rig.contacts, believed.contacts, strict=True) if c.law != d.law]
-    for kind in ("springs", "dampers", "masses", "tones"):
+    for kind in ATTACHED:
         there += [one.station for one in getattr(rig, kind)[len(getattr(believed, kind)) :]]
     return any(
         one.body == other.body and abs(one.position_m - other.position_m) <= SAME_M

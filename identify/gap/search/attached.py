@@ -13,6 +13,16 @@ from identify.gap.spectra import Record
 from rig.description import Rig, Station
 from rig.oscillator import Oscillator
 
+ATTACHED = ("springs", "dampers", "masses", "tones")
+"""The fields of a rig that hold what sits, or acts, at a point of a body."""
+
+
+def added(rig: Rig, moved: Rig) -> Rig | None:
+    """The rig with only that attached which another one has beside; None if that is nothing, or differs otherwise."""
+    more = {kind: getattr(moved, kind)[len(getattr(rig, kind)) :] for kind in ATTACHED}
+    joined = replace(rig, **{kind: getattr(rig, kind) + new for kind, new in more.items()})
+    return replace(rig, **more) if moved == joined and any(more.values()) else None
+
 
 def attached(base: Base, moved: Rig, at: Residual) -> Column | None:
     """What a rig that has springs, dampers, masses or tones more takes off the residuals; None for any other rig.
@@ -21,21 +31,8 @@ def attached(base: Base, moved: Rig, at: Residual) -> Column | None:
     relative displacements move the laws by their mean slope around every sample.
     """
     record, model, rig = base.record, at.model, at.rig
-    more = replace(
-        moved,
-        springs=moved.springs[len(rig.springs) :],
-        dampers=moved.dampers[len(rig.dampers) :],
-        masses=moved.masses[len(rig.masses) :],
-        tones=moved.tones[len(rig.tones) :],
-    )
-    joined = replace(
-        rig,
-        springs=rig.springs + more.springs,
-        dampers=rig.dampers + more.dampers,
-        masses=rig.masses + more.masses,
-        tones=rig.tones + more.tones,
-    )
-    if moved == rig or moved != joined or any(isinstance(b, Oscillator) for b in rig.bodies):
+    more = added(rig, moved)
+    if more is None or any(isinstance(b, Oscillator) for b in rig.bodies):
         return None
     forces = _forces(record, model, more)
     left, less_n = model.projected(delivered_by(model, places_of(record, model.rig), forces))

@@ -63,13 +63,12 @@ def fit_base_excitation(
     sums = np.concatenate([[0.0], np.cumsum(gains)])
     resolution = record.sample_rate_hz / taken
     middle = (band.start + band.stop) // 2
-    edges = [_edge(hz[:middle], -sums[:middle], resolution), _edge(hz[middle:], sums[middle:-1], resolution)]
-    (low, of_low), (high, of_high) = edges
+    low, of_low = _edge(hz[:middle], -sums[:middle], resolution)
+    high, of_high = _edge(hz[middle:], sums[middle:-1], resolution)
     rms = float(np.sqrt(density * record.samples / taken * (high - low)))
     values = np.array([np.clip(rms, 0, bounds["acceleration_rms_m_per_s2"].high), low, high])
-    return values, np.array(
-        [rms * np.hypot(relative / 2, np.hypot(of_low, of_high) / (2 * (high - low))), of_low, of_high]
-    )
+    of_rms = rms * np.hypot(relative, np.hypot(of_low, of_high) / (high - low)) / 2
+    return values, np.array([of_rms, of_low, of_high])
 
 
 def _gains(

@@ -19,7 +19,7 @@ from identify.gap.fit import FINE, Values, bounded, by_nuisance, derivative
 from identify.gap.likelihood import Reference, misfit, reference_of
 from identify.gap.nuisance import LIMIT
 from identify.gap.residual import Base, Residual, base_of
-from identify.gap.search.joint import Hypothesis, applied, bounds_of, steps_of
+from identify.gap.search.hypothesis import Hypothesis, applied, bounds_of, steps_of
 from identify.gap.search.nominal import fit_nuisance
 from identify.gap.spectra import Record
 from rig.description import Rig

@@ -115,12 +115,11 @@ def of_laws(rig: Rig, candidates: Sequence[Candidate]) -> list[Candidate]:
 
 
 def law_screening(base: Base, fresh: Residual, candidates: Sequence[Candidate]) -> list[Screened]:
-    """By the contact residuals over a grid of strengths, at a residual whose slow motion followed no law yet; the best
-    first.
+    """By the contact residuals over a grid of strengths, of effects `of_laws`, the best first; at a residual whose slow
+    motion followed no law yet.
 
-    Of effects `of_laws`. A smaller clearance has no slope where the believed contact is open. The
-    gain is that of a variance which is not known, sum of n ln(mean square) over the contacts, as the slow motion errs
-    more at one contact than at another.
+    A smaller clearance has no slope where the believed contact is open. The gain is that of a variance which is not
+    known, sum of n ln(mean square) over the contacts, as the slow motion errs more at one contact than at another.
     """
     unknowns, before = tuple(c.unknowns for c in fresh.contacts), _scatter(fresh)
     found = []

@@ -100,10 +100,6 @@ class Sought:
         return same_place(self.there, self.again)
 
     @property
-    def validation_gain(self) -> float:
-        return self.held.gain
-
-    @property
     def directions(self) -> int:
         """How many directions of the residual, of `held.observed.rows`, are free to follow it."""
         return 0 if self.there.candidate.kind == "distributed" else 1

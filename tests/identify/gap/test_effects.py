@@ -9,7 +9,7 @@ from identify.gap.fit import derivative
 from identify.gap.likelihood import reference_of
 from identify.gap.peaks import peaks_hz
 from identify.gap.residual import base_of, residual_of
-from identify.gap.search.joint import Search, fit_effects
+from identify.gap.search.hypothesis import Search, fit_effects
 from identify.gap.search.nominal import fit_nuisance
 from identify.gap.spectra import record_of
 from rig.excitation import force_history

@@ -12,7 +12,7 @@ from identify.gap.decision.experiment import begun_on, disagreement, experiments
 from identify.gap.likelihood import reference_of
 from identify.gap.residual import base_of
 from identify.gap.results import AGAIN
-from identify.gap.search.joint import Search
+from identify.gap.search.hypothesis import Search
 from identify.gap.search.nominal import fit_nuisance
 from identify.gap.spectra import record_of
 from rig.effects import effect_named

@@ -12,7 +12,7 @@ from identify.gap.candidates import candidates, scale_of
 from identify.gap.decision.answer import Simulator, diagnose
 from identify.gap.decision.differences import differences
 from identify.gap.decision.null_reference import null_reference
-from identify.gap.search.joint import Search, fit_effects
+from identify.gap.search.hypothesis import Search, fit_effects
 from identify.gap.search.nominal import fit_nuisance
 from identify.gap.search.pooled import fitted_together, references
 from identify.gap.spectra import record_of
