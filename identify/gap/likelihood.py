@@ -18,17 +18,12 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.ndimage import maximum_filter1d
-from scipy.signal.windows import hann
 
 from identify.gap.law import Contact, Seen
+from identify.gap.lines import cost_of_lines
 from identify.gap.residual import Base, Residual
 from identify.gap.scales import band_of_lines, by_band, posterior_level, second_levels
 from identify.gap.spectra import Record
-
-BESIDE, OUTSTANDING = (3, 8), 100.0
-"""A sensor's line is compared with those from the third to the eighth on either side: a Hann window keeps them apart,
-and a resonance of 1 % damping at 8 Hz lifts them all. Above so many times their median power it stands out."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +56,7 @@ class Misfit:
 
     left is the variance of the linear residual (as `Reference.usual`), contact_left the square of each contact's
     residual in the reference's variances, contact_n2 its mean square beyond noise and force_n2 that of the contact
-    force (N^2). sharp is what the lines cost that stand out (`sharp_lines`).
+    force (N^2). sharp is what the lines cost that stand out (`lines.cost_of_lines`).
     """
 
     reference: Reference
@@ -167,23 +162,9 @@ def misfit(record: Record, reference: Reference, at: Residual) -> Misfit:
         pulls=at.pulls,
         drift=drift / record.strictness,
         freedom=(inputs + at.model.log_determinant * at.linear.shape[1] / lines) / record.strictness,
-        sharp=sharp_lines(at.linear[: len(record.sensors)], len(record.sensors) - len(at.contacts)),
+        sharp=cost_of_lines(at.linear[: len(record.sensors)], len(record.sensors) - len(at.contacts)),
         samples=at.linear.shape[1] / record.strictness,
     )
-
-
-def sharp_lines(linear: Float[np.ndarray, "sensors times"], directions: int) -> float:
-    """2 R/sensors ln(power over `OUTSTANDING` times that of the lines beside), over sensors and lines that stand out.
-
-    A line is two real values of an unknown variance; R directions of the sensors are not free to follow the contacts.
-    """
-    power = np.abs(np.fft.rfft(linear * hann(linear.shape[1]))) ** 2
-    apart = range(BESIDE[0], BESIDE[1] + 1)
-    beside = np.median([np.roll(power, sign * k, axis=1) for k in apart for sign in (-1, 1)], axis=0)
-    ratio = power / np.maximum(OUTSTANDING * beside, 1e-300)
-    ratio[power < maximum_filter1d(power, 2 * BESIDE[0] - 1, axis=1)] = 0.0
-    inner = ratio[:, BESIDE[1] : -BESIDE[1]]
-    return float(2 * directions / len(linear) * np.sum(np.log(np.maximum(inner, 1.0))))
 
 
 def _of_contact(seen: Seen, contact: Contact, seconds: int) -> list[list[float]]:

@@ -11,8 +11,8 @@ from identify.gap.candidates import Candidate
 from identify.gap.fit import Column, Reduced, derivative, reduced
 from identify.gap.grounded import needs_every_line
 from identify.gap.linear import linear_model
+from identify.gap.lines import sharpest
 from identify.gap.nuisance import LIMIT
-from identify.gap.peaks import peaks_hz
 from identify.gap.residual import Base, Residual, residual_of, same_but_laws
 from identify.gap.search.attached import attached
 from identify.gap.spectra import Record
@@ -23,8 +23,8 @@ STRENGTHS = (0.3, 0.6, 1.2, 2.4, 4.8)
 """Multiples of what a typical effect adds: a grid on which no minimum of the linear residual is missed."""
 THINNED = 16
 """Every so-many-th line tells enough of where a minimum lies."""
-PEAKS = 1
-"""So many lines of a residual are followed."""
+PEAKS, AROUND_HZ = 1, 2.0
+"""So many lines of a residual are followed, by how far they stand out within this band."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +42,16 @@ def score_screening(base: Base, at: Residual, candidates: Sequence[Candidate]) -
     This is Rao's score test of each effect, at every place that it is tried at.
     """
     equations = reduced(base, at)
-    sharp_hz = peaks_hz(base, at, PEAKS).tolist() if any(c.kind.scanned for c in candidates) else []
+    sharp_hz = followed_hz(base, at, PEAKS).tolist() if any(c.kind.scanned for c in candidates) else []
     found = [max(_looked(base, equations, c, sharp_hz), key=lambda one: one.gain) for c in candidates]
     return sorted(found, key=lambda one: -one.gain)
+
+
+def followed_hz(base: Base, at: Residual, count: int) -> Float[np.ndarray, " lines"]:
+    """Where a sharp frequency may lie: the lines that stand out most of the linear and the contact residuals."""
+    rows = np.concatenate([at.linear, *(c.residual[None, : at.linear.shape[1]] for c in at.contacts)])
+    rate_hz = base.record.rate_hz
+    return rate_hz * sharpest(rows, count, AROUND_HZ / rate_hz)
 
 
 def _looked(base: Base, equations: Reduced, candidate: Candidate, sharp_hz: Sequence[float]) -> list[Screened]:

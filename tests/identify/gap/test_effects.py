@@ -7,10 +7,10 @@ from msgspec.structs import replace
 from identify.gap.candidates import candidates, scale_of
 from identify.gap.fit import derivative
 from identify.gap.likelihood import reference_of
-from identify.gap.peaks import peaks_hz
 from identify.gap.residual import base_of, residual_of
 from identify.gap.search.hypothesis import Search, fit_effects
 from identify.gap.search.nominal import fit_nuisance
+from identify.gap.search.screening import followed_hz
 from identify.gap.spectra import record_of
 from rig.excitation import force_history
 from rig.reference import Sdof
@@ -85,5 +85,5 @@ def test_a_fit_from_a_third_of_its_strength_finds_it(recorded):
 def test_the_frequency_of_a_tone_stands_out_of_the_residual():
     _, truth, record = case("tone:mass")
     base, believed = fit_nuisance(record, RIG)
-    found = peaks_hz(base, believed, 3)
-    assert np.min(np.abs(found - truth[2])) < 0.5 / SETTINGS.duration_s
+    found = followed_hz(base, believed, 3)
+    assert np.min(np.abs(found - truth[2])) < 0.1 / SETTINGS.duration_s

@@ -1,0 +1,65 @@
+"""Lines that stand out of a residual: no error of a model is as sharp as one line."""
+
+import numpy as np
+from jaxtyping import Float
+from scipy.ndimage import maximum_filter1d, median_filter
+from scipy.signal import find_peaks, zoom_fft
+from scipy.signal.windows import hann
+
+BESIDE, OUTSTANDING = (3, 8), 100.0
+"""A sensor's line is compared with those from the third to the eighth on either side: a Hann window keeps them apart,
+and a resonance of 1 % damping at 8 Hz lifts them all. Above so many times their median power it stands out."""
+FINER = 32
+"""A line's frequency is found on a grid so many times finer: a tone off by half a step keeps 0.1 % of its power."""
+
+Rows = Float[np.ndarray, "rows times"]
+
+
+def cost_of_lines(rows: Rows, directions: int) -> float:
+    """2 R/rows ln(power over `OUTSTANDING` times that of the lines beside), over sensors and lines that stand out.
+
+    A line is two real values of an unknown variance; R directions of the sensors are not free to follow the contacts.
+    """
+    return float(2 * directions / len(rows) * np.sum(np.log(np.maximum(_outstanding(rows), 1.0))))
+
+
+def without_lines(rows: Rows) -> Rows:
+    """The rows less the harmonic waves, of any amplitude and phase in each, of the lines that stand out in one."""
+    times = rows.shape[1]
+    for line in np.flatnonzero(np.any(_outstanding(rows) > 1, axis=0)):
+        turned = 2 * np.pi * _refined(rows, line / times, 1 / times) * np.arange(times)
+        wave = np.stack([np.cos(turned), np.sin(turned)])
+        rows = rows - rows @ np.linalg.pinv(wave) @ wave
+    return rows
+
+
+def sharpest(rows: Rows, count: int, around: float) -> Float[np.ndarray, " lines"]:
+    """The frequencies (per sample) of the lines that stand out most of the spectrum `around` them, the first most.
+
+    The squares of the rows' spectra add up, under a Hann window, four times finer than one over the duration.
+    """
+    times = rows.shape[1]
+    power = np.sum(np.abs(np.fft.rfft(rows * hann(times), 4 * times)) ** 2, axis=0)
+    level = median_filter(power, max(3, round(around * 4 * times)))
+    ratio = power / np.maximum(level, 1e-12 * power.max())
+    found, _ = find_peaks(ratio, distance=4)
+    most = found[np.argsort(-ratio[found])[:count]]
+    return np.array([_refined(rows, line / (4 * times), 1 / (4 * times)) for line in most])
+
+
+def _outstanding(rows: Rows) -> Float[np.ndarray, "rows lines"]:
+    """The power of a peak over `OUTSTANDING` times that beside; zero elsewhere and at the ends."""
+    power = np.abs(np.fft.rfft(rows * hann(rows.shape[1]))) ** 2
+    apart = range(BESIDE[0], BESIDE[1] + 1)
+    beside = np.median([np.roll(power, sign * k, axis=1) for k in apart for sign in (-1, 1)], axis=0)
+    ratio = power / np.maximum(OUTSTANDING * beside, 1e-300)
+    ratio[power < maximum_filter1d(power, 2 * BESIDE[0] - 1, axis=1)] = 0.0
+    ratio[:, : BESIDE[1]] = ratio[:, -BESIDE[1] :] = 0.0
+    return np.asarray(ratio)
+
+
+def _refined(rows: Rows, frequency: float, spacing: float) -> float:
+    """The frequency, up to so far from another, at which the power of all rows is largest; per sample."""
+    grid = frequency + spacing * np.linspace(-1, 1, 2 * FINER + 1)
+    spectra = zoom_fft(rows * hann(rows.shape[1]), grid[[0, -1]], grid.size, fs=1.0, endpoint=True)
+    return float(grid[np.argmax(np.sum(np.abs(spectra) ** 2, axis=0))])
