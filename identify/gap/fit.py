@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -11,7 +11,7 @@ from scipy.optimize import lsq_linear
 from scipy.sparse.linalg import SuperLU
 
 from identify.gap.linear import chain_of
-from identify.gap.nuisance import LIMIT, at_contacts, residual_scale
+from identify.gap.nuisance import LIMIT, at_contacts, counted
 from identify.gap.residual import Base, Residual, linear_of, residual_of, same_but_laws, same_but_sensors
 from identify.gap.spectra import Record
 from identify.spectra import decimated
@@ -92,7 +92,7 @@ def derivative(base: Base, moved: Rig, at: Residual) -> Column:
     less_force = record.in_time(less_n) + (old.holding_n - new.holding_n)[:, None]
     less_force += (new.slow_n_per_m - old.slow_n_per_m) @ np.stack([c.slow_m for c in at.contacts])
     contacts = _by_motion(record, at, less_force, old.eta_m - new.eta_m)
-    return residual_scale(record) * record.in_time(left), contacts
+    return counted(record, left), contacts
 
 
 def _by_sensors(base: Base, moved: Rig, at: Residual) -> Column:
@@ -103,7 +103,7 @@ def _by_sensors(base: Base, moved: Rig, at: Residual) -> Column:
     left, force = model.projected(ratio * explained)
     less_eta = at_contacts(record, model, ratio * record.displaced / model.chain)
     contacts = _by_motion(record, at, record.in_time(force), less_eta)
-    return residual_scale(record) * record.in_time(left), contacts
+    return counted(record, left), contacts
 
 
 def _by_motion(
@@ -154,6 +154,12 @@ class Reduced:
     gradient: Float[np.ndarray, " nuisances"]
     contacts: tuple[Eliminated, ...]
 
+    def with_lines(self) -> "Reduced":
+        """Those in which the lines that stand out count too, for what may explain them."""
+        at = replace(self.at, quiet=self.at.linear)
+        more = self.base.columns.residual.reshape(len(self.gradient), -1) @ (at.quiet - self.at.quiet).ravel()
+        return replace(self, at=at, gradient=self.gradient + more)
+
     def joined(self, columns: list[Column]) -> Normal:
         """Over the nuisance parameters, then the columns."""
         count, size = len(self.gradient), len(self.gradient) + len(columns)
@@ -163,7 +169,7 @@ class Reduced:
         own = np.array([c[0].ravel() for c in columns]).reshape(len(columns), self.at.linear.size)
         matrix[:count, count:] = linear @ own.T
         matrix[count:, count:] = own @ own.T
-        gradient[count:] = own @ self.at.linear.ravel()
+        gradient[count:] = own @ self.at.quiet.ravel()
         back = []
         for j, (contact, eliminated) in enumerate(zip(self.at.contacts, self.contacts, strict=True)):
             mine = np.array([c[1][j] for c in columns]).reshape(len(columns), contact.residual.size).T
@@ -183,7 +189,7 @@ def reduced(base: Base, at: Residual) -> Reduced:
     count = len(base.columns.parameters)
     matrix = base.gram + base.record.strictness * np.eye(count)
     gradient = (
-        base.columns.residual.reshape(count, at.linear.size) @ at.linear.ravel() - base.record.strictness * at.nuisance
+        base.columns.residual.reshape(count, at.quiet.size) @ at.quiet.ravel() - base.record.strictness * at.nuisance
     )
     found = []
     for j, contact in enumerate(at.contacts):

@@ -23,12 +23,23 @@ def cost_of_lines(rows: Rows, directions: int) -> float:
     return float(2 * directions / len(rows) * np.sum(np.log(np.maximum(_outstanding(rows), 1.0))))
 
 
-def without_lines(rows: Rows) -> Rows:
-    """The rows less the harmonic waves, of any amplitude and phase in each, of the lines that stand out in one."""
+def standing_out(rows: Rows) -> tuple[float, ...]:
+    """The frequencies, per sample, of the lines that stand out in any of the rows."""
     times = rows.shape[1]
+    found: list[float] = []
     for line in np.flatnonzero(np.any(_outstanding(rows) > 1, axis=0)):
-        turned = 2 * np.pi * _refined(rows, line / times, 1 / times) * np.arange(times)
-        wave = np.stack([np.cos(turned), np.sin(turned)])
+        refined = _refined(rows, line / times, 1 / times)
+        if all(abs(refined - other) > 1 / times for other in found):
+            found.append(refined)
+    return tuple(found)
+
+
+def without_lines(rows: Rows, frequencies: tuple[float, ...]) -> Rows:
+    """The rows, where they are not zero, less the harmonic waves of these frequencies, of any amplitude and phase."""
+    there = np.any(rows, axis=0)
+    for frequency in frequencies:
+        turned = 2 * np.pi * frequency * np.arange(rows.shape[1])
+        wave = there * np.stack([np.cos(turned), np.sin(turned)])
         rows = rows - rows @ np.linalg.pinv(wave) @ wave
     return rows
 

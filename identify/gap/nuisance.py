@@ -75,10 +75,9 @@ def columns_of(record: Record, model: Linear) -> Columns:
     residual = np.empty((count, len(model.residual), samples))
     # those of the contacts lie sample by sample, as the normal equations take them
     forces, eta = (np.zeros((contacts, samples, count)).transpose(2, 0, 1) for _ in range(2))
-    scale = residual_scale(record)
     for i, change in enumerate(changes):
         left, force = _projected(record, model, change)
-        np.multiply(record.in_time(left), scale, out=residual[i])
+        residual[i] = counted(record, left)
         forces[i] = record.in_time(force)
         if change.displaced is not None:
             eta[i] = record.in_time(at_contacts(record, model, change.displaced, change.sensors))
@@ -235,6 +234,16 @@ def with_nuisance(
         sensors=tuple(sensor(s) for s in rig.sensors),
         force_sensor=replace(rig.force_sensor, gain=force_gain),
     )
+
+
+def counted(record: Record, residual: Complex[np.ndarray, "rows lines"]) -> Float[np.ndarray, "rows times"]:
+    """Over time, with a variance of one where that of the lines is one.
+
+    A quiet start counts for nothing: what was switched on before the record rings out there.
+    """
+    found = residual_scale(record) * record.in_time(residual)
+    found[:, record.time_s < record.excited_s] = 0.0
+    return found
 
 
 def residual_scale(record: Record) -> float:

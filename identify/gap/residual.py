@@ -13,7 +13,8 @@ from msgspec.structs import replace
 from identify.gap.grounded import pushed_by_motion
 from identify.gap.law import Contact, Laid, Seen, contact_residual, laid_out, seen_contacts, start_of
 from identify.gap.linear import Linear, linear_model
-from identify.gap.nuisance import Columns, Nuisance, apply_nuisance, columns_of, residual_scale, with_nuisance
+from identify.gap.lines import standing_out, without_lines
+from identify.gap.nuisance import Columns, Nuisance, apply_nuisance, columns_of, counted, with_nuisance
 from identify.gap.scales import Scales, estimated_scales, prior_scales
 from identify.gap.spectra import Record
 from rig.description import Rig
@@ -44,6 +45,12 @@ class Base:
         flat = self.columns.residual.reshape(len(self.columns.parameters), -1)
         return np.asarray(flat @ flat.T)
 
+    @cached_property
+    def lines(self) -> tuple[float, ...]:
+        """The frequencies, per sample, of the lines that stand out of its own rig's residual."""
+        sensors = len(self.record.sensors)
+        return standing_out(counted(self.record, self.model.residual[:sensors]))
+
     @property
     def columns(self) -> Columns:
         """Kept for the bases that were used last, as they are large: those of others are computed again."""
@@ -52,13 +59,18 @@ class Base:
 
 @dataclass(frozen=True)
 class Residual:
-    """A rig against a record. linear is in standard deviations, over time, with the nuisance parameters taken in."""
+    """A rig against a record. linear is in standard deviations, over time, with the nuisance parameters taken in.
+
+    quiet is what of it is fitted, and tells the scale of the unmodelled: of a rig without tones, linear without the
+    lines that stand out. They are no error of a model, so nothing else is to follow them.
+    """
 
     rig: Rig
     model: Linear
     laid: tuple[Laid, ...]
     bare: Float[np.ndarray, "rows times"]
     linear: Float[np.ndarray, "rows times"]
+    quiet: Float[np.ndarray, "rows times"]
     contacts: tuple[Contact, ...]
     nuisance: Float[np.ndarray, " nuisances"]
     parameters: tuple[Nuisance, ...]
@@ -94,7 +106,7 @@ class Residual:
     @property
     def cost(self) -> float:
         return (
-            float(np.sum(self.linear**2) + self.strictness * self.nuisance @ self.nuisance)
+            float(np.sum(self.quiet**2) + self.strictness * self.nuisance @ self.nuisance)
             + sum(c.cost for c in self.contacts)
             + self.model.log_determinant * self.linear.shape[1] / self.model.spread.shape[1]
         )
@@ -130,7 +142,7 @@ def rescaled(base: Base, at: Residual) -> Base:
 
 def scales_at(base: Base, at: Residual) -> Scales:
     """Of what no model explains, as a residual shows them."""
-    return estimated_scales(base.record, base.scales, at.linear, at.contact_levels)
+    return estimated_scales(base.record, base.scales, at.quiet, at.contact_levels)
 
 
 def linear_of(base: Base, rig: Rig) -> Linear:
@@ -159,7 +171,7 @@ def residual_of(
     else:
         model = base.model if same_but_laws(base.rig, rig) else linear_of(base, rig)
         laid = laid_out(record, model)
-        bare = residual_scale(record) * record.in_time(model.residual)
+        bare = counted(record, model.residual)
     if unknowns is None:
         unknowns = tuple(
             start_of(at, s, c.law, record.rate_hz) for at, s, c in zip(laid, base.seen, rig.contacts, strict=True)
@@ -169,6 +181,7 @@ def residual_of(
     linear = same.linear if same else bare
     if beside.any() and not same:
         linear = bare - np.tensordot(beside, base.columns.residual, 1)
+    quiet = same.quiet if same else linear if rig.tones else without_lines(linear, base.lines)
 
     slow_m = np.stack([s.curve.value @ u[: s.curve.knots] for s, u in zip(base.seen, unknowns, strict=True)])
     others = model.slow_n_per_m - np.diag(np.diag(model.slow_n_per_m))
@@ -182,7 +195,7 @@ def residual_of(
         return contact_residual(laid[j], base.seen[j], law, unknowns[j], more_n - less_n[j], more_m)
 
     contacts = tuple(contact(j) for j in range(len(rig.contacts)))
-    return Residual(rig, model, laid, bare, linear, contacts, nuisance, parameters, record.strictness)
+    return Residual(rig, model, laid, bare, linear, quiet, contacts, nuisance, parameters, record.strictness)
 
 
 def same_but_sensors(one: Rig, other: Rig) -> bool:

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.signal.windows import hann
 
-from identify.gap.lines import without_lines
 from identify.gap.spectra import Record
 
 BAND_HZ = 2.0
@@ -82,10 +81,9 @@ def estimated_scales(
     """From the residuals that a fit under the scales `used` leaves.
 
     With n the noise and P the power of a band, its residual has the variance n + d^2 P; d is that for which it is what
-    is seen. Not below the share that the tolerances state. Lines that stand out are left out: they are no error of a
-    model, and in a scale that a tone made, the tone itself would count for nothing.
+    is seen. Not below the share that the tolerances state.
     """
-    levels = band_levels(record, without_lines(linear[: len(record.sensors)]))
+    levels = band_levels(record, linear)
     bands = len(levels)
     variance = record.noise + used.discrepancy**2 * record.power
     noisy = by_band(record, record.noise / np.maximum(variance, 1e-300), bands)

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import uniform_filter1d
+from scipy.signal import periodogram
 
 from identify.answers import drift_of
 from identify.drift import Drift
@@ -162,7 +163,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     )
     smooth = uniform_filter1d(np.abs(measured[:, :lines]) ** 2, max(1, round(SMOOTHED_HZ * length / rate)), axis=1)
     noise = acceleration_noise(motion, rig)
-    densities = _densities(rig, sensors, motion)
+    densities = _densities(sensors, motion)
     size = np.stack([omega ** (2 - ORDER[s.quantity]) for s in sensors])
     return Record(
         rig=rig,
@@ -229,9 +230,18 @@ def _force_noise_n(recording: Recording, motion: Kinematics, tolerances: Toleran
     return float(tolerances.force_noise_density * np.sqrt(rate / 2))
 
 
-def _densities(rig: Rig, sensors: tuple[Sensor, ...], motion: Kinematics) -> Float[np.ndarray, " sensors"]:
-    """One-sided noise of each sensor in its own unit per sqrt(Hz): heard in the quiet seconds, else as described."""
-    heard = acceleration_noise(motion, rig) / np.sqrt(motion.sample_rate_hz / 2)
+def _densities(sensors: tuple[Sensor, ...], motion: Kinematics) -> Float[np.ndarray, " sensors"]:
+    """One-sided noise of each sensor in its own unit per sqrt(Hz): heard in the quiet start, else as described.
+
+    The median over the frequencies tells it: a motor that runs, or a floor that shakes, raises some of them only. That
+    of powers which are distributed exponentially is ln 2 of their mean.
+    """
+    rate, quiet = motion.sample_rate_hz, motion.excited_from - round(0.05 * motion.sample_rate_hz)
+    heard = {}
+    if quiet > QUIET_S * rate:
+        hz, power = periodogram(motion.acceleration_m_per_s2[:, :quiet], rate, "hann")
+        inner = (hz > 0) & (hz < PASSBAND * rate)
+        heard = dict(zip(motion.stations, np.sqrt(np.median(power[:, inner], axis=1) / np.log(2)), strict=True))
     return np.array(
-        [heard[motion.stations.index(s.station)] if s.quantity == "acceleration" else s.noise_density for s in sensors]
+        [heard.get(s.station, s.noise_density) if s.quantity == "acceleration" else s.noise_density for s in sensors]
     )

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 from identify.gap.fit import Column
 from identify.gap.grounded import displaced_at, ground_forces
 from identify.gap.linear import Linear, delivered_by, places_of
-from identify.gap.nuisance import residual_scale
+from identify.gap.nuisance import counted
 from identify.gap.residual import Base, Residual
 from identify.gap.spectra import Record
 from rig.description import Rig, Station
@@ -42,7 +42,7 @@ def attached(base: Base, moved: Rig, at: Residual) -> Column | None:
         column = np.zeros(contact.residual.size)
         column[: force_n.size] = contact.seen.weights * (force_n - contact.by_eta * eta_m)
         columns.append(column)
-    return residual_scale(record) * record.in_time(left), columns
+    return counted(record, left), columns
 
 
 def _forces(record: Record, model: Linear, more: Rig) -> list[tuple[Station, Complex[np.ndarray, " lines"]]]:

@@ -67,7 +67,7 @@ class Linearised:
             linear = np.array([c[0].ravel() for c in own])
             nuisance = self.base.columns.residual.reshape(nuisances, linear.shape[1])
             matrix[:nuisances, count:], matrix[count:, count:] = nuisance @ linear.T, linear @ linear.T
-            gradient[count:] = linear @ self.at.linear.ravel()
+            gradient[count:] = linear @ self.at.quiet.ravel()
         for j, rows in enumerate(self.rows):
             mine = np.array([c[1 + j] for c in own]).reshape(len(own), len(rows)).T
             more, slope = _without_drift(self.at, j, np.concatenate([rows, mine], axis=1))
@@ -87,7 +87,7 @@ def linearised(record: Record, reference: Reference, rig: Rig) -> Linearised:
     names = (*base.columns.parameters, *((c.name, k) for c in rig.contacts for k in range(3)))
     matrix, gradient = np.zeros((len(names), len(names))), np.zeros(len(names))
     matrix[:nuisances, :nuisances] = base.gram
-    gradient[:nuisances] = base.columns.residual.reshape(nuisances, at.linear.size) @ at.linear.ravel()
+    gradient[:nuisances] = base.columns.residual.reshape(nuisances, at.quiet.size) @ at.quiet.ravel()
     found = []
     for j, contact in enumerate(at.contacts):
         rows = np.zeros((contact.residual.size, len(names)))

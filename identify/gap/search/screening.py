@@ -42,8 +42,13 @@ def score_screening(base: Base, at: Residual, candidates: Sequence[Candidate]) -
     This is Rao's score test of each effect, at every place that it is tried at.
     """
     equations = reduced(base, at)
-    sharp_hz = followed_hz(base, at, PEAKS).tolist() if any(c.kind.scanned for c in candidates) else []
-    found = [max(_looked(base, equations, c, sharp_hz), key=lambda one: one.gain) for c in candidates]
+    sharp_hz, loud = [], equations
+    if any(c.kind.scanned for c in candidates):
+        sharp_hz, loud = followed_hz(base, at, PEAKS).tolist(), equations.with_lines()
+    found = [
+        max(_looked(base, loud if c.kind.scanned else equations, c, sharp_hz), key=lambda one: one.gain)
+        for c in candidates
+    ]
     return sorted(found, key=lambda one: -one.gain)
 
 
