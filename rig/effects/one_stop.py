@@ -21,9 +21,9 @@ class OneStop(Effect, frozen=True):
 
     @classmethod
     def placements(cls, rig: Rig, sensors: Sequence[str]) -> list[dict[str, str | None]]:
-        """Either side of every contact by itself."""
+        """Either side, of every contact and of all."""
         found = super().placements(rig, sensors)
-        return [{**place, "side": side} for place in found if place["contact"] for side in ("upper", "lower")]
+        return [{**place, "side": side} for place in found for side in ("upper", "lower")]
 
     def applied_to(self, rig: Rig) -> Rig:
         return self.with_laws(rig, self.contact, self._changed)
