@@ -110,11 +110,15 @@ def _worth(base: Base, screened: Sequence[Screened], most: int) -> list[Screened
 
 
 def _by_score(base: Base, at: Residual, candidates: Sequence[Candidate], left: Tried, most: int) -> list[Screened]:
-    """The best by score; and where lines stand out of what is left, a tone on each body, which raises one line only."""
+    """The best by score; and where lines stand out of what is left, a tone on each body, which raises one line only.
+
+    Where much is left the best is worth a fit whatever it promises: scales that what is left made itself hide its gain.
+    """
     found = score_screening(base, at, candidates)
     tones = [one for one in found if one.candidate.kind.scanned]
     others = [one for one in found if not one.candidate.kind.scanned]
-    return _worth(base, others, most) + (tones if left.hypothesis.misfit.sharp > WORTH else [])
+    promising = _worth(base, others, most) or (others[:1] if left.hypothesis.leaves_something else [])
+    return promising + (tones if left.hypothesis.misfit.sharp > WORTH else [])
 
 
 def _rivals(found: Iterable[Tried], before: Tried) -> list[Tried]:
