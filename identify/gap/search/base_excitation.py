@@ -24,7 +24,7 @@ def fit_base_excitation(
     base: Base, at: Residual, candidate: Candidate, least: float = 0.0
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]] | None:
     """The best base motion (level, lower and upper end of its band) with standard errors, by its likelihood over all
-    bands and levels; None where the residual has none of it, or -2 ln p gains no more than `least`.
+    bands and levels; None where the residual has none of it, or twice its logarithm gains no more than `least`.
 
     With y the residual, p the pattern of a base motion of unit density, both of unit noise, a density S lowers the
     cost of a line by 2 (|p'y|^2/s (1 - 1/(1 + S s)) - log(1 + S s)), s = |p|^2; the best interval of lines is that
@@ -56,7 +56,7 @@ def fit_base_excitation(
         if total > best:
             best, band, density = total, found, tried
     taken = (record.taken.stop - record.taken.start) * record.factor
-    if not 2 * best * taken / record.length > least * record.strictness:
+    if not 2 * best * taken / record.length / WINDOW_LINES > least:
         return None
     density, relative = _density(density, seen[band], size[band], taken / record.length)
     gains = np.where(inside, _gains(density, seen, size), 0.0) * taken / record.length / WINDOW_LINES

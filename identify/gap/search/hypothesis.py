@@ -174,6 +174,8 @@ def _tried(
 
 def fit_spectrum(begun: Search, nothing: Tried, candidate: Candidate) -> Tried | None:
     """An effect of which only the spectrum is known: its values are not fitted over time."""
+    if not nothing.hypothesis.leaves_something:
+        return None
     found = fit_base_excitation(nothing.base, nothing.residual, candidate, WORTH)
     if found is None:
         return None
