@@ -90,7 +90,8 @@ def derivative(base: Base, moved: Rig, at: Residual) -> Column:
     less = change[:sensors] + np.einsum("isl,il->sl", old.by_input, inputs)
     left, less_n = old.projected(less * old.spread)
     less_force = record.in_time(less_n) + (old.holding_n - new.holding_n)[:, None]
-    less_force += (new.slow_n_per_m - old.slow_n_per_m) @ np.stack([c.slow_m for c in at.contacts])
+    for by_one, contact in zip((new.slow_n_per_m - old.slow_n_per_m).T, at.contacts, strict=True):
+        less_force += np.outer(by_one, contact.slow_m)
     contacts = _by_motion(record, at, less_force, old.eta_m - new.eta_m)
     return counted(record, left), contacts
 

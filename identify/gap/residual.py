@@ -183,16 +183,16 @@ def residual_of(
         linear = bare - np.tensordot(beside, base.columns.residual, 1)
     quiet = same.quiet if same else linear if rig.tones else without_lines(linear, base.lines)
 
-    slow_m = np.stack([s.curve.value @ u[: s.curve.knots] for s, u in zip(base.seen, unknowns, strict=True)])
+    slow_m = [s.curve.value @ u[: s.curve.knots] for s, u in zip(base.seen, unknowns, strict=True)]
     others = model.slow_n_per_m - np.diag(np.diag(model.slow_n_per_m))
-    less_n = others @ slow_m
 
     def contact(j: int) -> Contact:
         law, told_by = rig.contacts[j].law, {j, *np.flatnonzero(others[j])}
         if same and same.contacts[j].law == law and all(same.contacts[i].unknowns is unknowns[i] for i in told_by):
             return same.contacts[j]
         more_n, more_m = (-beside @ c[:, j] for c in (base.columns.contact_n, base.columns.eta_m))
-        return contact_residual(laid[j], base.seen[j], law, unknowns[j], more_n - less_n[j], more_m)
+        more_n -= sum(others[j, i] * slow_m[i] for i in told_by)
+        return contact_residual(laid[j], base.seen[j], law, unknowns[j], more_n, more_m)
 
     contacts = tuple(contact(j) for j in range(len(rig.contacts)))
     return Residual(rig, model, laid, bare, linear, quiet, contacts, nuisance, parameters, record.strictness)
