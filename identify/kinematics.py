@@ -57,6 +57,12 @@ class Kinematics:
             return 0
         return int(np.argmax(size > max(noise_n, 1e-3 * float(size.max()))))
 
+    @property
+    def quiet_samples(self) -> int:
+        """So many at the start tell the noise; 0 where they are too few."""
+        before = self.excited_from - round(0.05 * self.sample_rate_hz)
+        return before if before > QUIET_S * self.sample_rate_hz else 0
+
     def row(self, station: Station) -> int | None:
         return self.stations.index(station) if station in self.stations else None
 
@@ -136,9 +142,8 @@ def acceleration_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stat
 
     From the quiet seconds before the force begins; from the description where there are none.
     """
-    quiet = motion.excited_from - round(0.05 * motion.sample_rate_hz)
-    if quiet > 0.25 * motion.sample_rate_hz:
-        return motion.acceleration_m_per_s2[:, :quiet].std(axis=1)
+    if motion.quiet_samples:
+        return motion.acceleration_m_per_s2[:, : motion.quiet_samples].std(axis=1)
     densities = {s.station: s.noise_density for s in rig.sensors if s.quantity == "acceleration"}
     return np.array([densities.get(s, 0.0) for s in motion.stations]) * np.sqrt(motion.sample_rate_hz / 2)
 

@@ -11,12 +11,11 @@ from scipy.signal import periodogram
 
 from identify.answers import drift_of
 from identify.drift import Drift
-from identify.kinematics import CORNER_HZ, Kinematics, acceleration_noise, integrated, kinematics, taper
+from identify.kinematics import CORNER_HZ, QUIET_S, Kinematics, acceleration_noise, integrated, kinematics, taper
 from identify.spectra import force_band
 from rig.description import Quantity, Rig, Sensor
 from rig.errors import RigError
 from rig.model.tolerances import LABORATORY, Tolerances
-from rig.oscillator import Oscillator
 from rig.recording import Recording
 from rig.sensors import PASSBAND, sensors_of
 
@@ -28,8 +27,6 @@ LEFT_OUT_S = 4.5
 REACH = 1.6
 """The diagnosis looks up to this multiple of the force's highest frequency."""
 SHORTEST_S = 10.0
-QUIET_S = 0.25
-"""A quiet start of this length tells the noise."""
 SMOOTHED_HZ = 1.0
 FINE_HZ = 8000.0
 """Contact laws are evaluated at no less; at twice that nothing changes."""
@@ -46,7 +43,7 @@ class Record:
     still in it; displaced the same as a displacement, high-passed where it had to be integrated. noise is the variance
     of each of its lines by the sensor's noise alone, power its smoothed size; force_noise the variance of the force's
     lines by its channel's noise. eta_beyond is each relative displacement as measured on the lines from `high_hz` on,
-    drifts what is known of its slow part (None where nothing is lost). window is what samples were multiplied by,
+    drifts what is known of its slow part (None where nothing is lost; the linear model has the springs). window is what samples were multiplied by,
     excited_s when the force begins, tolerances how exactly the rig is believed.
     """
 
@@ -182,9 +179,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         noise=samples * (densities[:, None] * size) ** 2 * rate / 2,
         power=smooth * np.abs(turned) ** 2,
         eta_beyond=_eta_beyond(rig, sensors, measured[:, lines - 1 :], beyond_rad),
-        drifts=tuple(
-            drift_of(rig, motion, j, noise, tolerances, _spring(rig, j), samples) for j in range(len(rig.contacts))
-        ),
+        drifts=tuple(drift_of(rig, motion, j, noise, tolerances, 0.0, samples) for j in range(len(rig.contacts))),
         excited_s=motion.excited_from / rate,
         tolerances=tolerances,
         taken=slice(
@@ -210,12 +205,6 @@ def _eta_beyond(
     return found
 
 
-def _spring(rig: Rig, contact: int) -> float:
-    """The linear spring to the ground under a contact: of one mass."""
-    body = rig.body(rig.contacts[contact].at.body)
-    return body.stiffness_n_per_m if isinstance(body, Oscillator) else 0.0
-
-
 def _row(recording: Recording, sensor: Sensor) -> Float[np.ndarray, " samples"]:
     signals = recording.signals[sensor.quantity]
     return signals.values[signals.channels.names.index(sensor.name)]
@@ -223,11 +212,9 @@ def _row(recording: Recording, sensor: Sensor) -> Float[np.ndarray, " samples"]:
 
 def _force_noise_n(recording: Recording, motion: Kinematics, tolerances: Tolerances) -> float:
     """Standard deviation of the force channel's noise: heard in the quiet start, else as the tolerances state it."""
-    rate = motion.sample_rate_hz
-    quiet = motion.excited_from - round(0.05 * rate)
-    if quiet > QUIET_S * rate:
-        return float(np.std(recording.force_n[:quiet]))
-    return float(tolerances.force_noise_density * np.sqrt(rate / 2))
+    if motion.quiet_samples:
+        return float(np.std(recording.force_n[: motion.quiet_samples]))
+    return float(tolerances.force_noise_density * np.sqrt(motion.sample_rate_hz / 2))
 
 
 def _densities(sensors: tuple[Sensor, ...], motion: Kinematics) -> Float[np.ndarray, " sensors"]:
@@ -236,10 +223,10 @@ def _densities(sensors: tuple[Sensor, ...], motion: Kinematics) -> Float[np.ndar
     The median over the frequencies tells it: a motor that runs, or a floor that shakes, raises some of them only. That
     of powers which are distributed exponentially is ln 2 of their mean.
     """
-    rate, quiet = motion.sample_rate_hz, motion.excited_from - round(0.05 * motion.sample_rate_hz)
     heard = {}
-    if quiet > QUIET_S * rate:
-        hz, power = periodogram(motion.acceleration_m_per_s2[:, :quiet], rate, "hann")
+    if motion.quiet_samples:
+        rate = motion.sample_rate_hz
+        hz, power = periodogram(motion.acceleration_m_per_s2[:, : motion.quiet_samples], rate, "hann")
         inner = (hz > 0) & (hz < PASSBAND * rate)
         heard = dict(zip(motion.stations, np.sqrt(np.median(power[:, inner], axis=1) / np.log(2)), strict=True))
     return np.array(

@@ -21,7 +21,7 @@ LEVELS = 10.0 ** np.arange(-9, 3, 0.5)
 
 
 def fit_base_excitation(
-    base: Base, at: Residual, candidate: Candidate, least: float = 0.0
+    base: Base, at: Residual, candidate: Candidate, least: float
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]] | None:
     """The best base motion (level, lower and upper end of its band) with standard errors, by its likelihood over all
     bands and levels; None where the residual has none of it, or twice its logarithm gains no more than `least`.
