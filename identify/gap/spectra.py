@@ -43,8 +43,8 @@ class Record:
     still in it; displaced the same as a displacement, high-passed where it had to be integrated. noise is the variance
     of each of its lines by the sensor's noise alone, power its smoothed size; force_noise the variance of the force's
     lines by its channel's noise. eta_beyond is each relative displacement as measured on the lines from `high_hz` on,
-    drifts what is known of its slow part (None where nothing is lost; the linear model has the springs). window is what samples were multiplied by,
-    excited_s when the force begins, tolerances how exactly the rig is believed.
+    drifts what is known of its slow part (None where nothing is lost; the linear model has the springs). window is
+    what samples were multiplied by, excited_s when the force begins, tolerances how exactly the rig is believed.
     """
 
     rig: Rig
