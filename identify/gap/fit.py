@@ -88,7 +88,7 @@ def derivative(base: Base, moved: Rig, at: Residual) -> Column:
     change = old.residual - new.residual
     inputs = np.concatenate([old.contact_n - new.contact_n, change[sensors:]])
     less = change[:sensors] + np.einsum("isl,il->sl", old.by_input, inputs)
-    left, less_n = old.projected(less * old.spread)
+    left, less_n = old.projection.of(less * old.spread)
     less_force = record.in_time(less_n) + (old.holding_n - new.holding_n)[:, None]
     for by_one, contact in zip((new.slow_n_per_m - old.slow_n_per_m).T, at.contacts, strict=True):
         less_force += np.outer(by_one, contact.slow_m)
@@ -101,7 +101,7 @@ def _by_sensors(base: Base, moved: Rig, at: Residual) -> Column:
     record, model = base.record, at.model
     ratio = chain_of(record, moved) / chain_of(record, at.rig) - 1
     explained = record.delivered - model.residual[: len(record.sensors)] * model.spread
-    left, force = model.projected(ratio * explained)
+    left, force = model.projection.of(ratio * explained)
     less_eta = at_contacts(record, model, ratio * record.displaced / model.chain)
     contacts = _by_motion(record, at, record.in_time(force), less_eta)
     return counted(record, left), contacts
@@ -158,7 +158,7 @@ class Reduced:
     def with_lines(self) -> "Reduced":
         """Those in which the lines that stand out count too, for what may explain them."""
         at = replace(self.at, quiet=self.at.linear)
-        more = self.base.columns.residual.reshape(len(self.gradient), -1) @ (at.quiet - self.at.quiet).ravel()
+        more = self.base.columns.products((at.quiet - self.at.quiet).ravel())
         return replace(self, at=at, gradient=self.gradient + more)
 
     def joined(self, columns: list[Column]) -> Normal:
@@ -166,9 +166,8 @@ class Reduced:
         count, size = len(self.gradient), len(self.gradient) + len(columns)
         matrix, gradient = np.zeros((size, size)), np.zeros(size)
         matrix[:count, :count], gradient[:count] = self.matrix, self.gradient
-        linear = self.base.columns.residual.reshape(count, self.at.linear.size)
         own = np.array([c[0].ravel() for c in columns]).reshape(len(columns), self.at.linear.size)
-        matrix[:count, count:] = linear @ own.T
+        matrix[:count, count:] = self.base.columns.products(own)
         matrix[count:, count:] = own @ own.T
         gradient[count:] = own @ self.at.quiet.ravel()
         back = []
@@ -189,9 +188,7 @@ def reduced(base: Base, at: Residual) -> Reduced:
     """The nuisance parameters' part of the normal equations."""
     count = len(base.columns.parameters)
     matrix = base.gram + base.record.strictness * np.eye(count)
-    gradient = (
-        base.columns.residual.reshape(count, at.quiet.size) @ at.quiet.ravel() - base.record.strictness * at.nuisance
-    )
+    gradient = base.columns.products(at.quiet.ravel()) - base.record.strictness * at.nuisance
     found = []
     for j, contact in enumerate(at.contacts):
         solver, rows = contact.solver(), by_nuisance(base, at, j)

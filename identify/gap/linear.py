@@ -12,7 +12,7 @@ sensors less contacts tell it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -27,6 +27,30 @@ from rig.oscillator import Oscillator
 
 FREE = 1e-3
 """What floats is held by so little (s^-2) that its compliance has an inverse: as at 0.005 Hz."""
+
+
+@dataclass(frozen=True)
+class Projection:
+    """What the unknown inputs explain best of accelerations, line by line: `to_inputs` gives them from accelerations in
+    standard deviations, `by_input` the accelerations that they make; the first are the contact forces."""
+
+    by_input: Complex[np.ndarray, "inputs sensors lines"]
+    to_inputs: Complex[np.ndarray, "inputs sensors lines"]
+    spread: Float[np.ndarray, "sensors lines"]
+    contacts: int
+
+    def of(
+        self, change: Complex[np.ndarray, "some lines"], sensors: list[int] | slice = slice(None)
+    ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
+        """The residual and the contact forces that something makes which some sensors deliver beside what is known."""
+        weighted = (change / self.spread[sensors]).astype(self.by_input.dtype, copy=False)
+        inputs = np.einsum("isl,sl->il", self.to_inputs[:, sensors], weighted)
+        left = _left(self.by_input, inputs, weighted, sensors)
+        return np.concatenate([left, inputs[self.contacts :]]), inputs[: self.contacts]
+
+    def single(self) -> "Projection":
+        """In single precision, half as large and twice as fast: enough for derivatives."""
+        return replace(self, by_input=self.by_input.astype(np.complex64), to_inputs=self.to_inputs.astype(np.complex64))
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,11 +84,14 @@ class Linear:
     @property
     def solve(self) -> Complex[np.ndarray, "lines inputs sensors"]:
         """The inputs from the accelerations in standard deviations, line by line."""
-        return self._to_inputs.transpose(2, 0, 1)
+        return self.projection.to_inputs.transpose(2, 0, 1)
 
     @cached_property
-    def _to_inputs(self) -> Complex[np.ndarray, "inputs sensors lines"]:
-        return _least_squares(self.by_input, self.by_input.conj(), len(self.rig.contacts))[0]
+    def projection(self) -> Projection:
+        """Of what the sensors deliver."""
+        contacts = len(self.rig.contacts)
+        to_inputs = _least_squares(self.by_input, self.by_input.conj(), contacts)[0]
+        return Projection(self.by_input, to_inputs, self.spread, contacts)
 
     @property
     def modal(self) -> tuple[Complex[np.ndarray, "modes lines"], ...]:
@@ -120,19 +147,9 @@ class Linear:
         """How forces at some places, and contact forces, drive a body's modes."""
         return np.concatenate([response.shapes(pushed), -across(self.rig, response)])
 
-    def projected(
-        self, change: Complex[np.ndarray, "some lines"], sensors: list[int] | slice = slice(None)
-    ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
-        """The residual and the contact forces that something makes which some sensors deliver beside what is known."""
-        weighted = change / self.spread[sensors]
-        inputs = np.einsum("isl,sl->il", self._to_inputs[:, sensors], weighted)
-        left = _left(self.by_input, inputs, weighted, sensors)
-        contacts = len(self.rig.contacts)
-        return np.concatenate([left, inputs[contacts:]]), inputs[:contacts]
-
     def open_n(self, record: Record) -> Float[np.ndarray, " contacts"]:
         """Standard deviation over time of each contact force, by the errors of the accelerations."""
-        variance = np.sum(np.abs(self._to_inputs[: len(self.rig.contacts)]) ** 2, axis=(1, 2))
+        variance = np.sum(np.abs(self.projection.to_inputs[: len(self.rig.contacts)]) ** 2, axis=(1, 2))
         return np.asarray(np.sqrt(2 * variance / (record.length * record.samples)))
 
 

@@ -61,12 +61,14 @@ def sharpest(rows: Rows, count: int, around: float) -> Float[np.ndarray, " lines
 def _outstanding(rows: Rows) -> Float[np.ndarray, "rows lines"]:
     """The power of a peak over `OUTSTANDING` times that beside; zero elsewhere and at the ends."""
     power = np.abs(np.fft.rfft(rows * hann(rows.shape[1]))) ** 2
-    apart = range(BESIDE[0], BESIDE[1] + 1)
-    beside = np.median([np.roll(power, sign * k, axis=1) for k in apart for sign in (-1, 1)], axis=0)
-    ratio = power / np.maximum(OUTSTANDING * beside, 1e-300)
-    ratio[power < maximum_filter1d(power, 2 * BESIDE[0] - 1, axis=1)] = 0.0
-    ratio[:, : BESIDE[1]] = ratio[:, -BESIDE[1] :] = 0.0
-    return np.asarray(ratio)
+    peaks = power == maximum_filter1d(power, 2 * BESIDE[0] - 1, axis=1)
+    peaks[:, : BESIDE[1]] = peaks[:, -BESIDE[1] :] = False
+    row, line = np.nonzero(peaks)
+    apart = np.arange(BESIDE[0], BESIDE[1] + 1)
+    beside = np.median(power[row[:, None], line[:, None] + np.concatenate([-apart, apart])], axis=1)
+    ratio = np.zeros_like(power)
+    ratio[peaks] = power[peaks] / np.maximum(OUTSTANDING * beside, 1e-300)
+    return ratio
 
 
 def _refined(rows: Rows, frequency: float, spacing: float) -> float:

@@ -9,7 +9,7 @@ from jaxtyping import Complex, Float
 from msgspec.structs import replace
 
 from identify.gap.grounded import pushed_by_motion
-from identify.gap.linear import Linear, bent
+from identify.gap.linear import Linear, Projection, bent
 from identify.gap.response import Response, times
 from identify.gap.spectra import Record
 from identify.modal import receptance
@@ -44,12 +44,25 @@ class Nuisance:
 @dataclass(frozen=True)
 class Columns:
     """Derivatives of the linear residual, the contact forces and the relative displacements, each by one nuisance
-    parameter in its standard deviations."""
+    parameter in its standard deviations; in single precision."""
 
     parameters: tuple[Nuisance, ...]
     residual: Float[np.ndarray, "nuisances rows times"]
     contact_n: Float[np.ndarray, "nuisances contacts times"]
     eta_m: Float[np.ndarray, "nuisances contacts times"]
+
+    @property
+    def flat(self) -> Float[np.ndarray, "nuisances all"]:
+        """Those of the residual, row after row."""
+        return self.residual.reshape(len(self.parameters), -1)
+
+    def along(self, nuisance: Float[np.ndarray, " nuisances"]) -> Float[np.ndarray, "rows times"]:
+        """What nuisance parameters take off the linear residual."""
+        return (nuisance.astype(np.float32) @ self.flat).reshape(self.residual.shape[1:])
+
+    def products(self, residuals: Float[np.ndarray, "*some all"]) -> Float[np.ndarray, "nuisances *some"]:
+        """With residuals, each row after row."""
+        return (self.flat @ residuals.T.astype(np.float32, copy=False)).astype(float)
 
 
 @dataclass(frozen=True)
@@ -72,27 +85,28 @@ def columns_of(record: Record, model: Linear) -> Columns:
     for response, motion in zip(model.responses, _measured(record, model), strict=True):
         changes += [*_of_positions(record, model, response, motion), *_of_modes(record, model, response, motion)]
     count, contacts, samples = len(changes), len(model.rig.contacts), record.taken.stop - record.taken.start
-    residual = np.empty((count, len(model.residual), samples))
-    # those of the contacts lie sample by sample, as the normal equations take them
-    forces, eta = (np.zeros((contacts, samples, count)).transpose(2, 0, 1) for _ in range(2))
+    residual = np.empty((count, len(model.residual), samples), np.float32)
+    forces, eta = (np.zeros((count, contacts, samples), np.float32) for _ in range(2))
+    projection = model.projection.single()
     for i, change in enumerate(changes):
-        left, force = _projected(record, model, change)
+        left, force = _projected(record, model, projection, change)
         residual[i] = counted(record, left)
         forces[i] = record.in_time(force)
         if change.displaced is not None:
-            eta[i] = record.in_time(at_contacts(record, model, change.displaced, change.sensors))
+            moved = at_contacts(record, model, change.displaced, change.sensors)
+            eta[i] = record.in_time(moved.astype(np.complex64))
     return Columns(tuple(c.parameter for c in changes), residual, forces, eta)
 
 
 def _projected(
-    record: Record, model: Linear, change: _Change
+    record: Record, model: Linear, projection: Projection, change: _Change
 ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
     """With what the springs do whose displacement is not the measured one."""
     if change.displaced is None or not pushed_by_motion(model.rig):
-        return model.projected(change.delivered, change.sensors)
+        return projection.of(change.delivered, change.sensors)
     displaced, delivered = np.zeros_like(model.chain), np.zeros_like(model.chain)
     displaced[change.sensors], delivered[change.sensors] = change.displaced, change.delivered
-    return model.projected(delivered + bent(record, model, displaced))
+    return projection.of(delivered + bent(record, model, displaced))
 
 
 def _of_sensors(record: Record, model: Linear) -> Iterator[_Change]:

@@ -42,8 +42,7 @@ class Base:
     @cached_property
     def gram(self) -> Float[np.ndarray, "nuisances nuisances"]:
         """The products of the linear residual's columns."""
-        flat = self.columns.residual.reshape(len(self.columns.parameters), -1)
-        return np.asarray(flat @ flat.T)
+        return self.columns.products(self.columns.flat)
 
     @cached_property
     def lines(self) -> tuple[float, ...]:
@@ -180,7 +179,7 @@ def residual_of(
     same = like if like is not None and model is like.model and nuisance is like.nuisance else None
     linear = same.linear if same else bare
     if beside.any() and not same:
-        linear = bare - np.tensordot(beside, base.columns.residual, 1)
+        linear = bare - base.columns.along(beside)
     quiet = same.quiet if same else linear if rig.tones else without_lines(linear, base.lines)
 
     slow_m = [s.curve.value @ u[: s.curve.knots] for s, u in zip(base.seen, unknowns, strict=True)]

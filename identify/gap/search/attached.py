@@ -35,7 +35,7 @@ def attached(base: Base, moved: Rig, at: Residual) -> Column | None:
     if more is None or any(isinstance(b, Oscillator) for b in rig.bodies):
         return None
     forces = _forces(record, model, more)
-    left, less_n = model.projected(delivered_by(model, places_of(record, model.rig), forces))
+    left, less_n = model.projection.of(delivered_by(model, places_of(record, model.rig), forces))
     less_m = -record.in_time(model.unseen_m(forces, -less_n))
     columns = []
     for contact, force_n, eta_m in zip(at.contacts, record.in_time(less_n), less_m, strict=True):

@@ -65,8 +65,8 @@ class Linearised:
         matrix, gradient = np.zeros((size, size)), np.zeros(size)
         if own:
             linear = np.array([c[0].ravel() for c in own])
-            nuisance = self.base.columns.residual.reshape(nuisances, linear.shape[1])
-            matrix[:nuisances, count:], matrix[count:, count:] = nuisance @ linear.T, linear @ linear.T
+            matrix[:nuisances, count:] = self.base.columns.products(linear)
+            matrix[count:, count:] = linear @ linear.T
             gradient[count:] = linear @ self.at.quiet.ravel()
         for j, rows in enumerate(self.rows):
             mine = np.array([c[1 + j] for c in own]).reshape(len(own), len(rows)).T
@@ -87,7 +87,7 @@ def linearised(record: Record, reference: Reference, rig: Rig) -> Linearised:
     names = (*base.columns.parameters, *((c.name, k) for c in rig.contacts for k in range(3)))
     matrix, gradient = np.zeros((len(names), len(names))), np.zeros(len(names))
     matrix[:nuisances, :nuisances] = base.gram
-    gradient[:nuisances] = base.columns.residual.reshape(nuisances, at.quiet.size) @ at.quiet.ravel()
+    gradient[:nuisances] = base.columns.products(at.quiet.ravel())
     found = []
     for j, contact in enumerate(at.contacts):
         rows = np.zeros((contact.residual.size, len(names)))
