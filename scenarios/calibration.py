@@ -18,7 +18,7 @@ from scenarios.scoreboard import Compared, wilson
 OLD_POWER = 20
 """The rule before: probability in proportion to (what is left)^-20, without anything unknown."""
 EDGES = (0.0, 0.5, 0.7, 0.9, 0.97, 0.99, 1.0)
-TEMPERATURES = (0.05, 500.0)
+TEMPERATURES, STEPS = (0.05, 500.0), 200
 
 
 class Bin(msgspec.Struct, frozen=True):
@@ -45,9 +45,11 @@ class Calibration(msgspec.Struct, frozen=True):
 
 
 class Tempered(msgspec.Struct, frozen=True):
-    """The temperature at which the right hypotheses are likeliest; without are cases whose right one was not judged."""
+    """The temperature at which the right hypotheses are likeliest, and that at which the Brier score of the likeliest
+    one is least; without are cases whose right one was not judged."""
 
     temperature: float
+    by_brier: float
     mean_log_probability: float
     at_present: float
     """The mean logarithm of the right hypothesis' probability at the temperature in use."""
@@ -66,6 +68,11 @@ class Hypotheses:
     def probabilities(self, temperature: float) -> Float[np.ndarray, " hypotheses"]:
         scores = self.log_prior - self.minus_two_log / (2 * temperature)
         return np.asarray(np.exp(scores - logsumexp(scores)))
+
+    def likeliest(self, temperature: float) -> tuple[float, bool]:
+        """The probability of the likeliest, and whether it is right."""
+        shares = self.probabilities(temperature)
+        return float(shares.max()), bool(self.right[np.argmax(shares)])
 
     def log_right(self, temperature: float) -> float:
         """The logarithm of the probability of all that is right."""
@@ -129,13 +136,17 @@ def brier(told: Sequence[tuple[float, bool]]) -> float:
 
 
 def calibrated_temperature(cases: Sequence[Hypotheses]) -> Tempered:
-    """The temperature that maximises the product of the right hypotheses' probabilities."""
+    """The temperature of the largest product of the right hypotheses' probabilities, and of the least Brier score."""
     known = [one for one in cases if one.right.any()]
 
     def mean_log(temperature: float) -> float:
-        return float(np.mean([one.log_right(temperature) for one in known])) if known else float("nan")
+        return float(np.mean([one.log_right(temperature) for one in known]))
 
+    if not known:
+        return Tempered(TEMPERATURE, TEMPERATURE, np.nan, np.nan, 0, len(cases))
     bounds = tuple(np.log(TEMPERATURES))
-    found = minimize_scalar(lambda t: -mean_log(float(np.exp(t))), bounds=bounds, method="bounded") if known else None
-    best = float(np.exp(found.x)) if found is not None else TEMPERATURE
-    return Tempered(best, mean_log(best), mean_log(TEMPERATURE), len(known), len(cases) - len(known))
+    found = minimize_scalar(lambda t: -mean_log(float(np.exp(t))), bounds=bounds, method="bounded")
+    grid = np.geomspace(*TEMPERATURES, STEPS)  # by the Brier score there may be several minima
+    scores = [brier([one.likeliest(t) for one in cases]) for t in grid]
+    best, by_brier = float(np.exp(found.x)), float(grid[np.argmin(scores)])
+    return Tempered(best, by_brier, mean_log(best), mean_log(TEMPERATURE), len(known), len(cases) - len(known))

@@ -52,7 +52,8 @@ def temperature_told(found: Tempered) -> str:
     """The calibrated temperature in one line."""
     return (
         f"temperature {found.temperature:.3g}: mean ln probability of what is right {found.mean_log_probability:.3f}, "
-        f"at present {found.at_present:.3f}; {found.cases} cases, of {found.without} more it was not judged"
+        f"at present {found.at_present:.3f}; the Brier score is least at {found.by_brier:.2g}; "
+        f"{found.cases} cases, of {found.without} more it was not judged"
     )
 
 
