@@ -7,7 +7,7 @@ import numpy as np
 from identify.contact import Identification
 from identify.joint import Joint
 from identify.wording import percent
-from rig.description import Station
+from rig.model.description import Station
 from rig.model.tolerances import EXACT
 
 QUIET_S = 0.3

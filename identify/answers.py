@@ -11,8 +11,8 @@ from identify.joint import Joint, Observed, fit_joint
 from identify.kinematics import Kinematics, Use, acceleration_noise, kinematics
 from identify.modal import relative_displacements, relative_velocities
 from identify.spectra import decimated, force_band
-from rig.description import ForceSensor, Rig, Station, contact_stations
 from rig.errors import RigError
+from rig.model.description import ForceSensor, Rig, Station, contact_stations
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording
 

@@ -17,7 +17,7 @@ from identify.kinematics import Use
 from identify.pooled import LARGE_BYTES, STRETCH_S, identify_long
 from identify.results import ContactReport, Estimate, LawReport, Stretches, write_json
 from identify.spectra import POWERS, Averaging
-from rig.command_line import Force, Json, progress_bar, refuse_existing, run
+from rig.commands.command_line import Force, Json, progress_bar, refuse_existing, run
 from rig.model.tolerances import tolerances_named
 from rig.recording import read
 

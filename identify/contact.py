@@ -16,8 +16,8 @@ from identify.results import ContactReport
 from identify.spectra import Averaging, blocks, force_band, penetration
 from identify.summary import contact_report
 from identify.surface import Stops, Surface, clearance_from_occurrence, fit_surface
-from rig.description import Rig
 from rig.errors import RigError
+from rig.model.description import Rig
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 

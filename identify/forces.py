@@ -10,10 +10,10 @@ from scipy.ndimage import uniform_filter1d
 from identify.kinematics import CORNER_HZ, TAPER_S, Kinematics, integrated, taper
 from identify.modal import contact_shapes, receptance, shape_at, transformation
 from identify.spectra import decimated
-from rig.description import Body, Rig
 from rig.errors import RigError
+from rig.model.description import Body, Rig
+from rig.model.oscillator import Oscillator
 from rig.model.tolerances import Tolerances
-from rig.oscillator import Oscillator
 
 SMOOTHED_HZ = 1.0
 LEFT_OUT_S = 2.5

@@ -11,8 +11,8 @@ from scipy.stats import norm, t
 
 from identify.drift import Drift, Spline, spline
 from identify.spectra import decimated, oversampled
-from rig.contact import damping_share, dead_zone
 from rig.errors import RigError
+from rig.model.contact_law import damping_share, dead_zone
 
 PARTS = 16
 STEPS = 30

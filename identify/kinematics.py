@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.fft import irfft, next_fast_len, rfft
 
-from rig.description import Quantity, Rig, Sensor, Station
 from rig.errors import RigError
+from rig.model.description import Quantity, Rig, Sensor, Station
+from rig.model.sensing import PASSBAND
 from rig.recording import Recording
-from rig.sensors import PASSBAND
 
 TAPER_S = 0.5
 CORNER_HZ = 0.5

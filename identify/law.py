@@ -14,8 +14,8 @@ from identify.piecewise import FINEST, PiecewiseLinear, Sampled, polynomial, sam
 from identify.piecewise import unfiltered as without_low_pass
 from identify.results import Candidate, ContactLaw, Estimate, LawReport, Unanswered
 from identify.symbolic import Formula, pyoperon, search
-from rig.contact import dead_zone
 from rig.errors import RigError
+from rig.model.contact_law import dead_zone
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 

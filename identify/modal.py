@@ -7,8 +7,8 @@ from jaxtyping import Complex, Float
 from scipy.fft import next_fast_len
 
 from identify.kinematics import Kinematics
-from rig.description import Body, Rig, Station, contact_stations
 from rig.errors import RigError
+from rig.model.description import Body, Rig, Station, contact_stations
 
 MIN_STATIONS = 4
 INVISIBLE = 1e-3

@@ -6,7 +6,7 @@ from html import escape
 from pathlib import Path
 from typing import Literal
 
-from rig.container import part_of
+from rig.recording.container import part_of
 
 Colour = Literal["green", "yellow", "red"]
 Rows = Iterable[Sequence[str]]

@@ -16,7 +16,7 @@ from identify.joint import Joint
 from identify.law import FoundLaw
 from identify.modal import receptance
 from identify.results import ContactReport, Stretch
-from rig.contact import dead_zone
+from rig.model.contact_law import dead_zone
 
 Marks = Mapping[str, tuple[float, float]]
 """Reference values by contact: clearance (m) and stiffness (N/m), drawn as dashed lines."""

@@ -14,7 +14,7 @@ from identify.results import ContactReport, Estimate, Stretch
 from identify.spectra import Averaging
 from rig.errors import RigError
 from rig.model.tolerances import Tolerances
-from rig.stretches import stretches
+from rig.recording.stretches import stretches
 
 LARGE_BYTES = 1 << 30
 """Files of more are identified stretch by stretch, ..."""

@@ -11,7 +11,7 @@ from identify.advice import assumed, surer
 from identify.contact import Identification
 from identify.results import ContactEstimate, Estimate, write_json
 from identify.wording import interval, number
-from rig.contact import DeadZone
+from rig.model.contact_law import DeadZone
 
 _CAPTIONS = {
     "separated": "The contact forces over the relative displacements, separated without assuming a law, and the law "

@@ -10,8 +10,8 @@ from jaxtyping import Complex, Float
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.signal import resample
 
-from rig.contact import dead_zone
 from rig.errors import RigError
+from rig.model.contact_law import dead_zone
 
 POWERS = {"hann": 2, "sin4": 4, "sin6": 6}
 OVERSAMPLING = 8

@@ -11,7 +11,7 @@ from identify.kinematics import Kinematics
 from identify.modal import NEARLY_INVISIBLE, Transformation
 from identify.nifo import Nifo, fitted_mode
 from identify.surface import Stops, Surface
-from rig.description import Rig
+from rig.model.description import Rig
 
 
 def contact_report(

@@ -8,7 +8,7 @@ from scipy.optimize import least_squares, minimize
 
 from identify.modal import ModalEquation
 from identify.spectra import decimated
-from rig.contact import dead_zone
+from rig.model.contact_law import dead_zone
 
 PARTS = 16
 """Into how many parts a record is cut for standard errors."""

@@ -3,8 +3,8 @@
 import msgspec
 import numpy as np
 
-from rig.description import Body, Rig, Station
-from rig.oscillator import Oscillator
+from rig.model.description import Body, Rig, Station
+from rig.model.oscillator import Oscillator
 
 
 def jittered(rig: Rig, rng: np.random.Generator) -> Rig:

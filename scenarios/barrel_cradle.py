@@ -8,11 +8,11 @@ from typing import Annotated
 
 import typer
 
-from rig.command_line import run
-from rig.identified import identified_laws
+from rig.commands.command_line import run
 from rig.recording import read, read_truth, truth_path
-from rig.reference import BarrelCradle
-from rig.viewing import write_rrd
+from rig.simulation.reference import BarrelCradle
+from rig.viewer.identified import identified_laws
+from rig.viewer.viewing import write_rrd
 from scenarios.compare import equation_by_equation, forms_beside, identified_against_true, recorded, shown
 
 app = typer.Typer(pretty_exceptions_enable=False)

@@ -12,10 +12,10 @@ from identify.gap.decision.answer import Simulator, diagnose
 from identify.gap.decision.null_reference import null_key, null_reference
 from identify.gap.decision.recordings import sound
 from identify.gap.results import Gap
-from rig import replay
 from rig.errors import RigError
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording, read
+from rig.simulation import replay
 from scenarios.tasks import run_tasks
 from scenarios.worlds.making import sha256_of
 

@@ -15,7 +15,7 @@ import msgspec
 import typer
 from rich.console import Console
 
-from rig.command_line import Force, refuse_existing, run
+from rig.commands.command_line import Force, refuse_existing, run
 from rig.model.tolerances import tolerances_named
 from scenarios import score_figures
 from scenarios.blind_comparison import by_world, check_recordings, pairs_of

@@ -10,12 +10,12 @@ from rich.table import Table
 from identify.contact import Identification, identify_contact
 from identify.kinematics import Use
 from identify.report import write_results
-from rig.command_line import progress_bar
-from rig.contact import DeadZone
-from rig.plants import plant_named
-from rig.record import record
+from rig.commands.command_line import progress_bar
+from rig.model.contact_law import DeadZone
 from rig.recording import read, read_truth, truth_path
-from rig.reference import BarrelCradle, Sdof
+from rig.simulation.plants import plant_named
+from rig.simulation.record import record
+from rig.simulation.reference import BarrelCradle, Sdof
 
 
 @dataclass(frozen=True)

@@ -27,13 +27,13 @@ from identify.kinematics import kinematics
 from identify.nifo import nifo
 from identify.spectra import OVERSAMPLING, Averaging, blocks
 from identify.surface import fit_surface
-from rig.command_line import progress_bar, run
-from rig.excitation import force_history
+from rig.commands.command_line import progress_bar, run
 from rig.model.tolerances import LABORATORY
-from rig.plants import modal
-from rig.record import record
 from rig.recording import read
-from rig.reference import BarrelCradle
+from rig.simulation.excitation import force_history
+from rig.simulation.plants import modal
+from rig.simulation.record import record
+from rig.simulation.reference import BarrelCradle
 
 REFERENCE = BarrelCradle(sensors="acceleration", noise_density=1e-3, duration_s=60.0)
 MODES = 16

@@ -14,12 +14,12 @@ from jaxtyping import Float
 from rich.console import Console
 from rich.table import Table
 
-from rig.command_line import progress_bar, run
-from rig.excitation import QUIET_S, force_history
-from rig.motion import Motion, Plant, joined
-from rig.plants import ancf, modal
-from rig.reference import BarrelCradle
-from rig.sensors import digitised
+from rig.commands.command_line import progress_bar, run
+from rig.simulation.excitation import QUIET_S, force_history
+from rig.simulation.motion import Motion, Plant, joined
+from rig.simulation.plants import ancf, modal
+from rig.simulation.reference import BarrelCradle
+from rig.simulation.sensors import digitised
 
 SMALL = 0.01
 """Of the reference's clearance and force: with slopes so small the beams of both plants are linear."""

@@ -11,7 +11,7 @@ import typer
 from msgspec.structs import replace
 from rich.console import Console
 
-from rig.command_line import run
+from rig.commands.command_line import run
 from scenarios.nifo_study import LONG, Study
 from scenarios.nifo_sweep import BLOCK_S, Block, Rate, ideal_range, points_of, shown
 from scenarios.tasks import Dask

@@ -20,14 +20,14 @@ from rich.table import Table
 from identify.answers import Contacts, find_contacts
 from identify.joint import Joint
 from identify.tolerances import jittered
-from rig.command_line import run
-from rig.contact import DeadZone
-from rig.description import Rig
+from rig.commands.command_line import run
+from rig.model.contact_law import DeadZone
+from rig.model.description import Rig
 from rig.model.tolerances import EXACT, LABORATORY
-from rig.plants import modal, plant_named
-from rig.record import record
 from rig.recording import Recording, Signals, channel_groups, read
-from rig.reference import BarrelCradle
+from rig.simulation.plants import modal, plant_named
+from rig.simulation.record import record
+from rig.simulation.reference import BarrelCradle
 from scenarios.tasks import Dask, run_tasks
 
 QUANTITIES = ("clearance", "stiffness", "damping")

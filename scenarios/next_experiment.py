@@ -31,11 +31,11 @@ from identify.gap.search.hypothesis import Hypothesis, Search
 from identify.gap.search.screening import grid_screening, score_screening
 from identify.gap.spectra import Record, record_of
 from identify.spectra import force_band
-from rig.command_line import run
-from rig.description import Rig
+from rig.commands.command_line import run
 from rig.errors import RigError
+from rig.model.description import Rig
 from rig.recording import Recording, Signals, channel_groups
-from rig.replay import modal
+from rig.simulation.replay import modal
 from scenarios.tasks import Dask, run_tasks
 from scenarios.worlds.believed import believed_rig, nominal_machine
 from scenarios.worlds.drawing import perturbed

@@ -14,12 +14,12 @@ from identify.kinematics import kinematics
 from identify.modal import ModalEquation, modal_equations, relative_displacements, without_higher_modes
 from identify.nifo import Form, Nifo, nifo
 from identify.spectra import Averaging, Blocks, Term, blocks, decimated, penetration
-from rig.description import Rig
-from rig.excitation import QUIET_S, force_course
-from rig.plants import modal
+from rig.model.description import Rig
 from rig.recording import Recording, Signals, channel_groups
-from rig.reference import BarrelCradle
-from rig.sensors import digitised, needed_duration_s
+from rig.simulation.excitation import QUIET_S, force_course
+from rig.simulation.plants import modal
+from rig.simulation.reference import BarrelCradle
+from rig.simulation.sensors import digitised, needed_duration_s
 
 FORMS: tuple[Form, Form] = ("paper", "weak")
 AVERAGES = 40

@@ -15,8 +15,8 @@ from pathlib import Path
 
 from rerun.experimental import ViewerClient
 
-from rig.blueprint import TIMELINE
 from rig.errors import RigError
+from rig.viewer.blueprint import TIMELINE
 
 PATIENCE_S = 120.0
 SETTLE_S = 5.0

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from rig.command_line import run
-from rig.reference import Sdof
+from rig.commands.command_line import run
+from rig.simulation.reference import Sdof
 from scenarios.compare import forms_beside, identified_against_true, recorded, shown
 
 app = typer.Typer(pretty_exceptions_enable=False)

@@ -24,13 +24,13 @@ from identify.gap.page.report import write_all
 from identify.kinematics import kinematics
 from identify.results import write_json
 from identify.spectra import force_band
-from rig.command_line import Force, progress_bar, refuse_existing, run
-from rig.description import Rig, Sensor, Station
-from rig.modes import modes_of
-from rig.oscillator import Oscillator
-from rig.plants.modal import simulate as modal
+from rig.commands.command_line import Force, progress_bar, refuse_existing, run
+from rig.model.description import Rig, Sensor, Station
+from rig.model.modes import modes_of
+from rig.model.oscillator import Oscillator
 from rig.recording import Recording
-from rig.replay import replayed
+from rig.simulation.plants.modal import simulate as modal
+from rig.simulation.replay import replayed
 from scenarios.silverbox_data import (
     ARROW,
     DISPLACEMENT_M_PER_V,

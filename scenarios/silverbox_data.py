@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from rig.description import Rig
 from rig.errors import RigError
-from rig.oscillator import Oscillator
+from rig.model.description import Rig
+from rig.model.oscillator import Oscillator
 from rig.recording import Recording, Signals, channel_groups, read, writing
 
 FILE = "SNLS80mV.csv"

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from scipy.ndimage import uniform_filter1d
 
 from identify.kinematics import kinematics
-from rig.description import Rig
+from rig.model.description import Rig
 from rig.recording import Recording
 from scenarios.silverbox_data import mass_of
 

@@ -11,17 +11,17 @@ import numpy as np
 import typer
 from msgspec.structs import replace
 
-from rig.beam import Beam
-from rig.command_line import progress_bar, run
-from rig.description import Rig, to_json
+from rig.commands.command_line import progress_bar, run
 from rig.effects import effect_named
 from rig.errors import RigError
-from rig.motion import Course, Motion, Progress
-from rig.plants import ancf
-from rig.plants.basis import modal_basis
-from rig.plants.connectors import Section
-from rig.record import record
-from rig.reference import BarrelCradle
+from rig.model.beam import Beam
+from rig.model.description import Rig, to_json
+from rig.simulation.motion import Course, Motion, Progress
+from rig.simulation.plants import ancf
+from rig.simulation.plants.basis import modal_basis
+from rig.simulation.plants.connectors import Section
+from rig.simulation.record import record
+from rig.simulation.reference import BarrelCradle
 from scenarios.compare import identified_against_true, shown
 
 BREECH_M = 0.4

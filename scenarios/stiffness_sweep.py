@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from msgspec.structs import replace
 
-from rig.command_line import run
+from rig.commands.command_line import run
 from scenarios.nifo_study import LONG, Study
 from scenarios.nifo_sweep import BLOCK_S, Block, Rate, points_of, shown
 from scenarios.tasks import Dask

@@ -14,7 +14,7 @@ import msgspec
 import typer
 from threadpoolctl import threadpool_limits
 
-from rig.command_line import progress_bar
+from rig.commands.command_line import progress_bar
 from rig.errors import RigError
 
 Parameters = TypeVar("Parameters", bound=msgspec.Struct)

@@ -12,16 +12,16 @@ import typer
 
 from identify.contact import identify_contact
 from identify.gap.decision.answer import Simulator, diagnose
-from rig.command_line import progress_bar, run
-from rig.contact import DeadZone
-from rig.description import Contact, Rig, Sensor, Station, to_json
+from rig.commands.command_line import progress_bar, run
 from rig.effects.added_mass import AddedMass
-from rig.excitation import BandLimitedGaussian
-from rig.oscillator import Oscillator
-from rig.plants import modal
-from rig.record import record
+from rig.model.contact_law import DeadZone
+from rig.model.description import Contact, Rig, Sensor, Station, to_json
+from rig.model.oscillator import Oscillator
 from rig.recording import Recording, read
-from rig.replay import modal as simulate
+from rig.simulation.excitation import BandLimitedGaussian
+from rig.simulation.plants import modal
+from rig.simulation.record import record
+from rig.simulation.replay import modal as simulate
 
 app = typer.Typer(pretty_exceptions_enable=False)
 

@@ -15,8 +15,8 @@ from identify.gap.residual import base_of
 from identify.gap.results import Matters
 from identify.gap.search.nominal import fit_nuisance
 from identify.gap.spectra import Record, record_of
-from rig.description import Rig
 from rig.effects import effect_named
+from rig.model.description import Rig
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import read
 from scenarios.tasks import run_tasks

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.messages import block_head
+from rig.recording.messages import block_head
 
 
 def encode_block(time_ns, first_sample, sample_rate_hz, values):

@@ -21,9 +21,9 @@ import numpy as np
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader
 
-from rig.messages import decode_block
 from rig.recording import Recording, read
-from rig.reference import Sdof
+from rig.recording.messages import decode_block
+from rig.simulation.reference import Sdof
 
 DURATION_S = 300.0
 ENOUGH_S = 150.0
@@ -92,11 +92,11 @@ def _saved(part: Path, whole: Recording) -> str:
     """What of a file without its end comes back, all of it checked."""
     stored, saved = _stored(part), part.with_name("saved.mcap")
     if not stored or len(stored) < len(whole.signals):
-        done = _run("rig.cli", "recover", part, "--out", saved)
+        done = _run("rig.commands.cli", "recover", part, "--out", saved)
         assert done.returncode == 1
         assert done.stderr.count("\n") == 1
         return f"no complete chunk of every group; {done.stderr.strip()}"
-    done = _run("rig.cli", "recover", part, "--out", saved, "--json")
+    done = _run("rig.commands.cli", "recover", part, "--out", saved, "--json")
     assert done.returncode == 0, done.stderr
     groups = {group["group"]: group for group in json.loads(done.stdout)["groups"]}
     back = read(saved)
@@ -105,7 +105,7 @@ def _saved(part: Path, whole: Recording) -> str:
     for name, samples in stored.items():
         np.testing.assert_array_equal(samples, whole.signals[name].values[:, : samples.shape[1]])
         assert (groups[name]["found"], groups[name]["kept"]) == (samples.shape[1], back.samples)
-    assert _run("rig.cli", "check", saved).returncode == 0
+    assert _run("rig.commands.cli", "check", saved).returncode == 0
     kept = f"{back.samples} of {whole.samples} samples kept"
     if back.duration_s < ENOUGH_S:
         return kept
@@ -148,7 +148,7 @@ def _record(path: Path, most_bytes: int | None = None) -> subprocess.Popen[str]:
     if most_bytes is not None:
         limit = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, {(most_bytes, most_bytes)}); "
     words = ("record", "sdof", "--plant", "modal", "--duration", DURATION_S, "--out", path)
-    program = [sys.executable, "-c", f"{limit}from rig.cli import main; main()", *map(str, words)]
+    program = [sys.executable, "-c", f"{limit}from rig.commands.cli import main; main()", *map(str, words)]
     return subprocess.Popen(program, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
 
 

@@ -28,7 +28,7 @@ def test_the_contracts_on_imports_hold():
 @pytest.mark.parametrize(
     ("package", "spared"),
     [
-        ("rig", ("rig.blueprint", "rig.contact_view", "rig.drawing", "rig.viewing")),
+        ("rig", ("rig.viewer.blueprint", "rig.viewer.contact_view", "rig.viewer.drawing", "rig.viewer.viewing")),
         ("identify", ("identify.plots", "identify.gap.page.pictures")),
     ],
 )

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.gap.spectra import Record
-from rig.description import Rig
-from rig.effect import Effect, Parameter, Place, Scale
 from rig.effects import effects
+from rig.effects.base import Effect, Parameter, Place, Scale
 from rig.errors import RigError
+from rig.model.description import Rig
 
 PLACES = 9
 """A parameter that says where, rather than how much, is tried at so many values of its range."""

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from identify.gap.decision.answer import Simulator, diagnose
 from identify.gap.results import Matters
-from rig.command_line import Force, Json, progress_bar, refuse_existing
+from rig.commands.command_line import Force, Json, progress_bar, refuse_existing
 from rig.errors import RigError
 from rig.model.tolerances import tolerances_named
 from rig.recording import read

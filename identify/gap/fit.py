@@ -15,8 +15,8 @@ from identify.gap.nuisance import LIMIT, at_contacts, counted
 from identify.gap.residual import Base, Residual, linear_of, residual_of, same_but_laws, same_but_sensors
 from identify.gap.spectra import Record
 from identify.spectra import decimated
-from rig.description import Rig
 from rig.errors import RigError
+from rig.model.description import Rig
 
 STEPS = 12
 FINE = 1e-3

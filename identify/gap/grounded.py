@@ -7,8 +7,8 @@ from jaxtyping import Complex, Float
 
 from identify.gap.response import Response, times, weights_of
 from identify.gap.spectra import FINE_HZ, Record
-from rig.contact import FRICTION_SPEED_M_PER_S
-from rig.description import PointDamper, PointMass, PointSpring, Rig, Station
+from rig.model.contact_law import FRICTION_SPEED_M_PER_S
+from rig.model.description import PointDamper, PointMass, PointSpring, Rig, Station
 
 Spectrum = Complex[np.ndarray, " lines"]
 Motions = Complex[np.ndarray, "sensors lines"]

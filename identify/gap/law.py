@@ -17,8 +17,8 @@ from identify.gap.nuisance import LIMIT
 from identify.gap.spectra import Record
 from identify.joint import Observed, regressed
 from identify.spectra import decimated
-from rig.contact import DeadZone, damping_share
 from rig.errors import RigError
+from rig.model.contact_law import DeadZone, damping_share
 
 WALL = 100.0
 """Beyond `LIMIT` standard deviations these weigh so many times more: something else is wrong."""

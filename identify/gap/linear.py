@@ -21,9 +21,9 @@ from jaxtyping import Complex, Float
 from identify.gap.grounded import ground_force_changes, ground_forces, pushed_by_motion
 from identify.gap.response import Response, dynamics_of, times, weights_of
 from identify.gap.spectra import Record
-from rig.description import Body, Rig, Station
-from rig.modes import modes_of, participation
-from rig.oscillator import Oscillator
+from rig.model.description import Body, Rig, Station
+from rig.model.modes import modes_of, participation
+from rig.model.oscillator import Oscillator
 
 FREE = 1e-3
 """What floats is held by so little (s^-2) that its compliance has an inverse: as at 0.005 Hz."""

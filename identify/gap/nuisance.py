@@ -13,10 +13,10 @@ from identify.gap.linear import Linear, Projection, bent
 from identify.gap.response import Response, times
 from identify.gap.spectra import Record
 from identify.modal import receptance
-from rig.description import Body, Rig, Sensor
+from rig.model.description import Body, Rig, Sensor
+from rig.model.modes import modes_of
+from rig.model.oscillator import Oscillator
 from rig.model.tolerances import Tolerances
-from rig.modes import modes_of
-from rig.oscillator import Oscillator
 
 LIMIT = 6.0
 """No nuisance parameter goes further than so many standard deviations: beyond, something else is wrong."""

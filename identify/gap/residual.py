@@ -17,7 +17,7 @@ from identify.gap.lines import standing_out, without_lines
 from identify.gap.nuisance import Columns, Nuisance, apply_nuisance, columns_of, counted, with_nuisance
 from identify.gap.scales import Scales, estimated_scales, prior_scales
 from identify.gap.spectra import Record
-from rig.description import Rig
+from rig.model.description import Rig
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from jaxtyping import Complex, Float
 
 from identify.kinematics import CORNER_HZ, integrated
 from identify.modal import receptance
-from rig.description import Body, Station
-from rig.modes import Modes
+from rig.model.description import Body, Station
+from rig.model.modes import Modes
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,11 +13,11 @@ from identify.answers import drift_of
 from identify.drift import Drift
 from identify.kinematics import CORNER_HZ, QUIET_S, Kinematics, acceleration_noise, integrated, kinematics, taper
 from identify.spectra import force_band
-from rig.description import Quantity, Rig, Sensor
 from rig.errors import RigError
+from rig.model.description import Quantity, Rig, Sensor
+from rig.model.sensing import PASSBAND, sensors_of
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
-from rig.sensors import PASSBAND, sensors_of
 
 TAPER_S = 0.5
 RING_S = 12.0

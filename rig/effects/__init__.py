@@ -5,7 +5,7 @@ from pkgutil import iter_modules
 
 import msgspec
 
-from rig.effect import Effect
+from rig.effects.base import Effect
 from rig.errors import RigError
 
 
@@ -13,8 +13,15 @@ def effects() -> dict[str, type[Effect]]:
     """Every effect by its name, in alphabetical order."""
     found = {}
     for module in iter_modules(__path__, f"{__name__}."):
+        if module.name == Effect.__module__:
+            continue
         for kind in vars(import_module(module.name)).values():
-            if isinstance(kind, type) and issubclass(kind, Effect) and kind.__module__ == module.name:
+            if (
+                isinstance(kind, type)
+                and issubclass(kind, Effect)
+                and kind is not Effect
+                and kind.__module__ == module.name
+            ):
                 found[kind.name] = kind
     return dict(sorted(found.items()))
 

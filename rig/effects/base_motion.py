@@ -4,9 +4,9 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.description import BaseMotion, Rig
-from rig.effect import Effect, Parameter, Scale
+from rig.effects.base import Effect, Parameter, Scale
 from rig.errors import RigError
+from rig.model.description import BaseMotion, Rig
 
 
 class ShakingBase(Effect, frozen=True):

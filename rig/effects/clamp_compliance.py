@@ -4,9 +4,9 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.description import Clamp, Rig
-from rig.effect import Effect, Parameter
+from rig.effects.base import Effect, Parameter
 from rig.errors import RigError
+from rig.model.description import Clamp, Rig
 
 
 class ClampCompliance(Effect, frozen=True):

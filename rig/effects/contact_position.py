@@ -4,9 +4,9 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.beam import Beam
-from rig.description import Contact, Rig, Station
-from rig.effect import Effect, Parameter, Scale
+from rig.effects.base import Effect, Parameter, Scale
+from rig.model.beam import Beam
+from rig.model.description import Contact, Rig, Station
 
 
 class ContactPosition(Effect, frozen=True):

@@ -4,8 +4,8 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.description import Rig
-from rig.effect import Effect, Parameter, Scale
+from rig.effects.base import Effect, Parameter, Scale
+from rig.model.description import Rig
 
 
 class CoulombFriction(Effect, frozen=True):

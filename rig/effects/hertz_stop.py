@@ -4,10 +4,10 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.contact import DeadZone
-from rig.description import Rig
-from rig.effect import Effect, Parameter, Scale
+from rig.effects.base import Effect, Parameter, Scale
 from rig.errors import RigError
+from rig.model.contact_law import DeadZone
+from rig.model.description import Rig
 
 
 class HertzStop(Effect, frozen=True):

@@ -4,9 +4,9 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.description import PointSpring, Rig
-from rig.effect import Effect, Parameter, Scale
-from rig.modes import modes_of
+from rig.effects.base import Effect, Parameter, Scale
+from rig.model.description import PointSpring, Rig
+from rig.model.modes import modes_of
 
 STABLE = 0.9
 """A body keeps at least the rest of its stiffness."""

@@ -5,9 +5,9 @@ from typing import Annotated, ClassVar, Literal
 
 from msgspec.structs import replace
 
-from rig.contact import DeadZone
-from rig.description import Rig
-from rig.effect import Effect, Parameter
+from rig.effects.base import Effect, Parameter
+from rig.model.contact_law import DeadZone
+from rig.model.description import Rig
 
 
 class OneStop(Effect, frozen=True):

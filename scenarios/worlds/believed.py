@@ -4,8 +4,8 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from rig.description import Body, Contact, Rig, Sensor, Station
-from rig.reference import BarrelCradle
+from rig.model.description import Body, Contact, Rig, Sensor, Station
+from rig.simulation.reference import BarrelCradle
 from scenarios.worlds.laws import Law
 from scenarios.worlds.machine import Accelerometer, Link, Machine, Place, TrueBeam
 from scenarios.worlds.truth import World

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from rig.description import Rig
+from rig.model.description import Rig
 from scenarios.worlds.believed import believed_rig, nominal_machine
 from scenarios.worlds.kinds import Kind
 from scenarios.worlds.laws import Law

@@ -6,8 +6,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from rig.description import Rig
 from rig.errors import CutOffError, RigError
+from rig.model.description import Rig
 from rig.recording import channel_groups, writing
 from scenarios.worlds.drawing import Drawn, drawn_case
 from scenarios.worlds.instruments import Measured, measured

@@ -16,11 +16,11 @@ from unittest.mock import patch
 
 import numpy as np
 
-from rig.contact import DeadZone
-from rig.excitation import QUIET_S, force_history
-from rig.motion import Motion, joined
-from rig.plants import ancf
-from rig.reference import BarrelCradle
+from rig.model.contact_law import DeadZone
+from rig.simulation.excitation import QUIET_S, force_history
+from rig.simulation.motion import Motion, joined
+from rig.simulation.plants import ancf
+from rig.simulation.reference import BarrelCradle
 from tests.benchmarks.measuring import Figure
 
 SMALL = 0.01

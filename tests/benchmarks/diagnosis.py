@@ -16,12 +16,12 @@ from msgspec.structs import replace
 
 from identify.gap.decision.answer import Simulator, diagnose
 from identify.gap.decision.null_reference import null_reference
-from rig import replay
 from rig.effects import effect_named
-from rig.excitation import force_history
 from rig.model.tolerances import LABORATORY
 from rig.recording import Recording
-from rig.reference import BarrelCradle
+from rig.simulation import replay
+from rig.simulation.excitation import force_history
+from rig.simulation.reference import BarrelCradle
 from tests.benchmarks.measuring import Figure
 
 SETTINGS = BarrelCradle(sensors="acceleration", noise_density=1e-3)

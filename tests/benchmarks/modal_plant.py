@@ -15,10 +15,10 @@ from jaxtyping import Float
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
-from rig.excitation import QUIET_S, force_history
-from rig.motion import Motion, joined
-from rig.plants import modal
-from rig.reference import BarrelCradle
+from rig.simulation.excitation import QUIET_S, force_history
+from rig.simulation.motion import Motion, joined
+from rig.simulation.plants import modal
+from rig.simulation.reference import BarrelCradle
 from tests.benchmarks.measuring import Figure, least_cpu_s
 
 SETTINGS = BarrelCradle()

@@ -13,8 +13,9 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from zlib_ng.zlib_ng import crc32
 
-from rig.recording import BLOCK, channel_groups, read, writing
-from rig.reference import BarrelCradle
+from rig.recording import channel_groups, read, writing
+from rig.recording.file import BLOCK
+from rig.simulation.reference import BarrelCradle
 from tests.benchmarks.measuring import Figure, least_cpu_s
 
 SAMPLES, AT_ONCE = 2_000_000, 2048

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import msgspec
 
-from rig import replay
-from rig.excitation import force_history
-from rig.plants import modal
-from rig.record import record
-from rig.reference import BarrelCradle
+from rig.simulation import replay
+from rig.simulation.excitation import force_history
+from rig.simulation.plants import modal
+from rig.simulation.record import record
+from rig.simulation.reference import BarrelCradle
 from tests.benchmarks.measuring import Figure, least_cpu_s
 
 RECORDED_S, REPLAYED_S = 60.0, 30.0

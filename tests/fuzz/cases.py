@@ -14,8 +14,9 @@ from tempfile import TemporaryDirectory
 import msgspec
 import numpy as np
 
-from rig.contact import DeadZone
-from rig.description import (
+from rig.errors import RigError
+from rig.model.contact_law import DeadZone
+from rig.model.description import (
     BaseMotion,
     Clamp,
     ForceSensor,
@@ -27,13 +28,12 @@ from rig.description import (
     from_json,
     to_json,
 )
-from rig.errors import RigError
-from rig.excitation import BandLimitedGaussian
-from rig.plants import modal
-from rig.record import record
 from rig.recording import Recording, channel_groups, read, writing
-from rig.recovery import recover
-from rig.reference import BarrelCradle, Sdof
+from rig.recording.recovery import recover
+from rig.simulation.excitation import BandLimitedGaussian
+from rig.simulation.plants import modal
+from rig.simulation.record import record
+from rig.simulation.reference import BarrelCradle, Sdof
 from tests.fuzz.judging import refused_or_right
 from tests.fuzz.mutate import bytes_changed, text_changed
 from tests.fuzz.records import records_changed, rewritten

@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 from mcap.records import Chunk
 from mcap.writer import Writer
 
-from rig.messages import decode_block
+from rig.recording.messages import decode_block
 from tests.blocks import encode_block
 
 MAGIC = b"\x89MCAP0\r\n"

@@ -13,11 +13,11 @@ import pyuff
 from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
-from rig.description import to_json
-from rig.importing import import_file
+from rig.lab.importing import import_file
+from rig.lab.units import si_factor
+from rig.model.description import to_json
 from rig.recording import Recording, read
-from rig.reference import Sdof
-from rig.units import si_factor
+from rig.simulation.reference import Sdof
 from tests.fuzz.judging import refused_or_right
 from tests.fuzz.mutate import bytes_changed, cut, text_changed
 

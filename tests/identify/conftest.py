@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from rig.plants import modal
-from rig.record import record
 from rig.recording import truth_path
-from rig.reference import BarrelCradle, Sdof
+from rig.simulation.plants import modal
+from rig.simulation.record import record
+from rig.simulation.reference import BarrelCradle, Sdof
 
 
 def simulated(settings: Sdof | BarrelCradle, path: Path) -> Path:

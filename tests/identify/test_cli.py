@@ -7,7 +7,7 @@ import pytest
 
 from identify import cli
 from identify.results import ContactReport, Stretches
-from rig.reference import Sdof
+from rig.simulation.reference import Sdof
 
 
 @pytest.fixture(scope="module")

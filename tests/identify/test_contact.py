@@ -10,14 +10,14 @@ import pytest
 
 import identify
 from identify.contact import identify_contact
-from rig.contact import DeadZone
-from rig.description import PointMass, Station
 from rig.errors import RigError
+from rig.model.contact_law import DeadZone
+from rig.model.description import PointMass, Station
 from rig.model.tolerances import EXACT
-from rig.plants import modal
-from rig.record import record
 from rig.recording import Recording, read, truth_path
-from rig.reference import BarrelCradle, Sdof
+from rig.simulation.plants import modal
+from rig.simulation.record import record
+from rig.simulation.reference import BarrelCradle, Sdof
 
 TRUE = BarrelCradle()
 PAPER = {"contact_1": (4e-3, 1.15e-3), "contact_2": (4e-3, 2.65e-2)}

@@ -5,7 +5,7 @@ import pytest
 
 from identify.drift import Drift, spline
 from identify.joint import Observed, regressed
-from rig.contact import dead_zone
+from rig.model.contact_law import dead_zone
 
 
 @pytest.mark.parametrize("ringing", [0.0, 0.2])

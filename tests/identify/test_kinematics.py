@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from identify.kinematics import CORNER_HZ, TAPER_S, acceleration_noise, kinematics
-from rig.channels import Channels
-from rig.contact import DeadZone
-from rig.description import Contact, Rig, Sensor, Station
 from rig.errors import RigError
-from rig.oscillator import Oscillator
+from rig.model.contact_law import DeadZone
+from rig.model.description import Contact, Rig, Sensor, Station
+from rig.model.oscillator import Oscillator
+from rig.model.sensing import PASSBAND
 from rig.recording import Recording, Signals
-from rig.sensors import PASSBAND
+from rig.recording.channels import Channels
 
 RATE_HZ = 512.0
 DURATION_S = 16.0

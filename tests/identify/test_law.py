@@ -15,12 +15,12 @@ from identify.piecewise import Sampled, slope_jumps, straight_pieces, unfiltered
 from identify.results import LawReport
 from identify.spectra import decimated
 from identify.symbolic import Formula, search, simplified
-from rig.channels import Channels
-from rig.contact import DeadZone, dead_zone
-from rig.description import Contact, Rig, Sensor, Station
 from rig.errors import RigError
-from rig.oscillator import Oscillator
+from rig.model.contact_law import DeadZone, dead_zone
+from rig.model.description import Contact, Rig, Sensor, Station
+from rig.model.oscillator import Oscillator
 from rig.recording import Recording, Signals
+from rig.recording.channels import Channels
 
 RATE_HZ = 512.0
 DURATION_S = 50.0

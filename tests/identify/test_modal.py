@@ -14,11 +14,11 @@ from identify.modal import (
     transformation,
     without_higher_modes,
 )
-from rig.beam import MAX_MODES
-from rig.description import Sensor, Station
 from rig.errors import RigError
+from rig.model.beam import MAX_MODES
+from rig.model.description import Sensor, Station
 from rig.recording import read, read_truth, truth_path
-from rig.reference import BarrelCradle, Sdof
+from rig.simulation.reference import BarrelCradle, Sdof
 
 RATE_HZ = 4096.0
 SAMPLES = 2048

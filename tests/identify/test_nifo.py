@@ -13,7 +13,7 @@ from identify.spectra import Averaging, blocks, penetration
 from identify.surface import clearance_from_occurrence, fit_surface
 from rig.errors import RigError
 from rig.recording import read
-from rig.reference import Sdof
+from rig.simulation.reference import Sdof
 
 RATE_HZ = 500.0
 STIFFNESS_N_PER_M = np.array([2e4, 7e4])

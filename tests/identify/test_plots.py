@@ -9,9 +9,9 @@ from matplotlib.image import imread
 
 from identify.contact import identify_contact
 from identify.plots import write_figures
-from rig.contact import dead_zone
+from rig.model.contact_law import dead_zone
 from rig.recording import read
-from rig.reference import BarrelCradle, Sdof
+from rig.simulation.reference import BarrelCradle, Sdof
 
 NAMES = {"outputs", "surface", "section", "separated", "occurrence", "stiffness", "frf"}
 UNIT = re.compile(r",\s(1e-3 kg.* m|kg m.*/Hz|N/kg.*|s\$\^2\$|1/mm|m/s|N/m|s|Hz|mm|N|%|degrees)$")

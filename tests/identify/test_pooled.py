@@ -7,7 +7,7 @@ import pytest
 from identify.pooled import identify_long, pooled, together
 from identify.results import Estimate
 from rig.errors import RigError
-from rig.reference import BarrelCradle, Sdof
+from rig.simulation.reference import BarrelCradle, Sdof
 
 
 @pytest.mark.parametrize("shared", [0.0, 0.8, 3.0])

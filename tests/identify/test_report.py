@@ -13,7 +13,7 @@ from identify.report import write_page, write_results
 from identify.wording import interval
 from rig.model.tolerances import EXACT
 from rig.recording import read
-from rig.reference import Sdof
+from rig.simulation.reference import Sdof
 
 PHONE_PX = 375
 

@@ -6,8 +6,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from identify.spectra import OVERSAMPLING, POWERS, Averaging, blocks, decimated, force_band, penetration, window
-from rig.contact import dead_zone
 from rig.errors import RigError
+from rig.model.contact_law import dead_zone
 
 RATE_HZ = 1000.0
 

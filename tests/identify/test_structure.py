@@ -10,12 +10,12 @@ from identify.gap.linear import linear_model
 from identify.gap.nuisance import columns_of
 from identify.gap.spectra import record_of
 from identify.tolerances import jittered
-from rig.description import Rig
-from rig.effect import Scale
+from rig.effects.base import Scale
 from rig.errors import RigError
+from rig.model.description import Rig
+from rig.model.structure import structure_of
 from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import Recording, read
-from rig.structure import structure_of
 
 FINELY = np.linspace(0, 1, 401)
 

@@ -6,11 +6,11 @@ from scipy.stats import binom
 
 from identify.modal import ModalEquation
 from identify.surface import LEAST_CONTACT, Stops, clearance_from_occurrence, fit_surface, restoring_force
-from rig.contact import dead_zone
-from rig.excitation import QUIET_S, force_history
-from rig.motion import joined
-from rig.plants import modal
-from rig.reference import Sdof
+from rig.model.contact_law import dead_zone
+from rig.simulation.excitation import QUIET_S, force_history
+from rig.simulation.motion import joined
+from rig.simulation.plants import modal
+from rig.simulation.reference import Sdof
 
 SAMPLES = 8000
 RATE_HZ = 1000.0

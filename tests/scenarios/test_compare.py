@@ -4,10 +4,10 @@ import msgspec
 import pytest
 
 from identify.results import ContactReport
-from rig.plants import modal
-from rig.record import record
 from rig.recording import read
-from rig.reference import Sdof
+from rig.simulation.plants import modal
+from rig.simulation.record import record
+from rig.simulation.reference import Sdof
 from scenarios.compare import equation_by_equation, forms_beside, identified_against_true, recorded, shown
 
 TRUE = Sdof(duration_s=30.0, step_s=2.0**-12, sensors="displacement")

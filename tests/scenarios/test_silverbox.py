@@ -13,9 +13,9 @@ from msgspec.structs import replace
 from typer.testing import CliRunner
 
 from identify.gap.decision.answer import Simulator, diagnose
-from rig.description import PointSpring
 from rig.errors import RigError
-from rig.excitation import BandLimitedGaussian, force_history
+from rig.model.description import PointSpring
+from rig.simulation.excitation import BandLimitedGaussian, force_history
 from scenarios.silverbox import Judged, app, free_run, identified, one_mass, rms, simulated
 from scenarios.silverbox_data import FILE, SAMPLES, measured
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from rig.description import check_given
 from rig.errors import RigError
-from rig.motion import joined
-from rig.plants import modal
-from rig.plants.basis import modal_basis
-from rig.reference import BarrelCradle
+from rig.model.description import check_given
+from rig.simulation.motion import joined
+from rig.simulation.plants import modal
+from rig.simulation.plants.basis import modal_basis
+from rig.simulation.reference import BarrelCradle
 from scenarios.stepped_barrel import BREECH_M, POSITIONS_M, THICKER, meshed, with_basis, with_effect
 
 BELIEVED = with_basis(BarrelCradle().rig())

@@ -1,6 +1,6 @@
 """The tour ends where it says: with the mass that the real rig has."""
 
-from rig.description import from_json
+from rig.model.description import from_json
 from scenarios.tour import tour
 
 

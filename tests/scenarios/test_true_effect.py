@@ -6,7 +6,7 @@ from scipy.signal import butter, sosfilt
 
 from rig.effects import effect_named
 from rig.recording import writing
-from rig.replay import modal
+from rig.simulation.replay import modal
 from scenarios.true_effect import ToLay, achieved
 from scenarios.worlds.believed import believed_rig
 from tests.scenarios.blind_cases import effect

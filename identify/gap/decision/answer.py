@@ -28,8 +28,8 @@ from identify.gap.search.pooled import fitted_together
 from identify.gap.spectra import Record, record_of
 from identify.gap.unknown import Sought, likeliest_force
 from identify.gap.unknown.play import Breathing, breathing
-from rig.description import Rig
 from rig.errors import RigError
+from rig.model.description import Rig
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 

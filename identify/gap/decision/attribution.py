@@ -10,7 +10,7 @@ from identify.gap.linear import Linear
 from identify.gap.residual import Base, Residual
 from identify.gap.results import Attribution, Share, Surface
 from identify.gap.spectra import Record
-from rig.oscillator import Oscillator
+from rig.model.oscillator import Oscillator
 
 BANDS_HZ = (0.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 100.0, 150.0, 200.0, 400.0, 1000.0, 4000.0)
 PARTS = 10

@@ -7,7 +7,7 @@ from identify.gap.decision.null_reference import NullReference
 from identify.gap.likelihood import Misfit
 from identify.gap.results import Band, Cause, Left, Matters, Value
 from identify.gap.scales import BAND_HZ
-from rig.description import Rig
+from rig.model.description import Rig
 
 ALIKE = 0.05
 """Causes that are likelier than this beside the best one cannot be told apart from it."""

@@ -15,8 +15,8 @@ from identify.gap.results import Matters
 from identify.gap.search.hypothesis import Hypothesis, applied
 from identify.gap.search.nominal import fit_nuisance
 from identify.gap.spectra import Record
-from rig.description import Rig
 from rig.errors import RigError
+from rig.model.description import Rig
 
 TEMPERATURE = 6.0
 """-2 ln p counts for so much less between hypotheses than within one: what lasts of the unmodelled is shared by

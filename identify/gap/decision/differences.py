@@ -26,8 +26,8 @@ from identify.gap.results import USUAL, Between, Compared, Trend, Value
 from identify.gap.search.hypothesis import applied, bounds_of, steps_of
 from identify.gap.search.pooled import Information, Linearised, Pooled, linearised, pooled
 from identify.gap.spectra import Record
-from rig.description import Rig
 from rig.errors import RigError
+from rig.model.description import Rig
 
 LOOKED_AT = 3
 """Effects that promise most are fitted to every record."""

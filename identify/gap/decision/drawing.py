@@ -6,11 +6,11 @@ import numpy as np
 from jaxtyping import Float
 from msgspec.structs import replace
 
-from rig.description import Body, Contact, Rig, Sensor, Station, contact_stations
+from rig.model.description import Body, Contact, Rig, Sensor, Station, contact_stations
+from rig.model.modes import modes_of, modes_wanted
+from rig.model.oscillator import Oscillator
+from rig.model.structure import SAME_PLACE_M, Structure, structure_of
 from rig.model.tolerances import Tolerances
-from rig.modes import modes_of, modes_wanted
-from rig.oscillator import Oscillator
-from rig.structure import SAME_PLACE_M, Structure, structure_of
 
 MODES = 24
 """Of a beam: as many as the plant `modal` is given in a replay."""

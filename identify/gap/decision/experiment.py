@@ -23,8 +23,8 @@ from identify.gap.results import AGAIN, NextExperiment
 from identify.gap.search.hypothesis import ROUNDS, SETTLED, Hypothesis, Search, applied, straightened
 from identify.gap.search.nominal import fit_nuisance
 from identify.gap.spectra import REACH, Record, record_of
-from rig.description import PointMass, Rig, Station
 from rig.errors import RigError
+from rig.model.description import PointMass, Rig, Station
 from rig.model.tolerances import Tolerances
 
 LEVELS = (0.4, 2.5)

@@ -24,8 +24,8 @@ from identify.gap.likelihood import Misfit, misfit, reference_of
 from identify.gap.residual import base_of
 from identify.gap.search.nominal import fit_nuisance
 from identify.gap.spectra import record_of
-from rig.description import Rig, to_json
 from rig.errors import RigError
+from rig.model.description import Rig, to_json
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording
 

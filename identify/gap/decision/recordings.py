@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from identify.gap.faults import sound_channels
-from rig.description import to_json
 from rig.errors import RigError
+from rig.model.description import to_json
 from rig.recording import Recording, Signals
 
 FIT_SHARE = 0.55

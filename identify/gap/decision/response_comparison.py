@@ -10,7 +10,7 @@ from identify.gap.decision.null_reference import Simulate
 from identify.gap.residual import Base, base_of
 from identify.gap.results import Curve, Figure
 from identify.gap.spectra import record_of
-from rig.description import Rig
+from rig.model.description import Rig
 from rig.recording import Recording
 
 CURVE_POINTS = 400

@@ -9,7 +9,7 @@ from identify.gap.spectra import Record
 from identify.gap.unknown import Sought, UnknownForce
 from identify.gap.unknown import sentence as described
 from identify.gap.unknown.play import Breathing
-from rig.description import Rig
+from rig.model.description import Rig
 
 
 def cost_with(record: Record, reference: Reference, rig: Rig, found: Sought, alone: Misfit) -> float:

@@ -19,7 +19,7 @@ from identify.gap.results import USUAL, Matters, Verdict
 from identify.gap.search.attached import ATTACHED
 from identify.gap.unknown.force import SAME_M
 from identify.gap.unknown.location import Candidate
-from rig.description import Rig
+from rig.model.description import Rig
 
 HALF = 0.5
 """An effect explains the gap in part if it closes this share of it: more than it leaves."""

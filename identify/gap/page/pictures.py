@@ -14,7 +14,7 @@ from identify.gap.page import attribution_pictures, unknown_pictures
 from identify.gap.page.axes import BLUE, GREEN, GREY, INK, RED, lying_bars, plain_decades, stacked
 from identify.gap.results import AGAIN, Curve, Gap
 from identify.gap.wording import cause_name, closes, closes_some, others, probability
-from rig.description import Rig
+from rig.model.description import Rig
 
 Draw = Callable[[Any], None]
 

@@ -17,8 +17,8 @@ from identify.gap.page.sections import (
 from identify.gap.results import Gap
 from identify.gap.wording import VERDICTS
 from identify.results import write_json
-from rig.container import part_of
-from rig.description import Rig, to_json
+from rig.model.description import Rig, to_json
+from rig.recording.container import part_of
 
 CAPTIONS = {
     "next_experiments": "Each further recording was simulated with either of the two, and the other one fitted to it. "

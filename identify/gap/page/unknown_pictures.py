@@ -10,7 +10,7 @@ from identify.gap.page.axes import BLUE, GREY, INK, RED, plain_decades
 from identify.gap.results import MeanForce, Unknown
 from identify.gap.unknown.location import offset_m
 from identify.wording import COVERED
-from rig.description import Rig, Station
+from rig.model.description import Rig, Station
 
 _HEIGHT_IN = 3.2
 _HALF = 0.09

@@ -10,8 +10,8 @@ from identify.gap.linear import Linear, delivered_by, places_of
 from identify.gap.nuisance import counted
 from identify.gap.residual import Base, Residual
 from identify.gap.spectra import Record
-from rig.description import Rig, Station
-from rig.oscillator import Oscillator
+from rig.model.description import Rig, Station
+from rig.model.oscillator import Oscillator
 
 ATTACHED = ("springs", "dampers", "masses", "tones")
 """The fields of a rig that hold what sits, or acts, at a point of a body."""

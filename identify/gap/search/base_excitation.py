@@ -12,7 +12,7 @@ from identify.gap.linear import linear_model
 from identify.gap.nuisance import residual_scale
 from identify.gap.residual import Base, Residual
 from identify.gap.spectra import SMOOTHED_HZ
-from rig.description import BaseMotion
+from rig.model.description import BaseMotion
 
 WINDOW_LINES, WINDOW_POWERS = 1.5, 35 / 18
 """Of a Hann window: its noise bandwidth in lines, and by how much it lowers the number of independent powers."""

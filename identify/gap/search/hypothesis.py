@@ -14,8 +14,8 @@ from identify.gap.nuisance import LIMIT
 from identify.gap.residual import Base, Residual, base_of, rescaled, scales_at
 from identify.gap.search.base_excitation import fit_base_excitation
 from identify.gap.search.nominal import fitted, singly_bent
-from rig.description import Rig
 from rig.errors import RigError
+from rig.model.description import Rig
 
 WORTH = 20.0
 """An effect that gains less of -2 ln p is not fitted: a good third of what the priors of one among some 26, at some 4

@@ -23,8 +23,8 @@ from identify.gap.search.hypothesis import (
 )
 from identify.gap.search.nominal import fitted
 from identify.gap.search.screening import Screened, grid_screening, law_screening, of_laws, score_screening
-from rig.description import Rig
 from rig.errors import RigError
+from rig.model.description import Rig
 
 BY_SCORE, BY_GRID, FRESH, BY_LAW = 5, 3, 3, 1
 """So many candidates of each screening are fitted for a few steps."""

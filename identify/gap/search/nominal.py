@@ -6,8 +6,8 @@ from identify.gap.fit import Fit, fit
 from identify.gap.likelihood import misfit, reference_of
 from identify.gap.residual import Base, Residual, base_of, rescaled
 from identify.gap.spectra import Record
-from rig.description import Rig
-from rig.oscillator import Oscillator
+from rig.model.description import Rig
+from rig.model.oscillator import Oscillator
 
 ROUNDS, MOST, SETTLED = 2, 6, 1.0
 """Scales and fit follow each other so many times, and more often while more is left than noise and tolerated shares,

@@ -22,8 +22,8 @@ from identify.gap.residual import Base, Residual, base_of
 from identify.gap.search.hypothesis import Hypothesis, applied, bounds_of, steps_of
 from identify.gap.search.nominal import fit_nuisance
 from identify.gap.spectra import Record
-from rig.description import Rig
 from rig.errors import RigError
+from rig.model.description import Rig
 
 ROUNDS = 2
 """At most so many steps, until no parameter moves by more than ..."""

@@ -16,8 +16,8 @@ from identify.gap.nuisance import LIMIT
 from identify.gap.residual import Base, Residual, residual_of, same_but_laws
 from identify.gap.search.attached import attached
 from identify.gap.spectra import Record
-from rig.description import Rig
 from rig.errors import RigError
+from rig.model.description import Rig
 
 STRENGTHS = (0.3, 0.6, 1.2, 2.4, 4.8)
 """Multiples of what a typical effect adds: a grid on which no minimum of the linear residual is missed."""

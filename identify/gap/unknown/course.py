@@ -12,7 +12,7 @@ from identify.gap.unknown.evidence import left, normal
 from identify.gap.unknown.location import Located
 from identify.gap.unknown.observed import gate
 from identify.kinematics import CORNER_HZ, integrated
-from rig.description import Station
+from rig.model.description import Station
 
 FINER = 4
 """Laws are evaluated at so many times the residual's rate, as their kinks widen the band."""

@@ -20,7 +20,7 @@ from identify.gap.unknown.location import Kind, Located, located, response_of
 from identify.gap.unknown.nuisance import drift_accelerations, observed
 from identify.gap.unknown.observed import BAND_HZ, Observed
 from identify.kinematics import QUIET_S
-from rig.description import Rig, Station
+from rig.model.description import Rig, Station
 
 When = Literal["always", "in contact", "growing with time"]
 SAME_M = 0.05

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from rig.contact import dead_zone
+from rig.model.contact_law import dead_zone
 
 Against = Literal["displacement", "velocity", "velocity squared", "acceleration", "time", "clearance", "none"]
 Fine = Float[np.ndarray, " fine"]

@@ -11,7 +11,7 @@ from jaxtyping import Complex
 from identify.gap.unknown.evidence import Explained, cleared_of, explained, normal, without
 from identify.gap.unknown.nuisance import drifting
 from identify.gap.unknown.observed import Observed, with_columns
-from rig.description import Rig, Station
+from rig.model.description import Rig, Station
 
 Kind = Literal["force", "pair", "sensor", "distributed"]
 SPACING_M, FINE_M = 0.05, 0.002

@@ -8,8 +8,8 @@ from identify.gap.spectra import Record
 from identify.gap.unknown.observed import Observed, bare_residual, inverse_of, with_columns
 from identify.kinematics import CORNER_HZ, integrated
 from identify.modal import receptance
-from rig.description import Rig
-from rig.oscillator import Oscillator
+from rig.model.description import Rig
+from rig.model.oscillator import Oscillator
 
 
 def observed(record: Record, rig: Rig) -> Observed:

@@ -22,8 +22,8 @@ from identify.gap.linear import Linear, linear_model
 from identify.gap.response import Response
 from identify.gap.spectra import ORDER, Record
 from identify.kinematics import NORMAL_BY_MEDIAN, taper
-from rig.description import Rig, Station
 from rig.errors import RigError
+from rig.model.description import Rig, Station
 
 BAND_HZ = 2.0
 FALL_S = 0.5

@@ -24,7 +24,7 @@ from identify.gap.results import (
     Unknown,
     Value,
 )
-from rig.reference import BarrelCradle, Sdof
+from rig.simulation.reference import BarrelCradle, Sdof
 
 SENSORS = tuple(f"{body}_{i}" for body in ("cradle", "barrel") for i in range(1, 7))
 STATIONS = {"cradle": ("0.2", "0.4", "0.45", "0.6", "0.8", "1"), "barrel": ("0", "0.2", "0.4", "0.55", "0.8", "1")}

@@ -8,9 +8,9 @@ from identify.gap.residual import base_of, residual_of
 from identify.gap.search.attached import attached
 from identify.gap.spectra import record_of
 from rig.effects import effect_named
-from rig.excitation import force_history
-from rig.reference import BarrelCradle
-from rig.replay import modal
+from rig.simulation.excitation import force_history
+from rig.simulation.reference import BarrelCradle
+from rig.simulation.replay import modal
 
 SETTINGS = BarrelCradle(sensors="acceleration", duration_s=12.0, noise_density=1e-4)
 RIG = SETTINGS.rig()

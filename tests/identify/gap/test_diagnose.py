@@ -11,15 +11,15 @@ from identify.gap import candidates
 from identify.gap.decision.answer import Simulator, diagnose
 from identify.gap.decision.null_reference import null_reference
 from identify.gap.faults import fault_of
-from rig.description import Rig
-from rig.effect import Effect, Parameter
 from rig.effects import effect_named, effects
+from rig.effects.base import Effect, Parameter
 from rig.errors import RigError
-from rig.excitation import force_history
+from rig.model.description import Rig
 from rig.model.tolerances import LABORATORY
 from rig.recording import Recording, Signals
-from rig.reference import Sdof
-from rig.replay import modal
+from rig.simulation.excitation import force_history
+from rig.simulation.reference import Sdof
+from rig.simulation.replay import modal
 
 SETTINGS = Sdof(sensors="displacement", duration_s=20.0)
 RIG = SETTINGS.rig()

@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from identify.gap.decision.drawing import drawn
 from rig.model.tolerances import EXACT, LABORATORY
-from rig.reference import BarrelCradle, Sdof
+from rig.simulation.reference import BarrelCradle, Sdof
 
 ODD_M = 1.0272139258614885
 """No number of nine digits."""

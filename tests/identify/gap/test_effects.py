@@ -12,9 +12,9 @@ from identify.gap.search.hypothesis import Search, fit_effects
 from identify.gap.search.nominal import fit_nuisance
 from identify.gap.search.screening import followed_hz
 from identify.gap.spectra import record_of
-from rig.excitation import force_history
-from rig.reference import Sdof
-from rig.replay import modal
+from rig.simulation.excitation import force_history
+from rig.simulation.reference import Sdof
+from rig.simulation.replay import modal
 
 SETTINGS = Sdof(sensors="displacement", duration_s=20.0)
 RIG = SETTINGS.rig()

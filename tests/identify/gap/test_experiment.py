@@ -17,9 +17,9 @@ from identify.gap.search.nominal import fit_nuisance
 from identify.gap.spectra import record_of
 from rig.effects import effect_named
 from rig.errors import RigError
-from rig.excitation import force_history
-from rig.reference import BarrelCradle, Sdof
-from rig.replay import modal
+from rig.simulation.excitation import force_history
+from rig.simulation.reference import BarrelCradle, Sdof
+from rig.simulation.replay import modal
 
 SETTINGS = Sdof(sensors="displacement", duration_s=15.0)
 RIG = replace(SETTINGS.rig(), sensors=tuple(replace(s, noise_density=1e-7) for s in SETTINGS.rig().sensors))

@@ -5,9 +5,9 @@ from identify.gap.residual import base_of
 from identify.gap.search.nominal import fit_nuisance
 from identify.gap.spectra import record_of
 from rig.effects import effect_named
-from rig.excitation import force_history
-from rig.reference import BarrelCradle
-from rig.replay import modal
+from rig.simulation.excitation import force_history
+from rig.simulation.reference import BarrelCradle
+from rig.simulation.replay import modal
 
 
 def test_a_spring_under_a_floating_body_makes_no_drift_of_the_noise():

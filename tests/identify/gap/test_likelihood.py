@@ -13,9 +13,9 @@ from identify.gap.lines import cost_of_lines, standing_out, without_lines
 from identify.gap.results import Matters
 from identify.gap.scales import band_levels, estimated_scales, posterior_level, prior_scales
 from identify.gap.spectra import record_of
-from rig.excitation import force_history
-from rig.reference import BarrelCradle
-from rig.replay import modal
+from rig.simulation.excitation import force_history
+from rig.simulation.reference import BarrelCradle
+from rig.simulation.replay import modal
 
 SECONDS, BANDS, SENSORS, CONTACTS = 20, 40, 6, 2
 ONES = np.ones((BANDS, SENSORS))

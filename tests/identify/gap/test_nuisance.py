@@ -7,10 +7,10 @@ from msgspec.structs import replace
 from identify.gap.nuisance import apply_nuisance
 from identify.gap.residual import base_of, residual_of
 from identify.gap.spectra import record_of
-from rig.excitation import force_history
 from rig.model.tolerances import LABORATORY
-from rig.reference import BarrelCradle, Sdof
-from rig.replay import modal
+from rig.simulation.excitation import force_history
+from rig.simulation.reference import BarrelCradle, Sdof
+from rig.simulation.replay import modal
 
 SETTINGS = Sdof(sensors="displacement", duration_s=12.0)
 RIG = SETTINGS.rig()

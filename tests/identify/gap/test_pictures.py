@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from identify.gap.page.pictures import pictures
 from identify.gap.page.unknown_pictures import left_ends_m
 from identify.gap.results import Attribution, Value
-from rig.reference import BarrelCradle
+from rig.simulation.reference import BarrelCradle
 
 NAMED = re.compile(r"(, (%|m|mm|s|Hz|N|m/s)|per mm|/Hz|N|natural logarithm\))$")
 

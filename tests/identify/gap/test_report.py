@@ -20,8 +20,8 @@ from identify.gap.page.screen import shown
 from identify.gap.results import Band, Gap, Value
 from identify.gap.wording import closes, interval, leaves, probability
 from identify.wording import COVERED, number, percent
-from rig.description import from_json
 from rig.errors import RigError
+from rig.model.description import from_json
 
 VOID = {"meta", "img", "br", "link", "hr"}
 PHONE_PX = 375

@@ -18,11 +18,11 @@ from identify.gap.search.pooled import fitted_together, references
 from identify.gap.spectra import record_of
 from rig.effects import effect_named
 from rig.errors import RigError
-from rig.excitation import force_history
 from rig.model.tolerances import LABORATORY
 from rig.recording import writing
-from rig.reference import Sdof
-from rig.replay import modal
+from rig.simulation.excitation import force_history
+from rig.simulation.reference import Sdof
+from rig.simulation.replay import modal
 
 SETTINGS = Sdof(sensors="displacement", duration_s=20.0)
 RIG = replace(SETTINGS.rig(), sensors=tuple(replace(s, noise_density=1e-7) for s in SETTINGS.rig().sensors))

@@ -4,9 +4,9 @@ import pytest
 
 from identify.gap.decision.verdict import acts_where_they_do
 from identify.gap.unknown.location import Candidate
-from rig.description import Station
 from rig.effects import effect_named
-from rig.reference import BarrelCradle
+from rig.model.description import Station
+from rig.simulation.reference import BarrelCradle
 
 RIG = BarrelCradle(sensors="acceleration", noise_density=1e-3).rig()
 

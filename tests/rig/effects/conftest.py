@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from rig.motion import joined
-from rig.plants import PLANTS, plant_named
+from rig.simulation.motion import joined
+from rig.simulation.plants import PLANTS, plant_named
 
 
 @pytest.fixture(params=PLANTS)

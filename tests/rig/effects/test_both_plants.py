@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from rig.effects import effect_named, effects
-from rig.motion import joined
-from rig.plants import ancf, modal
-from rig.reference import BarrelCradle, Sdof
+from rig.simulation.motion import joined
+from rig.simulation.plants import ancf, modal
+from rig.simulation.reference import BarrelCradle, Sdof
 
 SMALL = 0.01
 """Of the reference's clearance and force: with slopes so small the beams of both plants are linear."""

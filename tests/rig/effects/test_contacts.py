@@ -6,10 +6,10 @@ import pytest
 from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import brentq
 
-from rig.contact import FRICTION_SPEED_M_PER_S, DeadZone
-from rig.description import Sensor, StaticLoad, Station, contact_stations
 from rig.effects import effect_named
-from rig.reference import BarrelCradle, Sdof
+from rig.model.contact_law import FRICTION_SPEED_M_PER_S, DeadZone
+from rig.model.description import Sensor, StaticLoad, Station, contact_stations
+from rig.simulation.reference import BarrelCradle, Sdof
 
 MACHINE = BarrelCradle(stations=4, sensors="displacement").rig()
 STEP_S = 2.0**-14

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from rig.contact import FRICTION_SPEED_M_PER_S
-from rig.description import RISE_S, Sensor, StaticLoad, Station
 from rig.effects import effect_named
 from rig.errors import RigError
-from rig.modes import modes_of
-from rig.reference import BarrelCradle, Sdof
+from rig.model.contact_law import FRICTION_SPEED_M_PER_S
+from rig.model.description import RISE_S, Sensor, StaticLoad, Station
+from rig.model.modes import modes_of
+from rig.simulation.reference import BarrelCradle, Sdof
 
 STEP_S = 2.0**-12
 MASS = Station("mass")

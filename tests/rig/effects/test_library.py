@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import rig.effects
-from rig.description import from_json, to_json
-from rig.effect import Effect, Scale, parameters_of
 from rig.effects import effect_named, effects
+from rig.effects.base import Effect, Scale, parameters_of
 from rig.errors import RigError
-from rig.reference import BarrelCradle, Sdof
+from rig.model.description import from_json, to_json
+from rig.simulation.reference import BarrelCradle, Sdof
 
 NAMES = sorted(effects())
 NOT_FOR_ONE_MASS = {"clamp_compliance", "contact_position", "youngs_modulus"}
@@ -190,7 +190,7 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.effect import Effect, Parameter
+from rig.effects.base import Effect, Parameter
 
 
 class Paint(Effect, frozen=True):

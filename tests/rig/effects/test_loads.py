@@ -6,12 +6,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from rig.description import RISE_S, Sensor, StaticLoad, Station
 from rig.effects import effect_named
 from rig.errors import RigError
-from rig.excitation import QUIET_S
-from rig.plants.loading import base_motion, true_force
-from rig.reference import BarrelCradle, Sdof
+from rig.model.description import RISE_S, Sensor, StaticLoad, Station
+from rig.simulation.excitation import QUIET_S
+from rig.simulation.plants.loading import base_motion, true_force
+from rig.simulation.reference import BarrelCradle, Sdof
 
 MACHINE = BarrelCradle(stations=4).rig()
 STEP_S = 2.0**-12

@@ -3,7 +3,8 @@
 import msgspec
 import pytest
 
-from rig.description import (
+from rig.errors import RigError
+from rig.model.description import (
     BaseMotion,
     Clamp,
     ForceSensor,
@@ -16,8 +17,7 @@ from rig.description import (
     from_json,
     to_json,
 )
-from rig.errors import RigError
-from rig.reference import BarrelCradle
+from rig.simulation.reference import BarrelCradle
 
 MACHINE = BarrelCradle(stations=4).rig()
 TIP = Station("barrel", 1.0)

@@ -6,13 +6,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from rig.cli import main
+from rig.commands.cli import main
 from rig.effects import effect_named
-from rig.excitation import BandLimitedGaussian
-from rig.plants import modal
-from rig.record import record
 from rig.recording import read, read_truth, truth_path
-from rig.reference import BarrelCradle
+from rig.simulation.excitation import BandLimitedGaussian
+from rig.simulation.plants import modal
+from rig.simulation.record import record
+from rig.simulation.reference import BarrelCradle
 
 _WIDE = BarrelCradle(stations=4, clearance_1_m=1.0, clearance_2_m=1.0).rig()
 TWIN = msgspec.structs.replace(_WIDE.sensors[-1], name="twin")

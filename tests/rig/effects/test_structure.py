@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from rig.description import PointMass, PointSpring, StaticLoad, Station
 from rig.effects import effect_named
 from rig.errors import RigError
-from rig.modes import FiniteElementModes, modes_of, participation
-from rig.plants import ancf
-from rig.reference import BarrelCradle, Sdof
+from rig.model.description import PointMass, PointSpring, StaticLoad, Station
+from rig.model.modes import FiniteElementModes, modes_of, participation
+from rig.simulation.plants import ancf
+from rig.simulation.reference import BarrelCradle, Sdof
 
 MACHINE = BarrelCradle(stations=4).rig()
 SDOF = Sdof().rig()

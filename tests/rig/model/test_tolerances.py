@@ -3,10 +3,10 @@
 import msgspec
 import pytest
 
-from rig.description import from_json, to_json
 from rig.errors import RigError
+from rig.model.description import from_json, to_json
 from rig.model.tolerances import EXACT, LABORATORY, ModeTolerance, SensorTolerance, Tolerances, tolerances_named
-from rig.reference import Sdof
+from rig.simulation.reference import Sdof
 
 
 def test_a_file_states_what_differs_from_a_laboratory(tmp_path):

@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from rig.description import from_json, to_json
+from rig.model.description import from_json, to_json
 from scenarios.worlds.believed import NOISE_DENSITY
 from scenarios.worlds.drawing import DECK, DRAWABLE, drawn_case, kind_and_names
 from scenarios.worlds.outside import OUTSIDE

@@ -9,7 +9,7 @@ import scenarios.worlds
 
 PACKAGE = Path(scenarios.worlds.__path__[0])
 OWN = "scenarios.worlds"
-ALLOWED = {"rig.description", "rig.errors", "rig.recording", "rig.reference"}
+ALLOWED = {"rig.model.description", "rig.errors", "rig.recording.file", "rig.simulation.reference"}
 """The believed rig and the file of a recording; of the reference rig its description alone, never its force."""
 
 
@@ -38,6 +38,6 @@ def test_the_reference_gives_its_rig_and_not_its_force():
 
 
 def test_the_rule_would_notice():
-    forbidden = ast.parse("from rig.plants import modal\nfrom identify.tolerances import jittered")
+    forbidden = ast.parse("from rig.simulation.plants import modal\nfrom identify.tolerances import jittered")
     names = [node.module for node in ast.walk(forbidden) if isinstance(node, ast.ImportFrom)]
     assert not {*names} & ALLOWED

@@ -5,9 +5,9 @@ import pytest
 from msgspec.structs import replace
 from scipy.linalg import expm
 
-from rig.excitation import BandLimitedGaussian, force_history
-from rig.motion import joined
-from rig.plants import modal
+from rig.simulation.excitation import BandLimitedGaussian, force_history
+from rig.simulation.motion import joined
+from rig.simulation.plants import modal
 from scenarios.worlds.believed import believed_rig, nominal_machine
 from scenarios.worlds.laws import Law, energy_j
 from scenarios.worlds.machine import Place, with_hung

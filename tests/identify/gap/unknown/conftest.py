@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from identify.gap.spectra import record_of
-from rig.beam import Beam
-from rig.channels import Channels
-from rig.description import Rig, Sensor, Station
+from rig.model.beam import Beam
+from rig.model.description import Rig, Sensor, Station
 from rig.recording import Recording, Signals
+from rig.recording.channels import Channels
 
 RATE_HZ, DURATION_S, PADDED_S = 1024.0, 14.0, 42.0
 QUIET_S, RISE_S, BAND_HZ, MODES = 1.0, 0.2, (2.0, 50.0), 12

@@ -12,9 +12,9 @@ from identify.gap.unknown.evidence import explained, without
 from identify.gap.unknown.location import Candidate, located, response_of
 from identify.gap.unknown.nuisance import observed
 from identify.gap.unknown.observed import force_noise
-from rig.contact import DeadZone
-from rig.description import Contact, Station
 from rig.errors import RigError
+from rig.model.contact_law import DeadZone
+from rig.model.description import Contact, Station
 
 WITHIN_M = 0.01
 

@@ -1,0 +1,260 @@
+"""The command `rig`."""
+
+import json
+import os
+from collections.abc import Mapping
+from functools import reduce
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from rig.commands.cli_files import export_, import_, recover
+from rig.commands.command_line import Force, Json, StoppedError, progress_bar, refuse_existing, run, working
+from rig.effects import effect_named, effects
+from rig.errors import RigError
+from rig.model.beam import Beam
+from rig.model.description import Body, Station
+from rig.model.oscillator import Oscillator
+from rig.recording import Recording, Signals, read, read_truth, truth_path
+from rig.simulation.plants import PLANTS, plant_named
+from rig.simulation.record import record as record_rig
+from rig.simulation.reference import REFERENCES, reference
+
+app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
+
+File = Annotated[Path, typer.Argument(help="The recording, an .mcap file.")]
+
+
+@app.callback()
+def _group() -> None:
+    """A virtual test rig: simulates a structure with clearances and records it as a laboratory would."""
+
+
+def _settings_text(title: str, kinds: Mapping[str, type[msgspec.Struct]]) -> str:
+    """Every setting with its default, for the help."""
+    return "\n\n".join(
+        f"{title} {name}: " + ", ".join(f"{f.name}={f.default}" for f in msgspec.structs.fields(kind))
+        for name, kind in kinds.items()
+    )
+
+
+@app.command(epilog=_settings_text("Settings of", REFERENCES) + "\n\n" + _settings_text("Effect", effects()))
+def record(
+    scenario: Annotated[str, typer.Argument(help=f"One of: {', '.join(REFERENCES)}.")],
+    out: Annotated[Path, typer.Option(help="The recording to write; the truth file is written beside it.")],
+    plant: Annotated[str, typer.Option(help=f"How it is simulated: {', '.join(PLANTS)}.")] = "ancf",
+    duration: Annotated[float | None, typer.Option(help="Length of the record, s.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the force and of the sensors' noise.")] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="A setting, KEY=VALUE; repeat it for more. They are listed below.")
+    ] = None,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="What the rig has but its description in the recording does not: NAME[:PARAMETER=VALUE,...]; "
+            "repeat it for more. They are listed below."
+        ),
+    ] = None,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Simulate a reference rig and record it.
+
+    Example: rig record barrel_cradle --duration 60 --set noise_density=1e-3 --out barrel_cradle.mcap
+    """
+    words = [s.partition("=") for s in settings or []]
+    for key, equals, _ in words:
+        if not equals:
+            raise typer.BadParameter(f"{key!r} is not KEY=VALUE", param_hint="--set")
+    if plant not in PLANTS:
+        raise typer.BadParameter(f"{plant!r} is none of {', '.join(PLANTS)}", param_hint="--plant")
+    if scenario not in REFERENCES:
+        raise typer.BadParameter(f"{scenario!r} is none of {', '.join(REFERENCES)}", param_hint="SCENARIO")
+    chosen = {key: value for key, _, value in words}
+    chosen |= {} if duration is None else {"duration_s": str(duration)}
+    chosen |= {} if seed is None else {"seed": str(seed)}
+    try:
+        machine = reference(scenario, chosen)
+    except RigError as error:
+        raise typer.BadParameter(str(error), param_hint="--set") from error
+    rig = machine.rig()
+    try:
+        actual = reduce(lambda so_far, text: effect_named(text).applied_to(so_far), effect or [], rig)
+    except RigError as error:
+        raise typer.BadParameter(str(error), param_hint="--effect") from error
+    for path in (out, truth_path(out)):
+        refuse_existing(path, force)
+    try:
+        with progress_bar(f"recording {out.name} ({plant})") as progress:
+            record_rig(
+                rig,
+                machine.force(),
+                plant=plant_named(plant),
+                duration_s=machine.duration_s,
+                step_s=machine.step_s,
+                path=out,
+                progress=progress,
+                actual=actual,
+            )
+    except KeyboardInterrupt:
+        if not out.exists():
+            raise
+        raise StoppedError(f"interrupted; {out} holds what was recorded until then") from None
+    if as_json:
+        print(json.dumps({"recording": str(out), "truth": str(truth_path(out))}))
+    else:
+        print(f"{out}: {machine.duration_s:g} s of {scenario} recorded; what only a simulator knows: {truth_path(out)}")
+
+
+@app.command()
+def info(file: File, as_json: Json = False) -> None:
+    """Say what is in a recording.
+
+    Example: rig info barrel_cradle.mcap
+    """
+    with working(f"reading {file.name}"):
+        recording = read(file)
+    if as_json:
+        print(json.dumps(_summary(recording)))
+        return
+    console, rig = Console(markup=False, highlight=False), recording.rig
+    print(f"{file}: rig {rig.name}, {recording.duration_s:g} s at {rig.sample_rate_hz:g} Hz")
+    bodies = _table("Bodies", "body", "kind", "first frequencies, Hz")
+    for body in rig.bodies:
+        modes = min(4 + body.rigid_modes, body.most_modes)
+        bodies.add_row(
+            body.name, _kind(body), ", ".join(f"{f:.2f}" for f in body.frequencies_hz(modes)[body.rigid_modes :])
+        )
+    contacts = _table("Contacts, as rig.json believes", "contact", "at", "against", "clearance, mm", "stiffness, N/m")
+    for contact in rig.contacts:
+        law, against = contact.law, "ground" if contact.against is None else _place(contact.against)
+        sides = f"-{1e3 * law.lower_clearance_m:g}, +{1e3 * law.upper_clearance_m:g}"
+        contacts.add_row(contact.name, _place(contact.at), against, sides, f"{law.stiffness_n_per_m:g}")
+    channels = [_channel_table(group, signals) for group, signals in recording.signals.items()]
+    for table in (bodies, contacts, *channels):
+        console.print(table, "")
+    for key, value in recording.provenance.items():
+        print(f"{key}: {value}")
+
+
+@app.command()
+def check(file: File, as_json: Json = False) -> None:
+    """Read all of a recording and say whether it is sound.
+
+    Example: rig check barrel_cradle.mcap
+    """
+    with working(f"reading {file.name}"):
+        recording = read(file)
+    if as_json:
+        print(json.dumps({"file": str(file), "sound": True, "samples": recording.samples}))
+    else:
+        channels = sum(len(s.channels.names) for s in recording.signals.values())
+        print(f"{file}: sound, {channels} channels of {recording.samples} samples")
+
+
+@app.command()
+def view(
+    file: File,
+    out: Annotated[Path | None, typer.Option(help="The .rrd to write; otherwise beside the recording.")] = None,
+    truth: Annotated[Path | None, typer.Option(help="The truth file; otherwise the one beside the recording.")] = None,
+    contact: Annotated[
+        Path | None, typer.Option(help="A contact.json of `identify contact`, whose walls are drawn over the others.")
+    ] = None,
+    magnification: Annotated[float | None, typer.Option(help="Of the beams' deflection; otherwise chosen.")] = None,
+    force: Force = False,
+) -> None:
+    """Write a recording for the rerun viewer, and open it where there is a display.
+
+    Example: rig view barrel_cradle.mcap --contact results/contact.json --out barrel_cradle.rrd
+    """
+    from rig.viewer.identified import identified_laws
+    from rig.viewer.viewing import open_viewer, write_rrd
+
+    target = out or file.with_suffix(".rrd")
+    if magnification is not None and not 0 < magnification < np.inf:
+        raise typer.BadParameter(f"{magnification} is not a finite number above zero", param_hint="--magnification")
+    if target in (file, truth_path(file)):
+        raise typer.BadParameter(f"{target} is the recording itself", param_hint="--out")
+    refuse_existing(target, force)
+    recording = read(file)
+    beside = truth or truth_path(file)
+    known = read_truth(beside) if truth or beside.exists() else None
+    laws = {} if contact is None else identified_laws(contact, recording.rig)
+    with progress_bar(f"writing {target.name}") as progress:
+        write_rrd(recording, known, target, magnification, identified=laws, progress=progress)
+    print(f"{target}: written")
+    if out is None and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        open_viewer(target)
+
+
+app.command()(recover)
+app.command("import")(import_)
+app.command("export")(export_)
+
+
+def _summary(recording: Recording) -> dict[str, Any]:
+    return {
+        "rig": msgspec.to_builtins(recording.rig),
+        "duration_s": recording.duration_s,
+        "sample_rate_hz": recording.rig.sample_rate_hz,
+        "channels": [
+            {
+                "group": group,
+                "name": name,
+                "station": msgspec.to_builtins(station),
+                "unit": signals.channels.unit,
+                "rms": _rms(row),
+            }
+            for group, signals in recording.signals.items()
+            for name, station, row in zip(
+                signals.channels.names, signals.channels.stations, signals.values, strict=True
+            )
+        ],
+        "provenance": dict(recording.provenance),
+    }
+
+
+def _channel_table(group: str, signals: Signals) -> Table:
+    about = signals.channels
+    table = _table(f"Channels: {group}", "channel", "at", f"rms, {about.unit}")
+    for name, station, row in zip(about.names, about.stations, signals.values, strict=True):
+        table.add_row(name, "" if station is None else _place(station), f"{_rms(row):.4g}")
+    return table
+
+
+def _table(title: str, *headings: str) -> Table:
+    """An empty table; a heading with a comma names a number and its unit, and stands right."""
+    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, show_edge=False)
+    for heading in headings:
+        table.add_column(heading, justify="right" if "," in heading else "left")
+    return table
+
+
+def _kind(body: Body) -> str:
+    if isinstance(body, Beam):
+        return body.ends
+    if isinstance(body, Oscillator):
+        return "mass on a spring"
+    try:
+        mass_kg = np.sum(body.translation() ** 2)
+    except RigError:
+        return f"modal basis, {body.most_modes} modes"
+    return f"modal basis, {body.most_modes} modes, {mass_kg:.4g} kg"
+
+
+def _place(station: Station) -> str:
+    return f"{station.body} {station.position_m:g} m"
+
+
+def _rms(row: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(row**2)))
+
+
+def main() -> None:
+    run(app, "rig")

@@ -1,0 +1,82 @@
+"""The commands of `rig` that bring recordings back, in and out: recover, import, export."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+
+from rig.commands.command_line import Force, Json, progress_bar, refuse_existing, working
+from rig.lab.exporting import WRITERS, export
+from rig.lab.importing import import_file
+from rig.recording import read
+from rig.recording.recovery import recover as recover_recording
+
+
+def recover(
+    bad: Annotated[Path, typer.Argument(metavar="FILE", help="A recording that was cut off: FILE.mcap or FILE.part.")],
+    out: Annotated[Path, typer.Option(help="The recording to write.")],
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Save what is sound of a recording that was cut off or damaged, and say what is lost.
+
+    Example: rig recover barrel_cradle.mcap.part --out saved.mcap
+    """
+    refuse_existing(out, force)
+    with working(f"recovering {bad.name}"):
+        losses = recover_recording(bad, out)
+    if as_json:
+        print(json.dumps({"recording": str(out), "groups": msgspec.to_builtins(losses)}))
+        return
+    print(f"{out}: recovered from {bad}")
+    for loss in losses:
+        print(f"  {loss}")
+
+
+def import_(
+    source: Annotated[Path, typer.Argument(help="The measured data: .csv, .txt, .uff, .unv, .mat or .tdms.")],
+    map_: Annotated[Path, typer.Option("--map", help="The TOML file that says which column is which sensor.")],
+    out: Annotated[Path, typer.Option(help="The recording to write.")],
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Make a recording of data measured elsewhere.
+
+    Example: rig import run7.csv --map run7.toml --out run7.mcap
+    """
+    refuse_existing(out, force)
+    with working(f"importing {source.name}"):
+        steps = import_file(source, map_, out)
+    if as_json:
+        print(json.dumps({"recording": str(out), "history": steps}))
+        return
+    print(f"{out}: imported from {source}")
+    for step in steps:
+        print(f"  {step}")
+
+
+def export_(
+    file: Annotated[Path, typer.Argument(help="The recording, an .mcap file.")],
+    format_: Annotated[str, typer.Option("--format", help=f"One of: {', '.join(WRITERS)}.")],
+    out: Annotated[Path, typer.Option(help="The file to write.")],
+    map_: Annotated[
+        Path | None, typer.Option("--map", help="Write the map to import it again too, and rig.json beside the map.")
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Write the samples of a recording for other programs.
+
+    Example: rig export barrel_cradle.mcap --format csv --out barrel_cradle.csv --map barrel_cradle.toml
+    """
+    if format_ not in WRITERS:
+        raise typer.BadParameter(f"{format_!r} is none of {', '.join(WRITERS)}", param_hint="--format")
+    written = [out, *([] if map_ is None else [map_, map_.with_name("rig.json")])]
+    if len({p.absolute() for p in (file, *written)}) <= len(written):
+        raise typer.BadParameter(f"{out} is named twice", param_hint="--out")
+    for path in written:
+        refuse_existing(path, force)
+    with progress_bar(f"writing {out.name}") as progress:
+        export(read(file), format_, out, map_, progress)
+    print(f"{', '.join(map(str, written))}: written")

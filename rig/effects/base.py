@@ -1,0 +1,247 @@
+"""What every unmodelled effect is: a frozen class with a name, a few parameters, and a function from rig to rig."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import ClassVar, get_args, get_type_hints
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+from msgspec.structs import replace
+
+from rig.errors import RigError
+from rig.model.beam import Beam
+from rig.model.contact_law import DeadZone
+from rig.model.description import Body, Rig, Sensor, Station, contact_stations
+from rig.model.modes import Modes, modes_of
+from rig.model.structure import Structure
+
+PLACES = 11
+"""Along a beam, where its softest place is looked for."""
+
+Place = Mapping[str, str | None]
+"""Where an effect acts, by the names of its fields (contact, body, beam, sensor, ...); None: all of them together."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """Of an effect's number: its unit ("1" if it has none), its plausible range, and where the effect is nothing.
+
+    neutral is None for a number that says where, when or at which frequency rather than how much.
+    """
+
+    unit: str
+    low: float
+    high: float
+    neutral: float | None = None
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What a range may be stated in: the rig, the root mean square of the exciting force, the record's duration.
+
+    place is where the effect acts; its body is the one that the force drives if none is named.
+    """
+
+    rig: Rig
+    force_rms_n: float
+    duration_s: float
+    place: Place = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("force_rms_n", "duration_s"):
+            value = getattr(self, name)
+            if not 0 < value < np.inf:
+                raise RigError(f"scale of rig {self.rig.name!r}: {name} is {value}; give a finite value above zero")
+
+    def at(self, place: Place) -> "Scale":
+        """The same for an effect at a place."""
+        return dataclasses.replace(self, place=place)
+
+    def contact_stiffness_n_per_m(self) -> float:
+        """Of the stiffest contact at the place."""
+        return max((law.stiffness_n_per_m for law in self._laws()), default=0.0)
+
+    def clearance_m(self) -> float:
+        """The smallest clearance of the contacts at the place."""
+        laws = self._laws()
+        return min((min(law.lower_clearance_m, law.upper_clearance_m) for law in laws), default=0.0)
+
+    def contact_mass_kg(self) -> float:
+        """Of the lightest body at the contacts of the place."""
+        chosen = [c for c in self.rig.contacts if self.place.get("contact") in (None, c.name)]
+        return min((self.at({"body": s.body}).mass_kg() for c in chosen for s in contact_stations(c)), default=np.inf)
+
+    def mass_kg(self) -> float:
+        """Of the body: one over the mean square of its mass-normalised shapes, exact for beams."""
+        body = self._body()
+        if isinstance(body, Beam):
+            return body.mass_kg
+        return float(1 / np.mean(body.shapes(_places_on(body), body.most_modes) ** 2))
+
+    def stiffness_n_per_m(self) -> float:
+        """Of the body at its softest point: one over the sum of phi^2 / omega^2 of its elastic modes."""
+        shapes, omega = self._shapes()
+        elastic = omega > 0
+        return float(1 / np.max((shapes[:, elastic] ** 2) @ (1 / omega[elastic] ** 2)))
+
+    def length_m(self) -> float:
+        """Of the body; a single mass has none."""
+        return self._body().length_m
+
+    def held(self) -> bool:
+        """Whether the body cannot move as a rigid one, were it not for its contacts."""
+        return bool(np.all(self._shapes()[1] > 0))
+
+    def displacement_m(self) -> float:
+        """About how far the body moves: as the force bends it, or as far as the clearance of its contacts."""
+        body = self._body()
+        touching = [c for c in self.rig.contacts if any(s.body == body.name for s in contact_stations(c))]
+        return max(self.force_rms_n / self.stiffness_n_per_m(), *(c.law.clearance_m for c in touching), 0.0)
+
+    @property
+    def band_hz(self) -> tuple[float, float]:
+        """The frequencies that a record tells: two periods long at least, and below its sensors' filters."""
+        return 2 / self.duration_s, 0.4 * self.rig.sample_rate_hz
+
+    def _laws(self) -> list[DeadZone]:
+        return [c.law for c in self.rig.contacts if self.place.get("contact") in (None, c.name)]
+
+    def _body(self) -> Body:
+        return self.rig.body(self.place.get("body") or self.place.get("beam") or self.rig.force_at.body)
+
+    def _shapes(self) -> tuple[Float[np.ndarray, "places modes"], Float[np.ndarray, " modes"]]:
+        body = self._body()
+        modes: Modes = modes_of(self.rig, body)
+        count = body.most_modes
+        return modes.shapes(_places_on(body), count), 2 * np.pi * modes.frequencies_hz(count)
+
+
+def _places_on(body: Body) -> Float[np.ndarray, " places"]:
+    if isinstance(body, Structure):
+        return np.asarray(body.positions_m)
+    return np.linspace(0, body.length_m, PLACES if body.length_m else 1)
+
+
+class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A way in which a real rig differs from the believed one; the docstring of each says its physics in one sentence.
+
+    A field annotated with a `Parameter` is a number that can be fitted; its default is a magnitude that shows clearly
+    in 60 s of the barrel-cradle. The other fields are a seed, or say where the effect acts.
+    """
+
+    name: ClassVar[str]
+    separated_by: ClassVar[str] = "record for longer and at another level of force"
+    """The experiment that tells it from effects that look alike in one record."""
+    needs_zero: ClassVar[bool] = False
+    """Whether only a known zero of the relative displacements shows it."""
+    stochastic: ClassVar[bool] = False
+    """Whether only the spectrum of what it does is known, so that no fit over time finds its parameters."""
+    scanned: ClassVar[str | None] = None
+    """The parameter, if there is one, that a few starts cannot find: a frequency, sharp to one over the duration."""
+    of_a_record: ClassVar[tuple[str, ...]] = ()
+    """The parameters, if there are any, that every record has its own of, such as a phase."""
+
+    @classmethod
+    def parameters(cls, _: Scale, /) -> dict[str, Parameter]:
+        """The numbers that can be fitted, the strength first, with ranges for this rig, force and place."""
+        return parameters_of(cls)
+
+    @classmethod
+    def typical(cls, scale: Scale) -> "Effect":
+        """The effect, at a place, in a strength that shows: for steps of derivatives, screening and first guesses."""
+        return cls.placed(scale)
+
+    @classmethod
+    def placements(cls, rig: Rig, sensors: Sequence[str]) -> list[dict[str, str | None]]:
+        """Where it is tried: at every contact, body, beam or sensor; at several contacts also at all of them, tied."""
+        contacts: list[str | None] = [c.name for c in rig.contacts]
+        targets: dict[str, list[str | None]] = {
+            "contact": [*contacts, None] if len(contacts) > 1 else contacts,
+            "body": [b.name for b in rig.bodies],
+            "beam": [b.name for b in rig.bodies if isinstance(b, Beam)],
+            "sensor": list(sensors),
+        }
+        where = [t for t in targets if t in cls.__struct_fields__]
+        return [dict(zip(where, chosen, strict=True)) for chosen in product(*(targets[t] for t in where))]
+
+    @classmethod
+    def ranged(cls, **ranges: tuple[float, float]) -> dict[str, Parameter]:
+        """The declared parameters, some with other ranges."""
+        return {
+            name: dataclasses.replace(p, low=ranges[name][0], high=ranges[name][1]) if name in ranges else p
+            for name, p in parameters_of(cls).items()
+        }
+
+    @classmethod
+    def along(cls, scale: Scale, **ranges: tuple[float, float]) -> dict[str, Parameter]:
+        """As `ranged`, without the place along the body where the body of the scale is a single mass."""
+        return {n: p for n, p in cls.ranged(**ranges).items() if scale.length_m() or n != "relative_position"}
+
+    @classmethod
+    def placed(cls, scale: Scale, **numbers: float) -> "Effect":
+        """The effect at the scale's place, with these numbers."""
+        return msgspec.convert({**numbers, **scale.place}, cls)
+
+    def __post_init__(self) -> None:
+        for field in self.__struct_fields__:
+            value = getattr(self, field)
+            if isinstance(value, float) and not np.isfinite(value):
+                raise RigError(f"effect {self.name}: {field} is {value}; give a finite value")
+
+    def applied_to(self, rig: Rig) -> Rig:
+        """The rig with the effect; raises RigError where it makes no sense."""
+        raise NotImplementedError
+
+    def nowhere(self, rig: Rig, wanted: str) -> RigError:
+        return RigError(f"effect {self.name}: rig {rig.name!r} has no {wanted}; choose another place or another effect")
+
+    def with_laws(self, rig: Rig, contact: str | None, change: Callable[[DeadZone], DeadZone]) -> Rig:
+        """The rig with the law of one contact changed; of every contact if none is named."""
+        changed = [c for c in rig.contacts if contact in (None, c.name)]
+        if not changed:
+            raise self.nowhere(rig, "contact" if contact is None else f"contact {contact!r}")
+        return replace(rig, contacts=tuple(replace(c, law=change(c.law)) if c in changed else c for c in rig.contacts))
+
+    def body_of(self, rig: Rig, name: str | None) -> Body:
+        """The body of that name; the one that the force drives if none is named."""
+        wanted = rig.force_at.body if name is None else name
+        for body in rig.bodies:
+            if body.name == wanted:
+                return body
+        raise self.nowhere(rig, f"body {wanted!r}")
+
+    def station(self, rig: Rig, body: str | None, relative_position: float) -> Station:
+        """A place on a body, as a share of its length."""
+        chosen = self.body_of(rig, body)
+        if not 0 <= relative_position <= 1:
+            raise RigError(f"effect {self.name}: relative_position is {relative_position}; give 0 to 1")
+        return Station(chosen.name, relative_position * chosen.length_m)
+
+    def beams_of(self, rig: Rig, name: str | None, ends: str | None = None) -> tuple[Beam, ...]:
+        """The beams with such ends, or the one of that name; raises RigError if there is none."""
+        beams = tuple(
+            b for b in rig.bodies if isinstance(b, Beam) and ends in (None, b.ends) and name in (None, b.name)
+        )
+        if not beams:
+            raise self.nowhere(rig, f"{ends or ''} beam {'' if name is None else repr(name)}".strip())
+        return beams
+
+    def with_sensor(self, rig: Rig, name: str | None, change: Callable[[Sensor], Sensor]) -> Rig:
+        """The rig with one sensor changed, the last if none is named."""
+        chosen = [s for s in rig.sensors if name in (None, s.name)][-1:]
+        if not chosen:
+            raise self.nowhere(rig, "sensor" if name is None else f"sensor {name!r}")
+        return replace(rig, sensors=tuple(change(s) if s in chosen else s for s in rig.sensors))
+
+
+def parameters_of(kind: type[Effect]) -> dict[str, Parameter]:
+    """The parameters of an effect by name, in the order of its fields."""
+    found = {}
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        for about in get_args(hint):
+            if isinstance(about, Parameter):
+                found[name] = about
+    return found

@@ -1,0 +1,129 @@
+"""A recording's samples in the files that other programs read, and the map by which `rig import` reads them again."""
+
+import csv
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from rig.errors import RigError
+from rig.model.description import to_json
+from rig.recording import RIG_NAME, Recording
+from rig.recording.container import part_of
+
+_UFF_KINDS = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13}
+_UFF_TIME = 17
+TOGETHER = 16384
+"""Lines of a table that are written at once."""
+
+
+def export(
+    recording: Recording,
+    form: str,
+    out: Path,
+    map_path: Path | None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> None:
+    """Writes every channel in SI, and with `map_path` also the map and rig.json beside it.
+
+    CSV holds 17 digits, UFF 58 (binary) and .mat the doubles themselves, so nothing is lost. Raises RigError if a file
+    cannot be written.
+    """
+    _beside(out, lambda part: WRITERS[form](recording, part, progress))
+    if map_path is not None:
+        _beside(map_path, lambda part: part.write_bytes(_map_of(recording, form).encode()))
+        _beside(map_path.with_name(RIG_NAME), lambda part: part.write_bytes(to_json(recording.rig)))
+
+
+def _beside(path: Path, write: Callable[[Path], object]) -> None:
+    """Writes beside, then renames."""
+    part = part_of(path)
+    try:
+        write(part)
+        part.replace(path)
+    except OSError as error:
+        raise RigError(f"{path}: cannot be written ({error.strerror}); choose another place") from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _rows(recording: Recording) -> Iterator[tuple[str, int, str, Float[np.ndarray, " samples"]]]:
+    """Group, number within it, name and samples of every channel."""
+    for group, signals in recording.signals.items():
+        for number, (name, row) in enumerate(zip(signals.channels.names, signals.values, strict=True), start=1):
+            yield group, number, name, row
+
+
+def _write_csv(recording: Recording, path: Path, progress: Callable[[float], None]) -> None:
+    rows = list(_rows(recording))
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        csv.writer(stream, lineterminator="\n").writerow(["time_s", *(name for _, _, name, _ in rows)])
+        time_s = recording.signals["force"].time_s
+        table = np.stack([time_s, *(row for _, _, _, row in rows)], axis=1)
+        for first in range(0, len(table), TOGETHER):
+            np.savetxt(stream, table[first : first + TOGETHER], fmt="%.17g", delimiter=",")
+            progress(first / len(table))
+
+
+def _write_uff(recording: Recording, path: Path, _: Callable[[float], None]) -> None:
+    import pyuff
+
+    time_s = recording.signals["force"].time_s
+    datasets = [
+        {
+            "type": 58,
+            "binary": 1,
+            "id1": name,
+            "func_type": 1,
+            "rsp_node": number,
+            "rsp_dir": 3,
+            "ref_node": 0,
+            "ref_dir": 0,
+            "abscissa_spacing": 1,
+            "abscissa_spec_data_type": _UFF_TIME,
+            "abscissa_axis_units_lab": "s",
+            "ordinate_spec_data_type": _UFF_KINDS[group],
+            "ordinate_axis_units_lab": recording.signals[group].channels.unit,
+            "orddenom_spec_data_type": 0,
+            "x": time_s,
+            "data": row,
+        }
+        for group, number, name, row in _rows(recording)
+    ]
+    path.unlink(missing_ok=True)
+    pyuff.UFF(str(path)).write_sets(datasets, mode="add")  # its "overwrite" loses the first binary header
+
+
+def _write_mat(recording: Recording, path: Path, _: Callable[[float], None]) -> None:
+    from scipy.io import savemat
+
+    variables: dict[str, object] = {"sample_rate_hz": recording.rig.sample_rate_hz}
+    for group, signals in recording.signals.items():
+        variables[group] = signals.values.T
+        variables[f"{group}_names"] = np.array(signals.channels.names, dtype=object)
+    savemat(path, variables, appendmat=False, do_compression=True)
+
+
+Writer = Callable[[Recording, Path, Callable[[float], None]], None]
+WRITERS: dict[str, Writer] = {"csv": _write_csv, "uff": _write_uff, "mat": _write_mat}
+
+
+def _map_of(recording: Recording, form: str) -> str:
+    """The map of an exported file; JSON's strings are TOML's."""
+    lines = [f"rig = {json.dumps(RIG_NAME)}"]
+    if form == "csv":
+        lines.append('time = { column = "time_s", unit = "s" }')
+    else:
+        lines.append(f"sample_rate_hz = {recording.rig.sample_rate_hz!r}")
+    sensors = []
+    for group, number, name, _ in _rows(recording):
+        rows = len(recording.signals[group].channels.names)
+        column = name if form != "mat" else group if rows == 1 else f"{group}[{number}]"
+        entry = f"{{ column = {json.dumps(column)}, unit = {json.dumps(recording.signals[group].channels.unit)} }}"
+        if group == "force":
+            lines.append(f"force = {entry}")
+        else:
+            sensors.append(f"{json.dumps(name)} = {entry}")
+    return "\n".join([*lines, "", "[sensors]", *sensors, ""])

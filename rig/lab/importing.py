@@ -1,0 +1,184 @@
+"""From measured data and a map, which says what each column is, to a recording."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+
+from rig.errors import RigError
+from rig.lab.clock import RATE_TOLERANCE, even
+from rig.lab.tables import Column, TextForm, columns_of
+from rig.lab.units import si_factor
+from rig.model.description import Rig, check_given, from_json
+from rig.recording import RIG_NAME, channel_groups, with_history, writing
+
+
+class Source(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A column, by name or by number from 1, its unit (if the file does not say it) and a factor before the unit."""
+
+    column: str | int
+    unit: str | None = None
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.scale) and self.scale != 0):
+            raise RigError(f"column {self.column!r}: scale is {self.scale}; give a finite value other than zero")
+
+
+class Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The TOML file beside measured data. The rig is a path from the map's folder."""
+
+    rig: str = RIG_NAME
+    force: Source
+    sensors: dict[str, Source]
+    time: Source | None = None
+    sample_rate_hz: float | None = None
+    resample: bool = False
+    csv: TextForm = TextForm()
+
+    def __post_init__(self) -> None:
+        if self.time is not None and self.sample_rate_hz is not None:
+            raise RigError("time and sample_rate_hz are both given; leave one out")
+        if self.sample_rate_hz is not None and not 0 < self.sample_rate_hz < np.inf:
+            raise RigError(f"sample_rate_hz is {self.sample_rate_hz}; give a value above zero")
+
+
+def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
+    """Makes a recording of measured data and returns what was done, which is also in its provenance.
+
+    Every value becomes SI: value times scale times the unit. Raises RigError with one sentence if the map, the rig or
+    the data cannot be used; nothing is written then.
+    """
+    told, rig = _read_map(map_path)
+    columns = columns_of(source, told.csv)
+    names, given = {s.name for s in rig.sensors}, set(told.sensors)
+    for wrong, what in ((given - names, "is no sensor of the rig"), (names - given, "is missing")):
+        if wrong:
+            raise RigError(f"{map_path}: sensor {min(wrong)!r} {what}; [sensors] needs {', '.join(sorted(names))}")
+    wanted = {"force": ("force", told.force)}
+    wanted |= {s.name: (s.quantity, told.sensors[s.name]) for s in rig.sensors}
+    try:
+        taken = {name: _found(columns, entry) for name, (_, entry) in wanted.items()}
+        _check_taken(taken)
+        factors = {name: _factor(quantity, entry, taken[name]) for name, (quantity, entry) in wanted.items()}
+    except RigError as error:
+        raise RigError(f"{map_path}: {error}") from error
+    try:
+        time_s = _time(told, columns, list(taken.values()))
+        rows = np.stack([_in_si(factors[name], column) for name, column in taken.items()])
+        values, resampled = even(rows, time_s, rig.sample_rate_hz, told.resample)
+    except RigError as error:
+        raise RigError(f"{source}: {error}") from error
+    steps = (
+        f"{rows.shape[1]} samples of {len(rows)} columns read from {source.name}",
+        "made SI: " + ", ".join(f"{n} = {factors[n]:.9g} x column {c.name!r}" for n, c in taken.items()),
+        *resampled,
+    )
+    provenance = {
+        "made_by": "rig import",
+        "source": source.name,
+        "source_sha256": hashlib.sha256(source.read_bytes()).hexdigest(),
+        "map": map_path.name,
+    }
+    _write(out, rig, dict(zip(taken, values, strict=True)), with_history(provenance, *steps))
+    return steps
+
+
+def _write(
+    out: Path, rig: Rig, rows: Mapping[str, Float[np.ndarray, " samples"]], provenance: Mapping[str, str]
+) -> None:
+    groups = channel_groups(rig)
+    with writing(out, rig, groups, provenance) as recording:
+        recording.append_all({name: np.stack([rows[c] for c in group.names]) for name, group in groups.items()})
+
+
+def _read_map(path: Path) -> tuple[Map, Rig]:
+    try:
+        told = msgspec.toml.decode(path.read_bytes(), type=Map)
+        place = path.parent / told.rig
+        text = place.read_bytes()
+    except OSError as error:
+        raise RigError(f"{error.filename}: cannot be opened ({error.strerror}); check the name") from error
+    except (msgspec.DecodeError, ValueError, RecursionError) as error:
+        raise RigError(f"{path}: is no map ({error}); see rig/README.md") from error
+    rig = from_json(text, str(place))
+    check_given(rig, str(place))
+    return told, rig
+
+
+def _found(columns: Sequence[Column], entry: Source) -> Column:
+    if isinstance(entry.column, int):
+        if not 1 <= entry.column <= len(columns):
+            raise RigError(f"there is no column {entry.column}; the file has 1 to {len(columns)}")
+        return columns[entry.column - 1]
+    same = [c for c in columns if c.name == entry.column]
+    if len(same) > 1:
+        raise RigError(f"{len(same)} columns are named {entry.column!r}; give the number of the one meant")
+    if not same:
+        shown = ", ".join(repr(c.name) for c in columns[:12]) + (", ..." if len(columns) > 12 else "")
+        raise RigError(f"there is no column {entry.column!r}; the file has {shown}")
+    return same[0]
+
+
+def _check_taken(taken: Mapping[str, Column]) -> None:
+    """Each column once, all of one length, every value finite."""
+    first_use: dict[int, str] = {}
+    force = taken["force"]
+    for name, column in taken.items():
+        if first := first_use.get(id(column)):
+            raise RigError(f"column {column.name!r} is given to both {first!r} and {name!r}; each needs its own")
+        first_use[id(column)] = name
+        if column.values.size != force.values.size:
+            raise RigError(
+                f"column {column.name!r} has {column.values.size} samples, the force {force.values.size}; "
+                "export them over the same time"
+            )
+        if not np.isfinite(column.values).all():
+            sample = int(np.argmin(np.isfinite(column.values)))
+            raise RigError(
+                f"column {column.name!r} is not a finite number at sample {sample}; repair the record or cut it there"
+            )
+
+
+def _factor(quantity: str, entry: Source, column: Column) -> float:
+    """From the column's numbers to SI; a unit that both the file and the map say must be the same."""
+    if entry.unit is None and column.unit is None:
+        raise RigError(f"column {column.name!r} has no unit; add unit = ... in the map")
+    factor = si_factor(quantity, entry.unit or column.unit or "")
+    if entry.unit and column.unit:
+        try:
+            said = si_factor(quantity, column.unit)
+        except RigError:  # what programs put there is often no unit at all, such as "EU"
+            said = factor
+        if said != factor:
+            raise RigError(f"column {column.name!r} is in {column.unit!r} by the file, {entry.unit!r} by the map")
+    return factor * entry.scale
+
+
+def _in_si(factor: float, column: Column) -> Float[np.ndarray, " samples"]:
+    with np.errstate(over="ignore"):
+        values = factor * column.values
+    if not np.isfinite(values).all():
+        raise RigError(f"column {column.name!r} times {factor:g} is too large for a number; correct its scale")
+    return values
+
+
+def _time(told: Map, columns: Sequence[Column], taken: Sequence[Column]) -> Float[np.ndarray, " samples"]:
+    """The time stamps: a column, or the even rate that the map or the file says."""
+    samples = taken[0].values.size
+    if told.time is not None:
+        column = _found(columns, told.time)
+        if column.values.size != samples or not np.isfinite(column.values).all():
+            raise RigError(f"its time, column {column.name!r}, does not hold {samples} finite numbers; repair it")
+        return column.values * told.time.scale * si_factor("time", told.time.unit or "s")
+    rates = {c.sample_rate_hz for c in taken if c.sample_rate_hz is not None}
+    rate = told.sample_rate_hz or min(rates, default=None)
+    if rate is None:
+        raise RigError("it does not say when its samples were taken; give sample_rate_hz or time in the map")
+    for other in rates:
+        if abs(other / rate - 1) > RATE_TOLERANCE:
+            raise RigError(f"it has columns at {other:.6g} and at {rate:.6g} Hz; all need one rate, that of the map")
+    return np.arange(samples) / rate

@@ -1,0 +1,194 @@
+"""Measured data as columns, from the files in which laboratories keep them: CSV, UFF, MATLAB and TDMS."""
+
+import csv
+import logging
+import struct
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+
+from rig.errors import RigError
+from rig.lab.matlab import arrays_of
+
+_SEGMENT_HEAD_BYTES = 28  # of TDMS
+_BIG_ENDIAN = 1 << 6
+
+
+@dataclass(frozen=True)
+class Column:
+    """One channel of a file; unit and sample rate are None where the file does not say them."""
+
+    name: str
+    values: Float[np.ndarray, " samples"]
+    unit: str | None = None
+    sample_rate_hz: float | None = None
+
+
+class TextForm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How a CSV file is written: one line of names stands between the lines that are skipped."""
+
+    encoding: str = "utf-8-sig"
+    delimiter: str = ","
+    decimal: str = "."
+    lines_before_names: int = 0
+    lines_after_names: int = 0
+
+    def __post_init__(self) -> None:
+        if len(self.delimiter) != 1 or len(self.decimal) != 1 or self.delimiter == self.decimal:
+            raise RigError(
+                f"delimiter is {self.delimiter!r} and decimal {self.decimal!r}; give two different characters"
+            )
+        if min(self.lines_before_names, self.lines_after_names) < 0:
+            raise RigError("a number of lines in [csv] is negative; give zero or more")
+
+
+def columns_of(path: Path, text: TextForm) -> tuple[Column, ...]:
+    """Every column of numbers in a file, whose format is told by its suffix.
+
+    Raises RigError with a sentence if the file cannot be opened, is empty, is not of its format or holds no numbers.
+    """
+    if (suffix := path.suffix.lower()) not in READERS:
+        raise RigError(f"{path}: the suffix {suffix!r} is none of {', '.join(READERS)}; rename the file or convert it")
+    try:
+        if not path.stat().st_size:
+            raise RigError(f"{path}: is empty; export it again")
+        columns = tuple(READERS[suffix](path, text))
+    except OSError as error:
+        raise RigError(f"{path}: cannot be opened ({error.strerror or error}); check the name") from error
+    except RigError:
+        raise
+    except MemoryError as error:
+        raise RigError(f"{path}: needs more memory than there is; export it again, or a shorter record") from error
+    except Exception as error:  # what the formats' libraries raise on a bad file is not to be listed
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise RigError(f"{path}: cannot be read as {suffix} ({reason}); export it again") from error
+    if not columns:
+        raise RigError(f"{path}: holds no column of numbers over time; check what was exported")
+    return columns
+
+
+def _csv(path: Path, text: TextForm) -> Iterable[Column]:
+    try:
+        content = path.read_bytes().decode(text.encoding)
+    except UnicodeDecodeError as error:
+        raise RigError(
+            f"{path}: is not text in {text.encoding} (byte {error.start}); name its encoding in the map, "
+            'e.g. encoding = "latin-1" or "utf-16"'
+        ) from error
+    except LookupError as error:
+        raise RigError(f"{path}: there is no encoding {text.encoding!r}; give e.g. utf-8 or latin-1") from error
+    lines = content.splitlines()[text.lines_before_names :]
+    if not lines:
+        raise RigError(f"{path}: has no line after the first {text.lines_before_names}; check lines_before_names")
+    if all(line.endswith(text.delimiter) for line in lines if line.strip()):  # behind the last column too
+        lines = [line.removesuffix(text.delimiter) for line in lines]
+    names = [cell.strip() for cell in next(csv.reader(lines[:1], delimiter=text.delimiter))]
+    named = not all(_is_number(name, text.decimal) for name in names)
+    skipped = (1 if named else 0) + text.lines_after_names
+    body = [line for line in lines[skipped:] if line.strip()]
+    if not body:
+        raise RigError(f"{path}: holds no samples; export it again")
+    if text.decimal != ".":
+        body = [line.replace(text.decimal, ".") for line in body]
+    try:
+        values = np.loadtxt(body, delimiter=text.delimiter, ndmin=2, comments=None, quotechar='"')
+    except ValueError as error:
+        reason = str(error).split(";")[0]
+        raise RigError(
+            f"{path}: {reason} (rows counted from the first sample); check delimiter, decimal and the lines skipped"
+        ) from error
+    if values.shape[1] != len(names):
+        raise RigError(f"{path}: {len(names)} names for {values.shape[1]} columns; check the line of names")
+    for number, column in enumerate(values.T, start=1):
+        yield Column(names[number - 1] if named else f"column {number}", np.ascontiguousarray(column))
+
+
+def _is_number(cell: str, decimal: str) -> bool:
+    try:
+        float(cell.replace(decimal, "."))
+    except ValueError:
+        return False
+    return True
+
+
+def _uff(path: Path, _: TextForm) -> Iterable[Column]:
+    import pyuff
+
+    file = pyuff.UFF(str(path))
+    for place, kind in enumerate(file.get_set_types()):
+        if kind != 58:
+            continue
+        dataset = file.read_sets(place)
+        name = str(dataset["id1"]).strip()
+        if dataset["func_type"] != 1 or np.iscomplexobj(dataset["data"]):
+            raise RigError(f"{path}: dataset {name!r} is no time history; export time histories alone")
+        if len(dataset["data"]) != dataset["num_pts"]:
+            raise RigError(f"{path}: dataset {name!r} holds {len(dataset['data'])} of {dataset['num_pts']} samples")
+        unit = str(dataset["ordinate_axis_units_lab"]).strip()
+        interval = np.diff(dataset["x"]).mean() if len(dataset["x"]) > 1 else 0.0
+        if dataset["abscissa_spacing"] == 0:
+            yield Column(f"{name} time", dataset["x"], "s")
+            interval = 0.0
+        yield Column(name, dataset["data"], unit if unit and unit != "NONE" else None, _rate(interval))
+
+
+def _mat(path: Path, _: TextForm) -> Iterable[Column]:
+    for name, array in arrays_of(path):
+        if array.ndim != 2 or array.size < 2:
+            continue
+        rows = array if array.shape[0] < array.shape[1] else array.T  # a record is longer than it has channels
+        for number, row in enumerate(rows, start=1):
+            yield Column(name if len(rows) == 1 else f"{name}[{number}]", row.astype(float))
+
+
+def _tdms(path: Path, _: TextForm) -> Iterable[Column]:
+    from nptdms import TdmsFile
+    from nptdms.log import log_manager
+
+    log_manager.set_level(logging.CRITICAL)  # what it finds is said by an error, or is no fault
+    content = BytesIO(path.read_bytes())  # a read from it takes no more memory than there is to read
+    _check_segments(path, content.getbuffer())
+    declared = sum(len(c) for group in TdmsFile.read_metadata(content).groups() for c in group.channels())
+    if declared > len(content.getbuffer()):
+        raise RigError(f"{path}: declares {declared} values, more than it has bytes; export it again")
+    content.seek(0)
+    for group in TdmsFile.read(content).groups():
+        for channel in group.channels():
+            values = channel[:]
+            if values.dtype.kind in "iuf":
+                unit = channel.properties.get("unit_string")
+                rate = _rate(float(channel.properties.get("wf_increment", 0.0)))
+                yield Column(f"{group.name}/{channel.name}", values.astype(float), str(unit) if unit else None, rate)
+
+
+def _check_segments(path: Path, content: memoryview) -> None:
+    """Raises RigError unless a TDMS file ends where its last segment does."""
+    at = 0
+    while at < len(content):
+        head = content[at : at + _SEGMENT_HEAD_BYTES]
+        if len(head) < _SEGMENT_HEAD_BYTES or bytes(head[:4]) != b"TDSm":
+            raise RigError(f"{path}: has no whole segment at byte {at}; export it again")
+        (kind,) = struct.unpack_from("<I", head, 4)
+        (length,) = struct.unpack_from(">Q" if kind & _BIG_ENDIAN else "<Q", head, 12)
+        at += _SEGMENT_HEAD_BYTES + length
+    if at != len(content):
+        raise RigError(f"{path}: is cut off; export it again")
+
+
+def _rate(interval_s: float) -> float | None:
+    return 1 / interval_s if interval_s > 0 else None
+
+
+READERS: dict[str, Callable[[Path, TextForm], Iterable[Column]]] = {
+    ".csv": _csv,
+    ".txt": _csv,
+    ".uff": _uff,
+    ".unv": _uff,
+    ".mat": _mat,
+    ".tdms": _tdms,
+}

@@ -1,0 +1,14 @@
+"""Which sensors a rig has of each quantity, and the band in which a recording shows them."""
+
+from rig.model.description import Quantity, Rig, Sensor
+
+PASSBAND = 0.4
+"""The chain is flat within 2e-5 up to this fraction of the sampling rate (and down by 100 dB at 1 - PASSBAND)."""
+
+
+def sensors_of(rig: Rig, quantity: Quantity) -> tuple[Sensor, ...]:
+    return tuple(s for s in rig.sensors if s.quantity == quantity)
+
+
+def quantities_of(rig: Rig) -> tuple[Quantity, ...]:
+    return tuple(dict.fromkeys(s.quantity for s in rig.sensors))

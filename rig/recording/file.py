@@ -1,0 +1,307 @@
+"""A recording and its MCAP file: the only thing that passes between rig and identify. Sole owner of the layout."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from jaxtyping import Float, Int
+from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
+
+from rig.errors import CutOffError, RigError
+from rig.model.description import UNITS, Rig, check_given, from_json, stations_of, to_json
+from rig.model.sensing import quantities_of, sensors_of
+from rig.recording import container, messages
+from rig.recording.agreement import check_channels
+from rig.recording.assembly import Assembly
+from rig.recording.channels import Channels, described, understood
+from rig.recording.container_writer import ContainerWriter
+
+BLOCK, AT_ONCE = 1024, 2048
+CHUNK_BYTES, CHUNK_S = 512 * 1024, 5.0
+"""A chunk is written when it has so many bytes, or so much of the record: a kill loses that and a block at most."""
+PREVIEW_HZ = 100.0
+RIG_NAME = "rig.json"
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Channels with their samples; sample k was taken at start_s + k / sample_rate."""
+
+    channels: Channels
+    start_s: float
+    values: Float[np.ndarray, "channels samples"]
+
+    @property
+    def time_s(self) -> Float[np.ndarray, " samples"]:
+        return self.start_s + np.arange(self.values.shape[1]) / self.channels.sample_rate_hz
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A rig as its owner believes it to be, what its sensors delivered, and where the record comes from."""
+
+    rig: Rig
+    signals: Mapping[str, Signals]
+    provenance: Mapping[str, str]
+
+    @property
+    def force_n(self) -> Float[np.ndarray, " samples"]:
+        return self.signals["force"].values[0]
+
+    @property
+    def samples(self) -> int:
+        return self.force_n.size
+
+    @property
+    def start_s(self) -> float:
+        """Above zero in a stretch of a longer record, which does not begin at rest."""
+        return self.signals["force"].start_s
+
+    @property
+    def end_s(self) -> float:
+        return self.start_s + self.duration_s
+
+    @property
+    def duration_s(self) -> float:
+        return self.samples / self.rig.sample_rate_hz
+
+
+class RecordingWriter:
+    """Appends samples group by group and stores them as blocks of 1024 samples, with a decimated preview beside."""
+
+    def __init__(
+        self, stream: IO[bytes], rig: Rig, groups: Mapping[str, Channels], provenance: Mapping[str, str]
+    ) -> None:
+        self._stream = stream
+        self._groups = dict(groups)
+        self._ids = {name: (2 * k + 1, 2 * k + 2) for k, name in enumerate(groups)}
+        self._writer = ContainerWriter(
+            stream,
+            front=[
+                Attachment(0, 0, RIG_NAME, "application/json", to_json(rig)),
+                Metadata(name="provenance", metadata=dict(provenance)),
+            ],
+            schemas=[
+                Schema(id=1, name=messages.BLOCK_NAME, encoding="protobuf", data=messages.BLOCK_SCHEMA),
+                Schema(id=2, name=messages.PREVIEW_NAME, encoding="ros2msg", data=messages.PREVIEW_SCHEMA),
+            ],
+            channels=[
+                Channel(
+                    id=self._ids[name][k],
+                    topic=f"/rig/{name}/{kind}",
+                    message_encoding=encoding,
+                    schema_id=1 + k,
+                    metadata=described(group),
+                )
+                for name, group in groups.items()
+                for k, (kind, encoding) in enumerate((("block", "protobuf"), ("preview", "cdr")))
+            ],
+        )
+        stream.flush()
+        self._pending = {name: np.zeros((len(group.names), 0)) for name, group in groups.items()}
+        self._written = dict.fromkeys(groups, 0)
+
+    def append(self, group: str, values: Float[np.ndarray, "channels samples"]) -> None:
+        waiting = self._pending[group]
+        pending = np.concatenate([waiting, values], axis=1) if waiting.size else values
+        whole = pending.shape[1] // BLOCK * BLOCK
+        for first in range(0, whole, AT_ONCE):  # the previews of so many samples are in one chunk
+            self._write(group, pending[:, first : min(first + AT_ONCE, whole)], BLOCK)
+        self._pending[group] = pending[:, whole:].copy()
+        self._stream.flush()  # a kill loses nothing but the chunk in the making
+
+    def append_all(self, values: Mapping[str, Float[np.ndarray, "_ samples"]]) -> None:
+        """Samples of every group, put side by side in the file, so that it can be read stretch by stretch."""
+        for first in range(0, max(rows.shape[1] for rows in values.values()), AT_ONCE):
+            for group, rows in values.items():
+                self.append(group, rows[:, first : first + AT_ONCE])
+
+    def finish(self) -> None:
+        """Writes what is left, and the index: from here on the file is complete."""
+        for group, rest in self._pending.items():
+            if rest.shape[1]:
+                self._write(group, rest, rest.shape[1])
+        self._writer.finish()
+
+    def _write(self, group: str, values: Float[np.ndarray, "channels samples"], length: int) -> None:
+        """Blocks of that length, and their means over hundredths of a second: a look for people, not for computing."""
+        rate, first = self._groups[group].sample_rate_hz, self._written[group]
+        block_id, preview_id = self._ids[group]
+        count, samples = values.shape
+        for begin in range(0, samples, length):
+            time_ns = round((first + begin) / rate * 1e9)
+            head = messages.block_head(time_ns, first + begin, rate, (count, length))
+            self._writer.chunk.add(block_id, time_ns, (first + begin) // BLOCK, head, values[:, begin : begin + length])
+            if self._writer.chunk.size >= CHUNK_BYTES or self._writer.chunk.span_ns >= CHUNK_S * 1e9:
+                self._writer.write_chunk()
+        begins, widths = _preview(samples, length, max(1, round(rate / PREVIEW_HZ)))
+        means = np.add.reduceat(values, begins, axis=1) / widths
+        moments_ns = np.rint((first + begins) / rate * 1e9).astype("<u8")
+        self._writer.chunk.add_many(preview_id, moments_ns, messages.preview_head(count), means.T)
+        self._written[group] += samples
+
+
+@lru_cache(maxsize=16)
+def _preview(samples: int, length: int, step: int) -> tuple[Int[np.ndarray, " parts"], Int[np.ndarray, " parts"]]:
+    """Where the parts of blocks begin that a preview takes the means of, and how many samples each has."""
+    begins = np.concatenate([np.arange(block, block + length, step) for block in range(0, samples, length)])
+    return begins, np.diff(begins, append=samples)
+
+
+@contextmanager
+def writing(
+    path: Path, rig: Rig, groups: Mapping[str, Channels], provenance: Mapping[str, str]
+) -> Iterator[RecordingWriter]:
+    """A writer for a recording at `path`, which appears there only when it is complete.
+
+    An interruption (Ctrl-C) completes the file with what was written so far. A full disk leaves what was written under
+    the name FILE.part, as a kill does, for rig.recovery. Any other error removes it.
+    """
+    part = container.part_of(path)
+    try:
+        with part.open("wb") as stream:
+            writer = RecordingWriter(stream, rig, groups, provenance)
+            try:
+                yield writer
+            except KeyboardInterrupt:
+                writer.finish()
+                stream.flush()
+                part.replace(path)
+                raise
+            writer.finish()
+    except (OSError, CutOffError) as error:  # CutOffError: the disk failed another file of the same recording
+        why = error.strerror or str(error)
+        if not part.exists():
+            raise RigError(f"{path}: cannot be written ({why}); choose another place") from error
+        sentence = f"{path}: cannot be written to its end ({why}); make room and save what there is: rig recover {part}"
+        raise CutOffError(sentence, why) from error
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+    part.replace(path)
+
+
+def channel_groups(rig: Rig) -> dict[str, Channels]:
+    """The channels that a recording of this rig has."""
+    groups = {"force": Channels("force", UNITS["force"], ("force",), (rig.force_at,), rig.sample_rate_hz)}
+    for quantity in quantities_of(rig):
+        sensors = sensors_of(rig, quantity)
+        groups[quantity] = Channels(
+            quantity,
+            UNITS[quantity],
+            tuple(s.name for s in sensors),
+            tuple(s.station for s in sensors),
+            rig.sample_rate_hz,
+        )
+    return groups
+
+
+def truth_groups(rig: Rig) -> dict[str, Channels]:
+    """The channels of the truth file: what only a simulator knows."""
+    stations, contacts, rate = stations_of(rig), tuple(c.name for c in rig.contacts), rig.sample_rate_hz
+    names = tuple(f"{s.body}_{round(s.position_m * 1000):04d}mm" for s in stations)
+    nowhere = (None,) * len(contacts)
+    return {
+        "force": Channels("force", "N", ("force",), (rig.force_at,), rate),
+        "displacement": Channels("displacement", "m", names, stations, rate),
+        "relative_displacement": Channels("relative displacement", "m", contacts, nowhere, rate),
+        "contact_force": Channels("contact force", "N", contacts, nowhere, rate),
+    }
+
+
+def read(path: Path) -> Recording:
+    """The recording in a file, all of it, checked.
+
+    Raises RigError with one sentence if the file is no recording, is cut or damaged, has no rig.json or no force
+    channel, has a gap in its samples, or holds values that are not finite.
+    """
+    recording = _loaded(path)
+    check_given(recording.rig, f"{path}: {RIG_NAME}")
+    check_channels(
+        path, recording.rig, {n: s.channels for n, s in recording.signals.items()}, channel_groups(recording.rig)
+    )
+    return recording
+
+
+def read_truth(path: Path) -> Recording:
+    """The truth file of a simulated recording: its groups are those of `truth_groups`. Not for identification."""
+    return _loaded(path)
+
+
+def with_history(provenance: Mapping[str, str], *steps: str) -> dict[str, str]:
+    """The provenance with what was done to the record since, one numbered entry a step."""
+    done = sum(key.startswith("history ") for key in provenance)
+    return {**provenance, **{f"history {done + k}": step for k, step in enumerate(steps, start=1)}}
+
+
+def truth_path(path: Path) -> Path:
+    return path.with_name(path.name.removesuffix(".mcap") + ".truth.mcap")
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What the records of a file hold beside the blocks of every group."""
+
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    provenance: dict[str, str] = field(default_factory=dict)
+    groups: dict[str, Channels] = field(default_factory=dict)
+
+
+def is_of_blocks(channel: Channel) -> bool:
+    parts = channel.topic.split("/")
+    return len(parts) == 4 and parts[1] == "rig" and parts[3] == "block"
+
+
+def gathering(records: Iterable[McapRecord], found: Contents) -> Iterator[tuple[str, messages.Block]]:
+    """Sorts the records of a file into what is given, and yields every block with the name of its group.
+
+    Its values are there until the next is asked for. Raises ValueError or RigError, without the name of the file, if a
+    record is wrong.
+    """
+    numbers: dict[int, str] = {}
+    channels: dict[int, Channel] = {}
+    for record in records:
+        if isinstance(record, Channel) and (before := channels.setdefault(record.id, record)) != record:
+            raise ValueError(f"channel {record.id} is described in two ways: {before.topic} and {record.topic}")
+        if isinstance(record, Attachment):
+            found.attachments[record.name] = record.data
+        elif isinstance(record, Metadata) and record.name == "provenance":
+            found.provenance.update(record.metadata)
+        elif isinstance(record, Channel) and record.id not in numbers and is_of_blocks(record):
+            group = record.topic.split("/")[2]
+            numbers[record.id] = group
+            found.groups[group] = understood(record.topic, record.metadata)
+        elif isinstance(record, Message) and record.channel_id in numbers:
+            yield numbers[record.channel_id], messages.decode_block(record.data)
+
+
+def rig_of(path: Path, contents: Contents) -> Rig:
+    if RIG_NAME not in contents.attachments:
+        raise RigError(f"{path}: has no attachment {RIG_NAME}; add the description of the rig (see rig/README.md)")
+    return from_json(contents.attachments[RIG_NAME], f"{path}: {RIG_NAME}")
+
+
+def _loaded(path: Path) -> Recording:
+    contents, held = Contents(), dict[str, Assembly]()
+    with container.opened(path) as file:
+        doubles = path.stat().st_size // 8
+        for name, block in container.told(path, gathering(container.whole(file, is_of_blocks), contents)):
+            if name not in held:
+                room = doubles // sum(len(group.names) for group in contents.groups.values())
+                held[name] = Assembly(path, name, contents.groups[name], room=room)
+            held[name].add(block)
+    rig = rig_of(path, contents)
+    signals = {
+        name: Signals(group, *held.get(name, Assembly(path, name, group)).finished())
+        for name, group in contents.groups.items()
+    }
+    if "force" not in signals:
+        raise RigError(f"{path}: has no channel /rig/force/block; record the exciting force too")
+    lengths = {name: s.values.shape[1] for name, s in signals.items()}
+    if len(set(lengths.values())) > 1:
+        raise RigError(f"{path}: its groups differ in length ({lengths}); every group needs the same samples")
+    return Recording(rig, signals, contents.provenance)

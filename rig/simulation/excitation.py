@@ -1,0 +1,207 @@
+"""Exciting forces: each a frozen description that gives the same force at any time step."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import msgspec
+import numpy as np
+from jaxtyping import Complex, Float
+from scipy.signal import chirp
+
+from rig.errors import RigError
+from rig.simulation.motion import Course
+
+QUIET_S = 1.0
+"""Every recording begins with a second without force: what is heard there is not the force's doing."""
+RISE_S = 1 / 32
+"""Over which noise and multisine set in: a jump would make the motion depend on the step that it happens in."""
+LONG_S = 1024.0
+"""A Gaussian force of more than this is made of stretches, which are never held all at once."""
+STRETCH_S = 256.0
+
+
+class _Band(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A band and a root mean square value, which is taken over the excited part of the record."""
+
+    rms_n: float
+    low_hz: float
+    high_hz: float
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.rms_n) and self.rms_n >= 0):
+            raise RigError(f"excitation: rms_n is {self.rms_n}; give a finite value, zero or above")
+        if not 0 <= self.low_hz < self.high_hz < np.inf:
+            raise RigError(f"excitation: the band {self.low_hz} to {self.high_hz} Hz is empty; give 0 <= low < high")
+        if self.seed < 0:
+            raise RigError(f"excitation: seed is {self.seed}; give zero or above")
+
+
+class BandLimitedGaussian(_Band, frozen=True, tag="gaussian"):
+    """Gaussian noise with a flat spectrum in the band and none outside: the paper's excitation.
+
+    Drawn line by line in the frequency domain, so the force does not depend on the step at which it is asked for. One
+    of more than 1024 s is made of independent stretches of 256 s that overlap by half, under windows whose squares add
+    up to one.
+    """
+
+    def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+        return _scaled(_noise(samples, step_s, self) * _rise(samples, step_s), self.rms_n)
+
+
+class BurstRandom(_Band, frozen=True, tag="burst"):
+    """The band-limited Gaussian force, on for `on_fraction` of each period and off for the rest."""
+
+    period_s: float = 4.0
+    on_fraction: float = 0.6
+
+    def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+        noise = _noise(samples, step_s, self)
+        phase = np.mod(np.arange(samples) * step_s, self.period_s) / (self.period_s * self.on_fraction)
+        edge = np.clip(np.minimum(phase, 1 - phase) * 20, 0, 1)  # smooth edges over a twentieth of the burst
+        return _scaled(noise * np.sin(np.pi / 2 * edge) ** 2, self.rms_n)
+
+
+class Sweep(_Band, frozen=True, tag="sweep"):
+    """A linear sine sweep from the lower to the upper end of the band over the whole record."""
+
+    def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+        time_s = np.arange(samples) * step_s
+        return _scaled(chirp(time_s, self.low_hz, samples * step_s, self.high_hz, phi=-90), self.rms_n)
+
+
+class Multisine(_Band, frozen=True, tag="multisine"):
+    """A periodic sum of sines of equal amplitude and random phase on every line of 1/period in the band."""
+
+    period_s: float = 8.0
+
+    def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+        lines = np.arange(np.ceil(self.low_hz * self.period_s), np.floor(self.high_hz * self.period_s) + 1)
+        lines = lines[lines > 0]
+        phases = np.random.default_rng(self.seed).uniform(0, 2 * np.pi, len(lines))
+        time_s = np.arange(samples) * step_s
+        total = np.zeros(samples)
+        for line, phase in zip(lines, phases, strict=True):
+            total += np.cos(2 * np.pi * line / self.period_s * time_s + phase)
+        return total * _rise(samples, step_s) * self.rms_n * np.sqrt(2 / max(len(lines), 1))
+
+
+class FreeDecay(_Band, frozen=True, tag="free_decay"):
+    """One half-sine blow of length 1/(2 high_hz) and peak rms_n * sqrt(2), then nothing: the rig decays freely."""
+
+    def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+        time_s = np.arange(samples) * step_s
+        blow = np.sin(2 * np.pi * self.high_hz * time_s)
+        return np.where(time_s < 0.5 / self.high_hz, blow, 0.0) * self.rms_n * np.sqrt(2)
+
+
+Excitation = BandLimitedGaussian | BurstRandom | Sweep | Multisine | FreeDecay
+_KINDS: dict[str, type[Excitation]] = {
+    "gaussian": BandLimitedGaussian,
+    "burst": BurstRandom,
+    "sweep": Sweep,
+    "multisine": Multisine,
+    "free_decay": FreeDecay,
+}
+
+
+def excitation_of(kind: str, *, rms_n: float, low_hz: float, high_hz: float, seed: int = 1) -> Excitation:
+    """The excitation named `kind`; raises RigError if there is none."""
+    if kind not in _KINDS:
+        raise RigError(f"no excitation {kind!r}; there are {', '.join(_KINDS)}")
+    return _KINDS[kind](rms_n=rms_n, low_hz=low_hz, high_hz=high_hz, seed=seed)
+
+
+def force_history(excitation: Excitation, duration_s: float, step_s: float) -> Float[np.ndarray, " samples"]:
+    """The force in newtons at 0, step, 2 step, ... below the duration: a quiet second, then the excitation.
+
+    Raises RigError if the record is not longer than the quiet second or the band reaches beyond half the step rate.
+    """
+    _check(excitation, duration_s, step_s)
+    quiet = round(QUIET_S / step_s)
+    samples = round(duration_s / step_s)
+    return np.concatenate([np.zeros(quiet), excitation.excited(samples - quiet, step_s)])
+
+
+@dataclass(frozen=True)
+class LongForce:
+    """A Gaussian force that is had slice by slice."""
+
+    excitation: BandLimitedGaussian
+    samples: int
+    step_s: float
+
+    def __len__(self) -> int:
+        return self.samples
+
+    def __getitem__(self, now: slice) -> Float[np.ndarray, " some"]:
+        first, stop, _ = now.indices(self.samples)
+        quiet, half = round(QUIET_S / self.step_s), round(STRETCH_S / 2 / self.step_s)
+        force = np.zeros(max(0, stop - first))
+        for k in range((max(first, quiet) - quiet) // half, (stop - 1 - quiet) // half + 2):
+            begin = quiet + (k - 1) * half
+            some = slice(max(first, begin, quiet), min(stop, begin + 2 * half))
+            force[some.start - first : some.stop - first] += _stretch(self.excitation, self.step_s, k)[
+                some.start - begin : some.stop - begin
+            ]
+        return force
+
+
+def force_course(excitation: Excitation, duration_s: float, step_s: float) -> Course:
+    """The force of `force_history`; a Gaussian one of more than 1024 s to be had slice by slice."""
+    if isinstance(excitation, BandLimitedGaussian) and duration_s > LONG_S:
+        _check(excitation, duration_s, step_s)
+        return LongForce(excitation, round(duration_s / step_s), step_s)
+    return force_history(excitation, duration_s, step_s)
+
+
+def noise_spectrum(
+    samples: int, step_s: float, low_hz: float, high_hz: float, seed: int | Sequence[int]
+) -> Complex[np.ndarray, " lines"]:
+    """Independent Gaussian lines at every multiple of 1/duration in the band, so that the step does not matter.
+
+    Raises RigError if no line lies in the band.
+    """
+    period_s = samples * step_s
+    first, last = max(int(np.ceil(low_hz * period_s)), 1), int(np.floor(high_hz * period_s))
+    if last < first:
+        raise RigError(f"excitation: no line of {low_hz} to {high_hz} Hz fits {period_s:.3g} s; record longer")
+    lines = np.random.default_rng(seed).standard_normal((last - first + 1, 2))
+    spectrum = np.zeros(samples // 2 + 1, dtype=complex)
+    spectrum[first : last + 1] = lines[:, 0] + 1j * lines[:, 1]
+    return spectrum
+
+
+def _check(excitation: Excitation, duration_s: float, step_s: float) -> None:
+    if not duration_s > QUIET_S:
+        raise RigError(f"duration is {duration_s} s; give more than {QUIET_S} s, the quiet start of every recording")
+    if not step_s > 0 or excitation.high_hz * step_s > 0.25:
+        raise RigError(f"step is {step_s} s; {excitation.high_hz} Hz needs a step above 0 and at most 1/(4 high_hz)")
+
+
+@lru_cache(maxsize=2)
+def _stretch(band: BandLimitedGaussian, step_s: float, k: int) -> Float[np.ndarray, " samples"]:
+    """The k-th stretch under its window; the first one sets in smoothly, half-way through, where the force begins."""
+    samples = 2 * round(STRETCH_S / 2 / step_s)
+    spectrum = noise_spectrum(samples, step_s, band.low_hz, band.high_hz, (band.seed, k))
+    rms = 2 * np.sqrt(np.count_nonzero(spectrum)) / samples
+    force = np.fft.irfft(spectrum, samples) * (band.rms_n / rms) * np.sin(np.pi * np.arange(samples) / samples)
+    if k < 2:
+        begun = (1 - k) * samples // 2
+        force[begun:] *= _rise(samples - begun, step_s)
+    force.flags.writeable = False
+    return np.asarray(force)
+
+
+def _noise(samples: int, step_s: float, band: _Band) -> Float[np.ndarray, " samples"]:
+    return np.fft.irfft(noise_spectrum(samples, step_s, band.low_hz, band.high_hz, band.seed), samples)
+
+
+def _rise(samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+    return np.sin(np.pi / 2 * np.clip(np.arange(samples) * step_s / RISE_S, 0, 1)) ** 2
+
+
+def _scaled(force: Float[np.ndarray, " samples"], rms_n: float) -> Float[np.ndarray, " samples"]:
+    rms = np.sqrt(np.mean(force**2))
+    return force * (rms_n / rms) if rms > 0 else force

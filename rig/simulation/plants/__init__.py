@@ -1,0 +1,16 @@
+"""How a rig is simulated: one protocol (`rig.motion.Plant`), several engines, imported when they are asked for."""
+
+from importlib import import_module
+
+from rig.errors import RigError
+from rig.simulation.motion import Plant
+
+PLANTS = ("ancf", "modal")
+
+
+def plant_named(name: str) -> Plant:
+    """The plant of that name; raises RigError if there is none."""
+    if name not in PLANTS:
+        raise RigError(f"no plant {name!r}; there are {', '.join(PLANTS)}")
+    plant: Plant = import_module(f"rig.simulation.plants.{name}").simulate
+    return plant

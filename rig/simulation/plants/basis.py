@@ -1,0 +1,73 @@
+"""The modal basis of a beam of several sections, from its finite elements in Exudyn."""
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import eigh
+
+from rig.model.beam import Beam
+from rig.model.description import Rig, Station
+from rig.model.modes import held_coordinates, hermite
+from rig.model.structure import Structure, structure_of
+from rig.simulation.plants.ancf import build, free_coordinates
+from rig.simulation.plants.connectors import Section
+from rig.simulation.plants.mesh import Mesh
+
+ELEMENTS = 60
+
+
+def modal_basis(
+    beam: Beam,
+    sections: tuple[Section, ...],
+    positions_m: Float[np.ndarray, " places"],
+    modes: int,
+    elements: int = ELEMENTS,
+) -> Structure:
+    """The beam with its sections as a `Structure`: the first modes at rest, with their shapes at the given positions.
+
+    Elastic modes have the beam's damping ratio. The rigid-body modes of a free beam, which its finite elements give in
+    any mixture, become a translation and a rotation about the centre of mass.
+    """
+    mesh, squares, vectors = _bending_modes(beam, sections, elements)
+    rigid = beam.rigid_modes
+    frequencies_hz = np.sqrt(np.maximum(squares[:modes], 0)) / (2 * np.pi)
+    frequencies_hz[:rigid] = 0
+    shapes = np.array([hermite(mesh.positions_m, float(x)) for x in positions_m]) @ vectors[:, :modes]
+    shapes[:, :rigid] = shapes[:, :rigid] @ _unmixed(vectors[0::2, :rigid])
+    upwards = np.where(shapes[-1] < 0, -1.0, 1.0)  # at the right end
+    return structure_of(
+        beam.name, beam.length_m, frequencies_hz, beam.damping_ratios(modes), positions_m, shapes * upwards
+    )
+
+
+def _bending_modes(
+    beam: Beam, sections: tuple[Section, ...], elements: int
+) -> tuple[Mesh, Float[np.ndarray, " modes"], Float[np.ndarray, "transverse modes"]]:
+    """The mesh, omega^2, and mass-normalised shapes over (displacement, slope) of every node."""
+    import exudyn as exu
+
+    exu.config.printToConsole = False
+    exu.config.suppressWarnings = True
+    container = exu.SystemContainer()
+    alone = Rig(
+        name=beam.name, bodies=(beam,), contacts=(), force_at=Station(beam.name), sensors=(), sample_rate_hz=1.0
+    )
+    try:
+        mbs = container.AddSystem()
+        (mesh,), _, _ = build(exu, mbs, alone, 0.0, elements, sections)
+        mbs.Assemble()
+        mass, stiffness, _ = mbs.ComputeLinearizedSystem()
+    finally:
+        container.Reset()
+    free = free_coordinates(alone, mesh)
+    squares, shapes = eigh(stiffness[np.ix_(free, free)], mass[np.ix_(free, free)])
+    held = np.zeros((held_coordinates(alone, beam), squares.size))
+    return mesh, squares, np.concatenate([held, shapes])
+
+
+def _unmixed(rigid: Float[np.ndarray, "nodes rigid"]) -> Float[np.ndarray, "rigid rigid"]:
+    """The rotation of the rigid modes that makes the first a pure translation: its amplitudes are those of 1."""
+    if not rigid.size:
+        return np.eye(rigid.shape[1])
+    translation = np.linalg.lstsq(rigid, np.ones(len(rigid)), rcond=None)[0]
+    first = translation / np.linalg.norm(translation)
+    return np.stack([first, [-first[1], first[0]]], axis=1)

@@ -1,0 +1,164 @@
+"""What acts on a rig beside its measured force: true force, base motion, cubic springs, dampers, static loads."""
+
+import numpy as np
+from jaxtyping import Complex, Float
+from scipy.interpolate import CubicSpline
+
+from rig.errors import RigError
+from rig.model.contact_law import DeadZone
+from rig.model.description import RISE_S, Contact, Rig, Station, contact_stations
+from rig.model.modes import modes_of
+from rig.simulation.excitation import noise_spectrum
+from rig.simulation.motion import Course
+
+SPLINED = 64
+"""So many samples to either side decide a spline's value to the last digit."""
+_ORDERS = ("displacement", "velocity", "acceleration")
+
+
+def true_force(rig: Rig, measured_n: Course, step_s: float, now: slice = slice(None)) -> Float[np.ndarray, " some"]:
+    """The force on the rig, given the measured one at multiples of the step: F(t) = measured(t - lag) / gain.
+
+    Before its first sample and behind its last the measured force is taken to stay as it is there.
+    """
+    sensor = rig.force_sensor
+    if not sensor.lag_s:
+        return measured_n[now] / sensor.gain
+    first, stop, _ = now.indices(len(measured_n))
+    shifted = np.arange(first, stop) - sensor.lag_s / step_s
+    inside = np.clip(shifted, 0, len(measured_n) - 1)
+    known = np.arange(max(0, int(inside[0]) - SPLINED), min(len(measured_n), int(inside[-1]) + SPLINED))
+    between = CubicSpline(known, measured_n[known[0] : known[-1] + 1])(inside)
+    return np.where(shifted < 0, measured_n[:1], between) / sensor.gain
+
+
+def base_motion(rig: Rig, samples: int, step_s: float) -> dict[str, Float[np.ndarray, " samples"]]:
+    """Displacement, velocity and acceleration of the base at multiples of the step, each the other's derivative.
+
+    It sets in from rest over half a second. Raises RigError if the band does not fit the record or the step.
+    """
+    base = rig.base_motion
+    if base is None:
+        return {}
+    if base.high_hz * step_s > 0.25:
+        raise RigError(f"step is {step_s} s; a base motion up to {base.high_hz} Hz needs at most 1/(4 high_hz)")
+    spectrum = noise_spectrum(samples, step_s, base.low_hz, base.high_hz, base.seed)
+    omega = 2 * np.pi * np.fft.rfftfreq(samples, step_s)
+    velocity = np.divide(spectrum, 1j * omega, out=np.zeros_like(spectrum), where=omega > 0)
+    displacement = np.divide(velocity, 1j * omega, out=np.zeros_like(spectrum), where=omega > 0)
+    d, v, a = (_in_time(part, samples) for part in (displacement, velocity, spectrum))
+    scale = base.acceleration_rms_m_per_s2 / np.sqrt(np.mean(a**2))
+    s = np.clip(np.arange(samples) * step_s / RISE_S, 0, 1)
+    rise, slope, bend = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2, 60 * s * (1 - s) * (1 - 2 * s)
+    slope, bend = slope / RISE_S, bend / RISE_S**2
+    moved = (rise * d, slope * d + rise * v, bend * d + 2 * slope * v + rise * a)
+    return {order: scale * row for order, row in zip(_ORDERS, moved, strict=True)}
+
+
+def connections(rig: Rig) -> tuple[Contact, ...]:
+    """The contacts, then cubic springs and dampers, each a dead zone to the ground without clearance and stiffness."""
+
+    def grounded(name: str, station: Station, **law: float) -> Contact:
+        zone = DeadZone(lower_clearance_m=0.0, upper_clearance_m=0.0, stiffness_n_per_m=0.0, **law)
+        return Contact(name=name, at=station, against=None, law=zone)
+
+    springs = (s for s in rig.springs if s.cubic_n_per_m3)
+    return (
+        *rig.contacts,
+        *(grounded(f"spring {i}", s.station, cubic_n_per_m3=s.cubic_n_per_m3) for i, s in enumerate(springs)),
+        *(
+            grounded(f"damper {i}", d.station, open_damping_n_s_per_m=d.damping_n_s_per_m, friction_n=d.friction_n)
+            for i, d in enumerate(rig.dampers)
+        ),
+    )
+
+
+def softening_limits_m(rig: Rig) -> Float[np.ndarray, " connections"]:
+    """How far each of the `connections` may move: where a softening spring takes all of its body's stiffness.
+
+    With the static stiffness k of the body at the spring, 1 / sum phi^2 / omega^2 over its modes, that is at
+    sqrt(k / -k3): beyond, nothing pulls back. Infinite for all else, and for a body that contacts hold too.
+    """
+    limits = []
+    touched = {station.body for contact in rig.contacts for station in contact_stations(contact)}
+    for connection in connections(rig):
+        cubic, station = connection.law.cubic_n_per_m3, connection.at
+        free = cubic < 0 and station.body not in touched
+        limits.append(np.sqrt(_static_stiffness(rig, station) / -cubic) if free else np.inf)
+    return np.array(limits)
+
+
+def check_softening(
+    limits_m: Float[np.ndarray, " connections"], eta_m: Float[np.ndarray, "connections samples"]
+) -> None:
+    """Raises RigError if a softening spring has moved beyond its limit."""
+    for limit, moved in zip(limits_m, eta_m, strict=True):
+        if np.isfinite(limit) and np.abs(moved).max() > limit:
+            raise RigError(
+                f"a softening spring has let go: the body moved by {np.abs(moved).max():.3g} m, and beyond {limit:.3g} "
+                "m nothing pulls it back; let it soften less, or excite less"
+            )
+
+
+def _static_stiffness(rig: Rig, station: Station) -> float:
+    """Zero of a body that floats."""
+    body = rig.body(station.body)
+    modes, count = modes_of(rig, body), body.most_modes
+    omega = 2 * np.pi * modes.frequencies_hz(count)
+    if not np.all(omega > 0):
+        return 0.0
+    return float(1 / np.sum((modes.shapes(np.array([station.position_m]), count)[0] / omega) ** 2))
+
+
+def equilibrium(
+    squares: Float[np.ndarray, " modes"],
+    across: Float[np.ndarray, "connections modes"],
+    laws: tuple[DeadZone, ...],
+    load: Float[np.ndarray, " modes"],
+) -> Float[np.ndarray, " modes"]:
+    """Where the rig rests under a static load, in modal coordinates, `squares` being omega^2.
+
+    It is the least of the convex energy sum omega^2 q^2 / 2 + sum U_j(across_j q) - load q, reached by proximal steps
+    from zero: what floats unloaded stays, and what floats under a load is pushed to where the stops hold it. Raises
+    RigError if nothing does.
+    """
+    q = np.zeros(load.size)
+    if not load.any():
+        return q
+
+    def depths(at: Float[np.ndarray, " modes"]) -> list[tuple[DeadZone, Float[np.ndarray, " one"]]]:
+        return [(law, law.penetration_m(np.array([eta]))) for law, eta in zip(laws, across @ at, strict=True)]
+
+    def energy(at: Float[np.ndarray, " modes"]) -> float:
+        stored = sum(float(law.energy_j(depth)[0]) for law, depth in depths(at))
+        return float(squares @ at**2 / 2 + stored - load @ at)
+
+    def slopes(at: Float[np.ndarray, " modes"]) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"]]:
+        forces = np.array([law.elastic_n(depth)[0] for law, depth in depths(at)])
+        tangent = np.array([law.tangent_n_per_m(depth)[0] for law, depth in depths(at)])
+        return squares * at + forces @ across - load, np.diag(squares) + (across.T * tangent) @ across
+
+    for hold in 100.0 * 0.7 ** np.arange(60):  # stiffness that ties every mode to where it was before
+        anchor = q
+        for _ in range(30):
+            force, stiffness = slopes(q)
+            force = force + hold * (q - anchor)
+            if np.linalg.norm(force) < 1e-9 * np.linalg.norm(load):
+                break
+            step = np.linalg.solve(stiffness + hold * np.eye(q.size), force)
+            before = energy(q) + hold * np.sum((q - anchor) ** 2) / 2
+            while energy(q - step) + hold * np.sum((q - step - anchor) ** 2) / 2 > before + 1e-12 * abs(before):
+                step = step / 2
+            q = q - step
+        if np.linalg.norm(q - anchor) < 1e-12 * np.linalg.norm(q):
+            break
+    for _ in range(3):
+        force, stiffness = slopes(q)
+        q = q - np.linalg.lstsq(stiffness, force, rcond=1e-12)[0]
+    if np.linalg.norm(slopes(q)[0]) > 1e-6 * np.linalg.norm(load):
+        raise RigError("nothing holds a body against its static load; add a spring or a contact, or take the load off")
+    return q
+
+
+def _in_time(spectrum: Complex[np.ndarray, " lines"], samples: int) -> Float[np.ndarray, " samples"]:
+    return np.fft.irfft(spectrum, samples)

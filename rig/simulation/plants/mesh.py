@@ -1,0 +1,117 @@
+"""Where the nodes of a body stand, and what weighs on them; shared by whatever uses finite elements."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import block_diag, eigh
+
+from rig.model.beam import Beam
+from rig.model.description import Rig, Station, contact_stations
+from rig.model.modes import Meshed, held_coordinates, hermite, matrices
+from rig.simulation.plants.loading import connections, equilibrium
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A body in Exudyn: its nodes, where they stand, and which coordinates of a node are transverse (value, slope)."""
+
+    body: Meshed
+    positions_m: Float[np.ndarray, " nodes"]
+    nodes: tuple[int, ...]
+
+    def node_at(self, position_m: float) -> int:
+        return self.nodes[int(np.argmin(np.abs(self.positions_m - position_m)))]
+
+    def row(self, position_m: float) -> Float[np.ndarray, " transverse"]:
+        """Weights of (value, slope) of every node in the transverse motion at a position: cubic Hermite shapes."""
+        return hermite(self.positions_m, position_m)
+
+    @property
+    def transverse(self) -> list[int]:
+        """Of a node's coordinates (x, y, slope x, slope y), those of the transverse motion."""
+        return [1, 3] if isinstance(self.body, Beam) else [0]
+
+
+def mesh_positions(rig: Rig, beam: Beam, elements: int) -> Float[np.ndarray, " nodes"]:
+    """About `elements` elements a beam, with a node wherever something acts on it or is attached to it."""
+    acted_on = [s for c in rig.contacts for s in contact_stations(c)]
+    acted_on += [rig.force_at, *(m.station for m in rig.masses), *(s.station for s in rig.springs)]
+    acted_on += [*(x.station for x in rig.loads), *(x.station for x in rig.dampers), *(x.station for x in rig.tones)]
+    corners = np.unique([0.0, beam.length_m, *(s.position_m for s in acted_on if s.body == beam.name)])
+    largest = beam.length_m / elements * (1 + 1e-9)
+    pieces = [np.linspace(a, b, int(np.ceil((b - a) / largest)) + 1)[:-1] for a, b in pairwise(corners)]
+    return np.append(np.concatenate(pieces), beam.length_m)
+
+
+def station_row(meshes: list[Mesh], station: Station) -> Float[np.ndarray, " rows"]:
+    """Weights of all transverse coordinates of all bodies in the motion of a station."""
+    return np.concatenate(
+        [
+            mesh.row(station.position_m if mesh.body.name == station.body else 0.0) * (mesh.body.name == station.body)
+            for mesh in meshes
+        ]
+    )
+
+
+def static_load(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
+    """The static loads on every transverse coordinate, N and N m."""
+    nothing = np.zeros(station_row(meshes, rig.force_at).size)
+    return nothing + sum(load.force_n * station_row(meshes, load.station) for load in rig.loads)
+
+
+def inertia(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
+    """Of every transverse coordinate in a motion of the base: the mass matrix times a translation, kg and kg m."""
+    parts = []
+    for mesh in meshes:
+        mass, _ = matrices(rig, mesh.body, mesh.positions_m)
+        parts.append(mass @ np.tile([1.0, 0.0], len(mesh.nodes))[: len(mass)])
+    return np.concatenate(parts)
+
+
+def by_node(meshes: list[Mesh], transverse: Float[np.ndarray, " rows"]) -> list[Float[np.ndarray, " coordinates"]]:
+    """A vector over all transverse coordinates as one over all coordinates of every body; zero along the beams."""
+    vectors, first = [], 0
+    for mesh in meshes:
+        size = len(mesh.transverse) * len(mesh.nodes)
+        values = np.zeros((len(mesh.nodes), 4 if isinstance(mesh.body, Beam) else 1))
+        values[:, mesh.transverse] = transverse[first : first + size].reshape(len(mesh.nodes), -1)
+        vectors.append(values.ravel())
+        first += size
+    return vectors
+
+
+def coordinates_at_rest(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " coordinates"]:
+    """All coordinates in equilibrium under the static loads.
+
+    A beam's nodes move inwards as its slope turns them, so that it is not stretched.
+    """
+    vectors = by_node(meshes, _at_rest(rig, meshes))
+    for mesh, values in zip(meshes, vectors, strict=True):
+        if isinstance(mesh.body, Beam):
+            shortening = values[3::4] ** 2 / 2
+            steps = np.diff(mesh.positions_m) * (shortening[1:] + shortening[:-1]) / 2
+            values[2::4] = -shortening
+            values[0::4] = -np.concatenate([[0.0], np.cumsum(steps)])
+    return np.concatenate(vectors)
+
+
+def _at_rest(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
+    load = static_load(rig, meshes)
+    pairs = [matrices(rig, mesh.body, mesh.positions_m) for mesh in meshes]
+    mass, stiffness = (block_diag(*parts) for parts in zip(*pairs, strict=True))
+    held, first = [], 0
+    for mesh in meshes:
+        held += list(range(first, first + held_coordinates(rig, mesh.body)))
+        first += len(mesh.transverse) * len(mesh.nodes)
+    free = np.setdiff1d(np.arange(load.size), held)
+    both = connections(rig)
+    across = np.array(
+        [station_row(meshes, c.at) - (station_row(meshes, c.against) if c.against else 0) for c in both]
+    ).reshape(len(both), load.size)
+    squares, shapes = eigh(stiffness[np.ix_(free, free)], mass[np.ix_(free, free)])
+    laws = tuple(c.law for c in both)
+    found = np.zeros(load.size)
+    found[free] = shapes @ equilibrium(np.maximum(squares, 0), across[:, free] @ shapes, laws, shapes.T @ load[free])
+    return found

@@ -1,0 +1,110 @@
+"""Recording a rig: force, plant, sensors and file in one go."""
+
+import importlib.metadata
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from rig.errors import RigError
+from rig.model.description import Rig
+from rig.recording import channel_groups, truth_groups, truth_path, writing
+from rig.simulation.excitation import QUIET_S, Excitation, force_course
+from rig.simulation.motion import Plant, Progress
+from rig.simulation.sensors import Samples, digitised, needed_duration_s
+
+MAX_DURATION_S = 1e6
+
+
+def record(
+    rig: Rig,
+    excitation: Excitation,
+    *,
+    plant: Plant,
+    duration_s: float,
+    step_s: float,
+    path: Path,
+    progress: Progress,
+    actual: Rig | None = None,
+) -> None:
+    """Simulates the rig and writes the recording to `path` and what only a simulator knows to the truth file beside.
+
+    With `actual` that rig is simulated, while the recording says that it was `rig`: what its owner believes. Both need
+    the same sensors, contacts and sampling rate; their properties and places may differ.
+
+    The plant runs a little longer than duration_s, as the anti-aliasing filter needs samples on both sides. The
+    sensors' noise comes from the excitation's seed. Raises RigError where the rig cannot be simulated so or the file
+    not written.
+    """
+    actual = actual or rig
+    if not QUIET_S < duration_s < MAX_DURATION_S:
+        raise RigError(
+            f"duration is {duration_s} s; give more than {QUIET_S} s, the quiet start of every recording, and less "
+            f"than {MAX_DURATION_S:g} s"
+        )
+    samples = round(duration_s * rig.sample_rate_hz)
+    if samples == 0:
+        raise RigError(
+            f"duration is {duration_s} s and sample_rate_hz {rig.sample_rate_hz}, which makes no sample; record longer "
+            "or sample faster"
+        )
+    force = force_course(excitation, needed_duration_s(actual, samples / rig.sample_rate_hz), step_s)
+    plant_name = getattr(plant, "__module__", "").rsplit(".", 1)[-1]
+    provenance = {
+        "made_by": "rig record",
+        "plant": plant_name,
+        "step_s": repr(step_s),
+        "asked_duration_s": repr(duration_s),
+        "excitation": repr(excitation),
+        "seed": str(excitation.seed),
+        **{f"version of {name}": importlib.metadata.version(name) for name in ("rig-identify", "exudyn", "numpy")},
+    }
+    rng = np.random.default_rng([excitation.seed, 1])
+    written = 0
+    with (
+        np.errstate(over="ignore", divide="ignore", invalid="ignore"),  # what becomes of it is refused below
+        threadpool_limits(1),  # the matrices are small
+        _interrupted_between_blocks() as check_interrupt,
+        writing(path, rig, channel_groups(rig), provenance) as recording,
+        writing(truth_path(path), actual, truth_groups(actual), provenance) as truth,
+    ):
+        for block in digitised(actual, plant(actual, force, step_s, progress), rng):
+            keep = slice(0, samples - written)
+            _check_finite(block)
+            for file in (recording, truth):
+                file.append("force", block.force_n[None, keep])
+            for quantity, values in block.sensed.items():
+                recording.append(quantity, values[:, keep])
+            for group, values in block.truth.items():
+                truth.append(group, values[:, keep])
+            written += block.force_n[keep].size
+            check_interrupt()
+
+
+def _check_finite(block: Samples) -> None:
+    for name, values in (("force", block.force_n), *block.sensed.items(), *block.truth.items()):
+        if not np.isfinite(values).all():
+            raise RigError(f"the simulated {name} is no finite number; check the rig for values without reason")
+
+
+@contextmanager
+def _interrupted_between_blocks() -> Iterator[Callable[[], None]]:
+    """Holds Ctrl-C back until the returned function is called, so that it strikes neither a solver nor a writer."""
+    pressed: list[int] = []
+
+    def check() -> None:
+        if pressed:
+            raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():  # signals reach the main thread alone
+        yield check
+        return
+    before = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,191 @@
+"""The two reference rigs of the paper, with the settings that `rig record SCENARIO --set KEY=VALUE` may change."""
+
+from typing import Literal
+
+import msgspec
+
+from rig.errors import RigError
+from rig.model.beam import Beam
+from rig.model.contact_law import DeadZone
+from rig.model.description import Contact, Quantity, Rig, Sensor, Station
+from rig.model.oscillator import Oscillator
+from rig.simulation.excitation import Excitation, excitation_of
+
+
+class Sdof(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The one-mass rig (figure 1 and table 1): a mass on a spring between two stops."""
+
+    mass_kg: float = 1.0
+    frequency_hz: float = 5.0
+    damping_ratio: float = 0.01
+    clearance_m: float = 1e-3
+    stiffness_n_per_m: float = 1e4
+    contact_damping_n_s_per_m: float = 0.0
+    sensors: Literal["both", "displacement", "acceleration"] = "both"
+    noise_density: float = 0.0
+    sample_rate_hz: float = 512.0
+    step_s: float = 2.0**-13
+    duration_s: float = 825.0
+    excitation: str = "gaussian"
+    rms_n: float = 0.5
+    low_hz: float = 0.0
+    high_hz: float = 15.0
+    seed: int = 1
+
+    def rig(self) -> Rig:
+        mass = Station("mass")
+        quantities = _quantities(self.sensors)
+        law = _equal_sides(self.clearance_m, self.stiffness_n_per_m, self.contact_damping_n_s_per_m)
+        return Rig(
+            name="sdof",
+            bodies=(
+                Oscillator(
+                    name="mass",
+                    mass_kg=self.mass_kg,
+                    frequency_hz=self.frequency_hz,
+                    damping_ratio=self.damping_ratio,
+                ),
+            ),
+            contacts=(Contact(name="stop", at=mass, against=None, law=law),),
+            force_at=mass,
+            sensors=tuple(_sensor(mass, quantity, self.noise_density) for quantity in quantities),
+            sample_rate_hz=self.sample_rate_hz,
+        )
+
+    def force(self) -> Excitation:
+        return excitation_of(
+            self.excitation, rms_n=self.rms_n, low_hz=self.low_hz, high_hz=self.high_hz, seed=self.seed
+        )
+
+
+class BarrelCradle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The barrel in its cradle (figure 10 and table 2): a clamped and a free beam that meet at two contacts."""
+
+    length_m: float = 1.0
+    overlap_start_m: float = 0.45
+    """la: the place on the cradle over which the barrel's left end lies."""
+    clearance_1_m: float = 5e-3
+    clearance_2_m: float = 5e-3
+    stiffness_1_n_per_m: float = 1e5
+    stiffness_2_n_per_m: float = 1e5
+    contact_damping_n_s_per_m: float = 0.0
+    damping_ratio: float = 0.01
+    stations: Literal[4, 6, 8, 10] = 6
+    """Sensors a beam; the contacts are always among them."""
+    sensors: Literal["both", "displacement", "acceleration"] = "both"
+    noise_density: float = 0.0
+    """Of the accelerometers, m/s^2/sqrt(Hz)."""
+    sample_rate_hz: float = 4096.0
+    step_s: float = 2.0**-14
+    duration_s: float = 60.0
+    excitation: str = "gaussian"
+    rms_n: float = 14.0
+    low_hz: float = 0.5
+    high_hz: float = 100.0
+    seed: int = 1
+
+    def rig(self) -> Rig:
+        beams = tuple(
+            Beam(
+                name=name,
+                ends=ends,
+                length_m=self.length_m,
+                width_m=0.05,
+                thickness_m=0.01,
+                damping_ratio=self.damping_ratio,
+            )
+            for name, ends in _ENDS
+        )
+        reach = self.length_m - self.overlap_start_m
+        contacts = tuple(
+            Contact(
+                name=name,
+                at=Station("barrel", on_barrel),
+                against=Station("cradle", on_cradle),
+                law=_equal_sides(clearance, stiffness, self.contact_damping_n_s_per_m),
+            )
+            for name, on_barrel, on_cradle, clearance, stiffness in (
+                ("contact_1", 0.0, self.overlap_start_m, self.clearance_1_m, self.stiffness_1_n_per_m),
+                ("contact_2", reach, self.length_m, self.clearance_2_m, self.stiffness_2_n_per_m),
+            )
+        )
+        quantities = _quantities(self.sensors)
+        return Rig(
+            name="barrel_cradle",
+            bodies=beams,
+            contacts=contacts,
+            force_at=Station("barrel", self.length_m),
+            sensors=tuple(
+                _sensor(Station(beam, position), quantity, self.noise_density)
+                for quantity in quantities
+                for beam, positions in self._positions(reach)
+                for position in positions
+            ),
+            sample_rate_hz=self.sample_rate_hz,
+        )
+
+    def force(self) -> Excitation:
+        return excitation_of(
+            self.excitation, rms_n=self.rms_n, low_hz=self.low_hz, high_hz=self.high_hz, seed=self.seed
+        )
+
+    def _positions(self, reach: float) -> tuple[tuple[str, tuple[float, ...]], ...]:
+        """The contacts first, then the stations that keep the modal transformation best conditioned."""
+        cradle, barrel = _STATIONS[self.stations]
+        return (
+            ("cradle", tuple(sorted({self.overlap_start_m, self.length_m, *(p * self.length_m for p in cradle)}))),
+            ("barrel", tuple(sorted({0.0, reach, *(p * self.length_m for p in barrel)}))),
+        )
+
+
+_ENDS: tuple[tuple[str, Literal["clamped-free", "free-free"]], ...] = (
+    ("cradle", "clamped-free"),
+    ("barrel", "free-free"),
+)
+_STATIONS: dict[int, tuple[tuple[float, ...], tuple[float, ...]]] = {
+    4: ((0.25, 0.75), (0.25, 1.0)),
+    6: ((0.2, 0.3, 0.65, 0.85), (0.2, 0.35, 0.8, 1.0)),
+    8: ((0.15, 0.25, 0.35, 0.6, 0.75, 0.9), (0.1, 0.25, 0.4, 0.7, 0.85, 1.0)),
+    10: ((0.1, 0.2, 0.3, 0.35, 0.55, 0.65, 0.75, 0.9), (0.1, 0.2, 0.3, 0.4, 0.7, 0.8, 0.9, 1.0)),
+}
+
+REFERENCES: dict[str, type[Sdof] | type[BarrelCradle]] = {"sdof": Sdof, "barrel_cradle": BarrelCradle}
+
+
+def reference(scenario: str, settings: dict[str, str]) -> Sdof | BarrelCradle:
+    """The reference rig of that name with settings given as text, each checked against its type.
+
+    Raises RigError for an unknown scenario or key, and for a value that does not fit.
+    """
+    if scenario not in REFERENCES:
+        raise RigError(f"no scenario {scenario!r}; there are {', '.join(REFERENCES)}")
+    kind = REFERENCES[scenario]
+    if unknown := sorted(set(settings) - set(kind.__struct_fields__)):
+        raise RigError(f"{scenario} has no setting {unknown[0]!r}; it has {', '.join(kind.__struct_fields__)}")
+    try:
+        return msgspec.convert(settings, kind, strict=False)
+    except msgspec.ValidationError as error:
+        raise RigError(f"{scenario}: {error}; see `rig record --help` for the settings") from error
+
+
+def _quantities(sensors: Quantity | Literal["both"]) -> tuple[Quantity, ...]:
+    return ("displacement", "acceleration") if sensors == "both" else (sensors,)
+
+
+def _equal_sides(clearance_m: float, stiffness_n_per_m: float, damping_n_s_per_m: float) -> DeadZone:
+    return DeadZone(
+        lower_clearance_m=clearance_m,
+        upper_clearance_m=clearance_m,
+        stiffness_n_per_m=stiffness_n_per_m,
+        damping_n_s_per_m=damping_n_s_per_m,
+    )
+
+
+def _sensor(station: Station, quantity: Quantity, noise_density: float) -> Sensor:
+    """A sensor named by body, position and quantity; displacement sensors stand in for the paper's known motion."""
+    return Sensor(
+        name=f"{station.body}_{round(station.position_m * 1000):04d}mm_{quantity}",
+        station=station,
+        quantity=quantity,
+        noise_density=noise_density if quantity == "acceleration" else 0.0,
+    )

@@ -1,0 +1,65 @@
+"""A rig under a force that was measured: simulated, sensed and digitised, as a recording in memory.
+
+`modal` and `ancf` are the simulators that this package offers to a diagnosis, by the entry points of its installation.
+"""
+
+from functools import partial
+
+import numpy as np
+from jaxtyping import Float
+from scipy.interpolate import CubicSpline
+from threadpoolctl import threadpool_limits
+
+from rig.model.description import Rig
+from rig.model.sensing import quantities_of
+from rig.recording import Recording, Signals, channel_groups
+from rig.simulation.motion import Plant, Progress, sensed_alone
+from rig.simulation.sensors import digitised, needed_duration_s
+
+
+def replayed(
+    believed: Rig,
+    actual: Rig,
+    force_n: Float[np.ndarray, " samples"],
+    plant: Plant,
+    step_s: float,
+    seed: int,
+    progress: Progress = lambda _: None,
+) -> Recording:
+    """The recording that `actual` makes under a force given at the sampling rate; its owner believes in `believed`.
+
+    The force is interpolated by a cubic to the plant's step and stays at its last value while the sensors' filters
+    need it. Raises RigError where the rig cannot be simulated so.
+    """
+    rate, samples = believed.sample_rate_hz, force_n.size
+    time_s = np.arange(round(needed_duration_s(actual, samples / rate) / step_s)) * step_s
+    fine = CubicSpline(np.arange(samples) / rate, force_n)(np.minimum(time_s, (samples - 1) / rate))
+    with threadpool_limits(1):  # the matrices are small
+        motion = sensed_alone(plant(actual, fine, step_s, progress))
+        blocks = list(digitised(actual, motion, np.random.default_rng([seed, 1])))
+    groups = channel_groups(believed)
+    signals = {"force": Signals(groups["force"], 0.0, force_n[None])}
+    for quantity in quantities_of(believed):
+        rows = np.concatenate([b.sensed[quantity] for b in blocks], axis=1)[:, :samples]
+        signals[quantity] = Signals(groups[quantity], 0.0, rows)
+    return Recording(believed, signals, {"made_by": "replay", "seed": str(seed)})
+
+
+def modal(believed: Rig, actual: Rig, force_n: Float[np.ndarray, " samples"], seed: int) -> Recording:
+    """By the plant `modal`, with 24 modes a beam at 32 kHz or more."""
+    from rig.simulation.plants.modal import simulate
+
+    plant = partial(simulate, modes=24)
+    return replayed(believed, actual, force_n, plant, _step_s(believed, 2.0**15), seed)
+
+
+def ancf(believed: Rig, actual: Rig, force_n: Float[np.ndarray, " samples"], seed: int) -> Recording:
+    """By the plant `ancf`, with 12 elements a beam at 8 kHz or more."""
+    from rig.simulation.plants.ancf import simulate
+
+    plant = partial(simulate, elements=12)
+    return replayed(believed, actual, force_n, plant, _step_s(believed, 2.0**13), seed)
+
+
+def _step_s(rig: Rig, least_hz: float) -> float:
+    return 1 / (rig.sample_rate_hz * max(1, int(np.ceil(least_hz / rig.sample_rate_hz))))

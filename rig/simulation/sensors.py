@@ -1,0 +1,154 @@
+"""From true motion to what a channel delivers: anti-aliasing, delay, gain, noise, range, quantisation."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.signal.windows import kaiser
+
+from rig.errors import RigError
+from rig.model.description import Quantity, Rig, Sensor
+from rig.model.sensing import quantities_of
+from rig.simulation.decimation import Decimator, decimated, decimator
+from rig.simulation.motion import Motion, Rows
+
+HALF_WIDTH = 16
+"""Half the anti-aliasing filter's length, in samples of the recording."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """A stretch of a recording: the force and, per quantity, one row per sensor of that quantity; and the truth."""
+
+    force_n: Float[np.ndarray, " samples"]
+    sensed: dict[Quantity, Float[np.ndarray, "sensors samples"]]
+    truth: dict[str, Float[np.ndarray, "rows samples"]]
+
+
+def needed_duration_s(rig: Rig, duration_s: float) -> float:
+    """How long a plant must run so that the filter can deliver `duration_s` of samples."""
+    return duration_s + (HALF_WIDTH + _longest_delay(rig) + 1) / rig.sample_rate_hz
+
+
+def digitised(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> Iterator[Samples]:
+    """Samples every channel of the rig at its sampling rate, block by block.
+
+    Each channel is filtered before sampling by a windowed sinc, symmetric about its own delay, so a channel without
+    delay shows the motion of its own instant: linear phase, taken out. The truth is sampled as it is. Each sensor has
+    its own stream of noise, drawn from `rng`.
+
+    Raises RigError unless the plant's rate is a multiple of the sampling rate.
+    """
+    streams = rng.spawn(len(rig.sensors))
+    chain: list[tuple[list[int], Decimator]] = []
+    held, begun = np.zeros((0, 0)), 0
+    truth: dict[str, Float[np.ndarray, "rows samples"]] = {}
+    for block in blocks:
+        factor, size = _factor(rig, block.step_s), block.force_n.size
+        reach = (HALF_WIDTH + _longest_delay(rig)) * factor
+        if not chain:
+            chain = _chain(rig, factor, reach)
+            held = np.zeros((1 + len(rig.sensors), reach))  # at rest before the record
+        instants = (slice(None), slice(-begun % factor, None, factor))
+        begun += size
+        fresh = {name: rows[instants] for name, rows in _truth_of(block).items()}
+        truth = {name: np.concatenate([truth[name], rows], axis=1) if truth else rows for name, rows in fresh.items()}
+        width = held.shape[1] + size
+        ready = max(0, (width - 2 * reach - 1) // factor + 1)
+        queue = np.empty((len(held), max(width, *(one.reach(ready) for _, one in chain))))
+        queue[:, : held.shape[1]] = held
+        queue[0, held.shape[1] : width] = block.force_n
+        queue[1:, held.shape[1] : width] = block.sensed
+        queue[:, width:] = 0.0
+        held = queue[:, ready * factor : width]
+        if ready:
+            filtered = _filtered(chain, queue, ready)
+            sensed = {q: _delivered_all(rig, q, filtered[1:], streams) for q in quantities_of(rig)}
+            yield Samples(filtered[0], sensed, {name: rows[:, :ready] for name, rows in truth.items()})
+            truth = {name: rows[:, ready:] for name, rows in truth.items()}
+
+
+def _chain(rig: Rig, factor: int, reach: int) -> list[tuple[list[int], Decimator]]:
+    """The filter of every delay, with the rows that it is for: the force, without delay, then the sensors."""
+    delays = [0.0, *(s.delay_s for s in rig.sensors)]
+    chain = []
+    for delay in dict.fromkeys(delays):
+        rows = [k for k, own in enumerate(delays) if own == delay]
+        chain.append((rows, decimator(_taps(factor, reach, delay * rig.sample_rate_hz), factor)))
+    return chain
+
+
+def _filtered(
+    chain: list[tuple[list[int], Decimator]], queue: Float[np.ndarray, "rows steps"], samples: int
+) -> Float[np.ndarray, "rows samples"]:
+    if len(chain) == 1:
+        return decimated(chain[0][1], queue, samples)
+    filtered = np.empty((len(queue), samples))
+    for rows, one in chain:
+        filtered[rows] = decimated(one, queue[rows], samples)
+    return filtered
+
+
+def _delivered_all(
+    rig: Rig,
+    quantity: Quantity,
+    filtered: Float[np.ndarray, "sensors samples"],
+    streams: list[np.random.Generator],
+) -> Float[np.ndarray, "some samples"]:
+    return np.stack(
+        [
+            _delivered(sensor, row, rig.sample_rate_hz, stream)
+            for sensor, row, stream in zip(rig.sensors, filtered, streams, strict=True)
+            if sensor.quantity == quantity
+        ]
+    )
+
+
+def _delivered(
+    sensor: Sensor, motion: Float[np.ndarray, " samples"], sample_rate_hz: float, rng: np.random.Generator
+) -> Float[np.ndarray, " samples"]:
+    noise = sensor.noise_density * np.sqrt(sample_rate_hz / 2)
+    values = sensor.gain * motion + (noise * rng.standard_normal(motion.size) if noise else 0.0)
+    if sensor.measuring_range is not None:
+        values = np.clip(values, -sensor.measuring_range, sensor.measuring_range)
+        if sensor.bits is not None:
+            step = 2 * sensor.measuring_range / 2**sensor.bits
+            values = np.round(values / step) * step
+    return values
+
+
+def _taps(factor: int, reach: int, delay_samples: float) -> Float[np.ndarray, " taps"]:
+    """Windowed sinc at the plant's rate, cut off at half the sampling rate, centred `delay_samples` late."""
+    time = np.arange(-reach, reach + 1) / factor - delay_samples
+    half = HALF_WIDTH + 0.5 / factor
+    inside = np.abs(time) < half
+    window = np.zeros(time.size)
+    grid = np.linspace(-half, half, 4096)
+    window[inside] = np.interp(time[inside], grid, kaiser(grid.size, 10.0))
+    taps = window * np.sinc(time)
+    if factor == 1 and delay_samples == 0:
+        return (time == 0).astype(float)
+    return taps / taps.sum()
+
+
+def _factor(rig: Rig, step_s: float) -> int:
+    factor = round(1 / (step_s * rig.sample_rate_hz))
+    if factor < 1 or abs(factor * step_s * rig.sample_rate_hz - 1) > 1e-9:
+        raise RigError(
+            f"sample_rate_hz is {rig.sample_rate_hz} and the plant's step {step_s} s; "
+            "1/step must be a whole multiple of the sampling rate"
+        )
+    return factor
+
+
+def _longest_delay(rig: Rig) -> int:
+    return int(np.ceil(max((abs(s.delay_s) for s in rig.sensors), default=0.0) * rig.sample_rate_hz))
+
+
+def _truth_of(block: Motion) -> dict[str, Rows]:
+    return {
+        "displacement": block.displacement_m,
+        "relative_displacement": block.eta_m,
+        "contact_force": block.contact_force_n,
+    }

@@ -1,0 +1,147 @@
+"""What the rerun viewer shows where: the moving rig and the contacts on the left, the time series on the right."""
+
+from dataclasses import dataclass
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from rig.model.description import Contact, Rig
+
+TIMELINE = "sim_time"
+WINDOW_S = 0.5
+"""What the plots show before and after the moment."""
+TRAIL_S = 0.1
+"""What a close-up shows before the moment."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """What of a recording there is to show, and how it is drawn."""
+
+    rig: Rig
+    contact_force: bool
+    magnification: float
+    approximate: bool
+    stride: int
+    """One of so many samples is in the time series."""
+    centre_m: float
+    extent_m: float
+    frame_rate_hz: float
+    largest_relative_m: tuple[float, ...]
+    """Of each contact's relative displacement."""
+
+    def reach_mm(self, contact: Contact) -> float:
+        """How far the views of a contact need to reach."""
+        largest = self.largest_relative_m[self.rig.contacts.index(contact)]
+        return 1.2e3 * max(contact.law.lower_clearance_m, contact.law.upper_clearance_m, largest) or 1.0
+
+
+def entity(*parts: str) -> str:
+    """The entity path of these parts, whatever characters their names have."""
+    return str(rr.new_entity_path(list(parts)))
+
+
+def blueprint(look: Look) -> rrb.Blueprint:
+    """Paused and slowed down so that every frame is seen; the plots show a window around the moment."""
+    close_ups = [_close_up(contact, look.reach_mm(contact), _caveat(look)) for contact in look.rig.contacts]
+    phases = [_phase(look, contact) for contact in look.rig.contacts]
+    rows = [rrb.Horizontal(*close_ups), rrb.Horizontal(*phases)]
+    left = rrb.Vertical(_model(look), *rows, row_shares=[3, 2, 2]) if close_ups else _model(look)
+    speed = float(f"{60 / look.frame_rate_hz:.1g}")
+    return rrb.Blueprint(
+        rrb.Horizontal(left, rrb.Vertical(*_plots(look)), column_shares=[1, 1]),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused", playback_speed=speed),
+        auto_layout=False,
+        auto_views=False,
+    )
+
+
+def _model(look: Look) -> rrb.Spatial3DView:
+    x, far = look.centre_m, look.extent_m
+    return rrb.Spatial3DView(
+        origin="/model",
+        name=f"{look.rig.name}: deflection magnified {look.magnification:g} times{_caveat(look)}",
+        eye_controls=rrb.EyeControls3D(
+            position=(x, -0.85 * far, 0.3 * far), look_target=(x, -0.05 * far, 0), eye_up=(0, 0, 1)
+        ),
+        line_grid=rrb.LineGrid3D(visible=False),
+    )
+
+
+def _close_up(contact: Contact, reach_mm: float, caveat: str) -> rrb.Spatial2DView:
+    return rrb.Spatial2DView(
+        origin=entity("close_up", contact.name),
+        name=f"{contact.name}: last {TRAIL_S:g} s, true scale{caveat}",
+        visual_bounds=rrb.VisualBounds2D(x_range=[-1.2 * reach_mm, 1.2 * reach_mm], y_range=[-reach_mm, reach_mm]),
+    )
+
+
+def _phase(look: Look, contact: Contact) -> rrb.View | rrb.Container:
+    """Force over relative displacement, all of it until the moment; behind it how often each displacement occurs."""
+    reach_mm = look.reach_mm(contact)
+    occurrence = rrb.BarChartView(
+        origin=entity("occurrence", contact.name), name=f"{contact.name}: occurrence, % of the time over mm"
+    )
+    if not look.contact_force:
+        return occurrence
+    until_now = rr.VisibleTimeRange(
+        TIMELINE, start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.cursor_relative()
+    )
+    force = rrb.Spatial2DView(
+        origin=entity("phase", contact.name),
+        name=f"{contact.name}: force over relative displacement",
+        visual_bounds=rrb.VisualBounds2D(x_range=[-1.2 * reach_mm, 1.2 * reach_mm], y_range=[-reach_mm, reach_mm]),
+        time_ranges=[until_now],
+    )
+    return rrb.Tabs(force, occurrence, active_tab=0)
+
+
+def _plots(look: Look) -> list[rrb.View | rrb.Container]:
+    accelerations = [
+        _plot(look, entity("acceleration", body.name), f"{body.name}: acceleration, m/s²")
+        for body in look.rig.bodies
+        if any(s.quantity == "acceleration" and s.station.body == body.name for s in look.rig.sensors)
+    ]
+    return [
+        *(
+            _plot(
+                look,
+                entity("relative_displacement", c.name),
+                f"{c.name}: relative displacement, mm{_caveat(look)}",
+                look.reach_mm(c),
+            )
+            for c in look.rig.contacts
+        ),
+        *([_plot(look, "contact_force", "Contact force, N")] if look.contact_force else []),
+        rrb.Tabs(
+            *([rrb.TextLogView(origin="/events", name="Contacts that close and open")] if look.rig.contacts else []),
+            _plot(look, "exciting_force", "Exciting force, N"),
+            *accelerations,
+            active_tab=0,
+        ),
+    ]
+
+
+def _plot(look: Look, origin: str, name: str, reach: float | None = None) -> rrb.TimeSeriesView:
+    thinned = ""
+    if look.stride > 1:
+        near = ", all near contacts" if origin.startswith(("/relative", "/contact", "relative", "contact")) else ""
+        thinned = f" (every {look.stride}th sample{near})"
+    return rrb.TimeSeriesView(
+        origin=origin,
+        name=name + thinned,
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
+        axis_y=None if reach is None else rrb.ScalarAxis(range=(-reach, reach)),
+        axis_x=rrb.TimeAxis(
+            view_range=rr.TimeRange(
+                start=rr.TimeRangeBoundary.cursor_relative(seconds=-WINDOW_S),
+                end=rr.TimeRangeBoundary.cursor_relative(seconds=WINDOW_S),
+            )
+        ),
+    )
+
+
+def _caveat(look: Look) -> str:
+    return " (approximate, above 1 Hz)" if look.approximate else ""

@@ -1,0 +1,85 @@
+"""Displacements for showing: of every station, of a body between its stations, and across the contacts."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.signal.windows import tukey
+
+from rig.errors import RigError
+from rig.model.description import Body, Quantity, Rig, Station
+from rig.recording import Recording
+
+CORNER_HZ = 1.0
+TAPER_S = 0.5
+ALL = slice(None)
+_ORDER: dict[Quantity, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
+
+
+@dataclass(frozen=True)
+class Deflection:
+    """Displacement of the stations; `approximate` where it was integrated and lacks what is below 1 Hz."""
+
+    rig: Rig
+    stations: tuple[Station, ...]
+    displacement_m: Float[np.ndarray, "stations samples"]
+    approximate: bool
+
+    def of_body(
+        self,
+        body: Body,
+        positions_m: Float[np.ndarray, " positions"],
+        samples: slice | Int[np.ndarray, " frames"] = ALL,
+    ) -> Float[np.ndarray, "positions frames"]:
+        """w(x) = phi(x) pinv(phi(stations)) w(stations), with as many modes as the body has stations."""
+        rows = [i for i, s in enumerate(self.stations) if s.body == body.name]
+        places = np.array([self.stations[i].position_m for i in rows])
+        modes = min(len(rows), body.most_modes)
+        inverse = np.linalg.pinv(body.shapes(places, modes), rcond=1e-3)
+        return np.asarray(body.shapes(positions_m, modes) @ inverse @ self.displacement_m[rows][:, samples])
+
+    def at(self, station: Station) -> Float[np.ndarray, " samples"]:
+        """Displacement at a station: as measured there, else from the body's modes."""
+        if station in self.stations:
+            return self.displacement_m[self.stations.index(station)]
+        return self.of_body(self.rig.body(station.body), np.array([station.position_m]))[0]
+
+    def relative(self) -> Float[np.ndarray, "contacts samples"]:
+        """Displacement of each contact's station less that of the station it strikes against, m."""
+        rows = [self.at(c.at) - (self.at(c.against) if c.against else 0.0) for c in self.rig.contacts]
+        return np.array(rows).reshape(len(rows), self.displacement_m.shape[1])
+
+
+def deflection(recording: Recording, truth: Recording | None) -> Deflection:
+    """From the truth file where there is one, else from the sensors: what needs least integration at every station.
+
+    Raises RigError if a body that should move has no sensor.
+    """
+    if truth is not None:
+        known = truth.signals["displacement"]
+        stations = tuple(s for s in known.channels.stations if s is not None)
+        return Deflection(truth.rig, stations, known.values, approximate=False)
+    rig = recording.rig
+    nearest = {s.station: s for s in sorted(rig.sensors, key=lambda s: _ORDER[s.quantity], reverse=True)}
+    for body in rig.bodies:
+        if body.name not in {station.body for station in nearest}:
+            raise RigError(f"body {body.name!r} has no sensor, so its motion cannot be shown; record one")
+    rows = []
+    for sensor in nearest.values():
+        signals = recording.signals[sensor.quantity]
+        row = signals.values[signals.channels.names.index(sensor.name)] / sensor.gain
+        rows.append(_integrated(row, _ORDER[sensor.quantity], rig.sample_rate_hz))
+    approximate = any(s.quantity != "displacement" for s in nearest.values())
+    return Deflection(rig, tuple(nearest), np.stack(rows), approximate)
+
+
+def _integrated(row: Float[np.ndarray, " samples"], times: int, sample_rate_hz: float) -> Float[np.ndarray, " samples"]:
+    """The record, tapered at both ends, divided by (i omega)^times; zero below 1 Hz."""
+    if not times:
+        return row
+    omega = 2 * np.pi * np.fft.rfftfreq(row.size, 1 / sample_rate_hz)
+    tapered = np.fft.rfft(row * tukey(row.size, min(1.0, 2 * TAPER_S * sample_rate_hz / row.size)))
+    kept = omega >= 2 * np.pi * CORNER_HZ
+    factor = np.zeros(omega.size, dtype=complex)
+    factor[kept] = (1j * omega[kept]) ** -times
+    return np.fft.irfft(tapered * factor, row.size)

@@ -1,0 +1,62 @@
+"""How things are sent to an .rrd file: colours, styles, and columns some thousand rows at a time."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import rerun as rr
+from jaxtyping import Float
+
+from rig.viewer.blueprint import TIMELINE
+
+ROWS = 8192
+
+Colour = tuple[int, int, int]
+FREE, CLOSED, STEEL, FAINT, FORCE = (90, 200, 120), (255, 70, 60), (170, 175, 185), (85, 90, 100), (255, 190, 60)
+FOUND = (90, 230, 230)
+"""What was identified."""
+LINES = (
+    (95, 160, 255),
+    (255, 150, 90),
+    (190, 130, 255),
+    (120, 220, 220),
+    (240, 220, 100),
+    (255, 130, 180),
+    (150, 210, 90),
+    (200, 200, 200),
+)
+
+
+def style(stream: rr.RecordingStream, path: str, look: rr.AsComponents) -> None:
+    stream.log(path, look, static=True)
+
+
+def send(stream: rr.RecordingStream, path: str, time_s: Float[np.ndarray, " rows"], kind: Any, **columns: Any) -> None:
+    """Sends columns of an archetype."""
+    for first in range(0, time_s.size, ROWS):
+        rows = slice(first, first + ROWS)
+        index = rr.TimeColumn(TIMELINE, duration=time_s[rows])
+        stream.send_columns(path, [index], kind.columns(**{name: values[rows] for name, values in columns.items()}))
+
+
+def send_lines(
+    stream: rr.RecordingStream,
+    path: str,
+    time_s: Float[np.ndarray, " samples"],
+    values: Float[np.ndarray, "channels samples"],
+    names: Sequence[str],
+    colours: Sequence[Colour],
+) -> None:
+    """Lines of a time series; zoomed out, each pixel shows the least and the greatest value, not their mean."""
+    look = rr.SeriesLines(
+        names=names,
+        colors=[colours[i % len(colours)] for i in range(len(names))],
+        widths=[1.5] * len(names),
+        aggregation_policy=rr.components.AggregationPolicy.MinMax,
+    )
+    style(stream, path, look)
+    send(stream, path, time_s, rr.Scalars, scalars=np.ascontiguousarray(values.T))
+
+
+def pixels(radius: float) -> float:
+    return float(rr.Radius.ui_points(radius))

@@ -1,0 +1,143 @@
+"""Where the rig is drawn in the 3D view: positions of bodies, contacts and the force, frame by frame."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from rig.model.beam import Beam
+from rig.model.contact_law import DeadZone
+from rig.model.description import Body, Contact, Rig, Station
+from rig.viewer.deflection import Deflection
+
+FRAMES = 6000
+FRAME_RATES_HZ = (60.0, 600.0)
+NODES = 61
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Metres of the 3D view: x along the bodies, y in depth, z is the deflection times the magnification.
+
+    The bodies stand one behind the other, the last one in front; the left end of each is at x = left_m.
+    """
+
+    deflection: Deflection
+    left_m: dict[str, float]
+    extent_m: float
+    magnification: float
+    sample_rate_hz: float
+    frames: Int[np.ndarray, " frames"]
+    """Samples that are drawn."""
+
+    @property
+    def rig(self) -> Rig:
+        return self.deflection.rig
+
+    @property
+    def centre_m(self) -> float:
+        return min(self.left_m.values()) + self.extent_m / 2 * any(b.length_m for b in self.rig.bodies)
+
+    @property
+    def frame_rate_hz(self) -> float:
+        return self.sample_rate_hz / float(self.frames[1] - self.frames[0] if self.frames.size > 1 else 1)
+
+    @cached_property
+    def time_s(self) -> Float[np.ndarray, " frames"]:
+        return self.frames / self.sample_rate_hz
+
+    def depth(self, body: str) -> float:
+        return -0.1 * self.extent_m * [b.name for b in self.rig.bodies].index(body)
+
+    def point(self, station: Station) -> Float[np.ndarray, "frames 3"]:
+        """A station as it moves."""
+        z = self.magnification * self.deflection.at(station)[self.frames]
+        return self._placed(np.full((z.size, 1), station.position_m), station.body, z[:, None])[:, 0]
+
+    def rest(self, body: Body) -> Float[np.ndarray, "ends 3"]:
+        """The body's neutral line, at rest and a little longer than the body."""
+        reach = 0.03 * self.extent_m + self._half(body)
+        x = np.array([[-reach, body.length_m + reach]])
+        return self._placed(x, body.name, np.zeros((1, 2)))[0]
+
+    def strips(self, body: Body) -> Float[np.ndarray, "frames nodes 3"]:
+        """A beam as its neutral line, a mass as a square."""
+        if body.length_m:
+            x, z = np.linspace(0, body.length_m, NODES), np.zeros(NODES)
+            moving = self.deflection.of_body(body, x, self.frames).T
+        else:
+            x, z = self._half(body) * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
+            moving = self.deflection.at(Station(body.name))[self.frames, None]
+        return self._placed(np.broadcast_to(x, (self.frames.size, x.size)), body.name, z + self.magnification * moving)
+
+    def label(self, body: Body) -> Float[np.ndarray, "frames 3"]:
+        """Where the body's name stands: above a beam, at its left or, for every other one, right quarter; in a mass."""
+        right = [b.name for b in self.rig.bodies].index(body.name) % 2
+        above = 0.07 if body.length_m else -0.04
+        place = Station(body.name, (0.75 if right else 0.25) * body.length_m)
+        return self.point(place) + np.array([0, 0, above * self.extent_m])
+
+    def support(self, body: Body) -> Float[np.ndarray, "corners 3"] | None:
+        """The wall that a clamped end sits in."""
+        if not isinstance(body, Beam) or body.ends != "clamped-free":
+            return None
+        y, z = 0.04 * self.extent_m * np.array([[-1, 1, 1, -1, -1], [-2, -2, 2, 2, -2]])
+        return np.stack([np.full(5, self.left_m[body.name]), self.depth(body.name) + y, z], axis=1)
+
+    def fork(self, contact: Contact, law: DeadZone) -> Float[np.ndarray, "frames 4 3"]:
+        """The two jaws that a contact's station plays between, on the body it strikes or, beside it, the ground."""
+        tip, half = self.point(contact.at), self._half(self.rig.body(contact.at.body))
+        jaws = np.repeat(tip[:, None], 4, axis=1)
+        if contact.against is None:
+            jaws[..., 0] += (half + 0.05 * self.extent_m) * np.array([1, -1, -1, 1])
+            carrier = np.zeros(self.frames.size)
+        else:
+            jaws[:, 1:3, 1] = self.depth(contact.against.body)
+            carrier = self.point(contact.against)[:, 2]
+        upper = carrier + (self.magnification * law.upper_clearance_m + half)
+        lower = carrier - (self.magnification * law.lower_clearance_m + half)
+        jaws[..., 2] = np.stack([upper, upper, lower, lower], axis=1)
+        return jaws
+
+    def _half(self, body: Body) -> float:
+        return 0.0 if body.length_m else 0.12 * self.extent_m
+
+    def _placed(
+        self, x_m: Float[np.ndarray, "frames nodes"], body: str, z_m: Float[np.ndarray, "frames nodes"]
+    ) -> Float[np.ndarray, "frames nodes 3"]:
+        return np.stack([self.left_m[body] + x_m, np.full(z_m.shape, self.depth(body)), z_m], axis=2)
+
+
+def stage(deflection: Deflection, sample_rate_hz: float, magnification: float | None) -> Stage:
+    """The stage for these displacements; without a magnification the largest deflection is a third of the extent.
+
+    There are 6000 frames, but at least 60 and at most 600 in a second.
+    """
+    left = _left_ends(deflection.rig)
+    extent = max(left[b.name] + b.length_m for b in deflection.rig.bodies) - min(left.values()) or 1.0
+    largest = float(np.abs(deflection.displacement_m).max(initial=0.0))
+    if magnification is None:
+        magnification = _rounded_down(extent / 3 / largest) if largest > 0 else 1.0
+    samples = deflection.displacement_m.shape[1]
+    rate = np.clip(FRAMES * sample_rate_hz / samples, *FRAME_RATES_HZ)
+    frames = np.arange(0, samples, max(1, round(sample_rate_hz / rate)))
+    return Stage(deflection, left, extent, magnification, sample_rate_hz, frames)
+
+
+def _left_ends(rig: Rig) -> dict[str, float]:
+    """The first body begins at 0; the others lie so that the two stations of a contact have the same x."""
+    left = {rig.bodies[0].name: 0.0}
+    for _ in rig.bodies:
+        for contact in rig.contacts:
+            if contact.against is not None:
+                for here, there in ((contact.at, contact.against), (contact.against, contact.at)):
+                    if here.body in left:
+                        left.setdefault(there.body, left[here.body] + here.position_m - there.position_m)
+    return {b.name: left.get(b.name, 0.0) for b in rig.bodies}
+
+
+def _rounded_down(value: float) -> float:
+    """The largest of 1, 2 and 5 times a power of ten that is not above the value."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(power * max(m for m in (1, 2, 5) if m * power <= value * (1 + 1e-9)))

@@ -1,0 +1,168 @@
+"""A recording as an .rrd file for the rerun viewer: the moving bodies, the contacts close up, and the time series."""
+
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import rerun as rr
+
+from rig.errors import RigError
+from rig.model.contact_law import DeadZone
+from rig.model.description import Contact
+from rig.recording import Recording
+from rig.viewer.blueprint import Look, blueprint, entity
+from rig.viewer.contact_view import Play, send_close_up, send_events, send_over_time, send_phase
+from rig.viewer.deflection import deflection
+from rig.viewer.drawing import FAINT, FORCE, LINES, STEEL, pixels, send, send_lines, style
+from rig.viewer.stage import Stage, stage
+
+SCALARS = 1_000_000
+"""Above this many in the time series, they are thinned out where there is no contact."""
+
+
+def write_rrd(
+    recording: Recording,
+    truth: Recording | None,
+    path: Path,
+    magnification: float | None = None,
+    *,
+    identified: Mapping[str, DeadZone] = MappingProxyType({}),
+    progress: Callable[[float], None] = lambda _: None,
+) -> None:
+    """Writes the recording for the rerun viewer; `truth`, where there is one, adds what only a simulator knows.
+
+    The motion comes from the truth file, else from the displacement sensors, else from integrated accelerations, which
+    lack everything below 1 Hz. `magnification` is that of the deflection in the 3D view; without it a round one is
+    chosen. The walls are the true ones, else those that rig.json believes in; the laws `identified` are drawn over
+    them, and so is what rig.json believes where that is not true.
+
+    Raises RigError if the truth belongs to another recording, a body has no sensor, the magnification is not above
+    zero, or the file cannot be written.
+    """
+    if magnification is not None and not 0 < magnification < np.inf:
+        raise RigError(f"magnification is {magnification}; give a finite value above zero")
+    if truth is not None and not _belongs(truth, recording):
+        raise RigError("the truth file has other samples, contacts or groups than the recording; take it away")
+    motion = deflection(recording, truth)
+    scene = stage(motion, recording.rig.sample_rate_hz, magnification)
+    relative_m = motion.relative() if truth is None else truth.signals["relative_displacement"].values
+    stride = max(1, -(-_series_scalars(recording, truth) // SCALARS))
+    shown_rig = recording.rig if truth is None else truth.rig
+    look = Look(
+        rig=shown_rig,
+        contact_force=truth is not None and bool(shown_rig.contacts),
+        magnification=scene.magnification,
+        approximate=motion.approximate,
+        stride=stride,
+        centre_m=scene.centre_m,
+        extent_m=scene.extent_m,
+        frame_rate_hz=scene.frame_rate_hz,
+        largest_relative_m=tuple(float(np.abs(row).max()) for row in relative_m),
+    )
+    plays = [
+        Play(
+            contact=contact,
+            others=_others(contact, recording, identified),
+            time_s=recording.signals["force"].time_s,
+            relative_m=row,
+            force_n=None if truth is None else truth.signals["contact_force"].values[j],
+            frames=scene.frames,
+            stride=stride,
+            reach_mm=look.reach_mm(contact),
+        )
+        for j, (contact, row) in enumerate(zip(shown_rig.contacts, relative_m, strict=True))
+    ]
+    part = path.with_name(path.name + ".part")
+    try:
+        part.touch()
+        with rr.RecordingStream("rig") as stream:
+            stream.save(part, default_blueprint=blueprint(look))
+            stream.send_recording_name(f"{recording.rig.name}, {recording.duration_s:g} s")
+            _send_model(stream, scene, recording, plays)
+            progress(0.3)
+            for done, play in enumerate(plays, start=1):
+                send_close_up(stream, play)
+                send_over_time(stream, play)
+                send_phase(stream, play)
+                send_events(stream, play)
+                progress(0.3 + 0.5 * done / len(plays))
+            _send_series(stream, recording, plays, stride)
+            stream.flush()
+            stream.disconnect()
+        part.replace(path)
+    except OSError as error:
+        raise RigError(f"{path}: cannot be written ({error.strerror}); choose another place") from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _others(contact: Contact, recording: Recording, identified: Mapping[str, DeadZone]) -> dict[str, DeadZone]:
+    """What is drawn over the walls: what rig.json believes where they are not that, and what was identified."""
+    believed = recording.rig.contact(contact.name).law
+    others = {} if believed == contact.law else {"believed": believed}
+    return others | ({"identified": identified[contact.name]} if contact.name in identified else {})
+
+
+def open_viewer(path: Path) -> None:
+    """Opens the file in the rerun viewer and returns at once."""
+    subprocess.Popen([sys.executable, "-m", "rerun", str(path)], start_new_session=True)
+
+
+def _belongs(truth: Recording, recording: Recording) -> bool:
+    contacts = [[c.name for c in r.rig.contacts] for r in (truth, recording)]
+    known = {"displacement", "relative_displacement", "contact_force"} <= set(truth.signals)
+    return known and truth.samples == recording.samples and contacts[0] == contacts[1]
+
+
+def _series_scalars(recording: Recording, truth: Recording | None) -> int:
+    """How many scalars the time series have at full rate."""
+    accelerations = recording.signals.get("acceleration")
+    channels = len(accelerations.channels.names) if accelerations else 0
+    return recording.samples * (1 + channels + len(recording.rig.contacts) * (1 if truth is None else 2))
+
+
+def _send_model(stream: rr.RecordingStream, scene: Stage, recording: Recording, plays: Sequence[Play]) -> None:
+    stream.log("model", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    for number, body in enumerate(scene.rig.bodies):
+        path, colour, strips = entity("model", body.name), LINES[number % len(LINES)], scene.strips(body)
+        style(stream, path, rr.LineStrips3D.from_fields(colors=[colour], radii=[pixels(3.0)]))
+        send(stream, path, scene.time_s, rr.LineStrips3D, strips=strips)
+        style(stream, f"{path}/rest", rr.LineStrips3D([scene.rest(body)], colors=[FAINT], radii=pixels(0.75)))
+        if (support := scene.support(body)) is not None:
+            style(stream, f"{path}/support", rr.LineStrips3D([support], colors=[STEEL], radii=pixels(2.0)))
+        label = scene.label(body)
+        style(stream, f"{path}/name", rr.Points3D.from_fields(colors=[colour], radii=[0.0], labels=[body.name]))
+        send(stream, f"{path}/name", scene.time_s, rr.Points3D, positions=label)
+    for play in plays:
+        path = entity("model", play.contact.name)
+        style(stream, path, rr.LineStrips3D.from_fields(colors=[STEEL], radii=[pixels(2.0)]))
+        send(stream, path, scene.time_s, rr.LineStrips3D, strips=scene.fork(play.contact, play.contact.law))
+        style(stream, f"{path}/point", rr.Points3D.from_fields(radii=[pixels(5.0)]))
+        at = scene.point(play.contact.at)
+        send(stream, f"{path}/point", scene.time_s, rr.Points3D, positions=at, colors=play.colours)
+    force = recording.force_n[scene.frames]
+    arrows = np.zeros((force.size, 3))
+    arrows[:, 2] = 0.2 * scene.extent_m * force / (np.abs(recording.force_n).max() or 1.0)
+    pushed = scene.point(scene.rig.force_at)
+    style(stream, "model/force", rr.Arrows3D.from_fields(colors=[FORCE], radii=[0.004 * scene.extent_m]))
+    send(stream, "model/force", scene.time_s, rr.Arrows3D, vectors=arrows, origins=pushed)
+
+
+def _send_series(stream: rr.RecordingStream, recording: Recording, plays: Sequence[Play], stride: int) -> None:
+    time_s = recording.signals["force"].time_s
+    send_lines(stream, "exciting_force", time_s[::stride], recording.force_n[None, ::stride], ["force"], (FORCE,))
+    for number, play in enumerate(plays):
+        if play.force_n is not None:
+            path, name = entity("contact_force", play.contact.name), play.contact.name
+            colours = (LINES[number % len(LINES)],)
+            send_lines(stream, path, time_s[play.kept], play.force_n[None, play.kept], [name], colours)
+    if "acceleration" in recording.signals:
+        measured = recording.signals["acceleration"]
+        for body in recording.rig.bodies:
+            places = [(i, s) for i, s in enumerate(measured.channels.stations) if s is not None and s.body == body.name]
+            values = measured.values[[i for i, _ in places], ::stride]
+            names = [f"{s.position_m:g} m" for _, s in places]
+            send_lines(stream, entity("acceleration", body.name), time_s[::stride], values, names, LINES)

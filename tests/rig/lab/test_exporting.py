@@ -1,0 +1,26 @@
+"""Recordings in the files of other programs, and back."""
+
+import numpy as np
+import pytest
+
+from rig.lab.exporting import WRITERS, export
+from rig.lab.importing import import_file
+from rig.recording import channel_groups, read, writing
+from rig.simulation.reference import BarrelCradle
+
+
+@pytest.mark.parametrize("form", WRITERS)
+def test_an_exported_recording_comes_back_by_the_map_beside_it(tmp_path, form):
+    rig, rng = BarrelCradle(stations=4).rig(), np.random.default_rng(2)
+    groups = channel_groups(rig)
+    with writing(tmp_path / "r.mcap", rig, groups, {}) as recording:
+        for name, group in groups.items():
+            recording.append(name, rng.standard_normal((len(group.names), 1500)))
+    before = read(tmp_path / "r.mcap")
+    export(before, form, tmp_path / f"out.{form}", tmp_path / "map.toml")
+    import_file(tmp_path / f"out.{form}", tmp_path / "map.toml", tmp_path / "back.mcap")
+    back = read(tmp_path / "back.mcap")
+    assert back.rig == before.rig
+    for name, signals in before.signals.items():
+        np.testing.assert_array_equal(back.signals[name].values, signals.values)
+    assert not list(tmp_path.glob("*.part"))

@@ -1,0 +1,162 @@
+"""A rig as a value: JSON round trip, and a sentence for each value that cannot be."""
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.errors import RigError
+from rig.model.beam import Beam
+from rig.model.contact_law import DeadZone
+from rig.model.description import Contact, Rig, Sensor, Station, from_json, stations_of, to_json
+from rig.model.oscillator import Oscillator
+from rig.simulation.reference import BarrelCradle
+
+LAW = DeadZone(lower_clearance_m=1e-3, upper_clearance_m=1e-3, stiffness_n_per_m=1e4)
+
+
+def small_rig(**changes):
+    good = {
+        "name": "small",
+        "bodies": (
+            Beam(name="beam", ends="clamped-free", length_m=2.0, width_m=0.05, thickness_m=0.01),
+            Oscillator(name="mass", mass_kg=1.0, frequency_hz=5.0, damping_ratio=0.01),
+        ),
+        "contacts": (Contact(name="stop", at=Station("mass"), against=Station("beam", 1.5), law=LAW),),
+        "force_at": Station("mass"),
+        "sensors": (Sensor(name="tip", station=Station("beam", 2.0), quantity="velocity"),),
+        "sample_rate_hz": 1000.0,
+    }
+    return Rig(**good | changes)
+
+
+positive = st.floats(1e-6, 1e6)
+names = st.text(min_size=1, max_size=8)
+sensors = st.builds(
+    Sensor,
+    name=names,
+    station=st.builds(Station, st.just("beam"), st.floats(0, 2)),
+    quantity=st.sampled_from(["displacement", "velocity", "acceleration"]),
+    gain=positive,
+    delay_s=st.floats(-1e-2, 1e-2),
+    noise_density=positive,
+    measuring_range=positive,
+    bits=st.none() | st.integers(2, 32),
+)
+contacts = st.builds(
+    Contact,
+    name=names,
+    at=st.just(Station("mass")),
+    against=st.none() | st.builds(Station, st.just("beam"), st.floats(0, 2)),
+    law=st.builds(
+        DeadZone,
+        lower_clearance_m=positive,
+        upper_clearance_m=positive,
+        stiffness_n_per_m=positive,
+        damping_n_s_per_m=positive,
+    ),
+)
+
+
+@given(
+    name=names,
+    sensors=st.lists(sensors, max_size=4, unique_by=lambda s: s.name).map(tuple),
+    contacts=st.lists(contacts, max_size=3, unique_by=lambda c: c.name).map(tuple),
+    sample_rate_hz=positive,
+)
+def test_a_rig_survives_json(**changes):
+    rig = small_rig(**changes)
+    assert from_json(to_json(rig), "text") == rig
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"sample_rate_hz": 0.0}, "sample_rate_hz is 0.0; give a value above zero"),
+        ({"sample_rate_hz": float("nan")}, "sample_rate_hz is nan; give"),
+        ({"sample_rate_hz": 1e-300}, "sample_rate_hz is 1e-300; give"),
+        ({"bodies": (small_rig().bodies[1],) * 2}, "more than one body is named 'mass'; names must differ"),
+        ({"contacts": small_rig().contacts * 2}, "more than one contact is named 'stop'"),
+        ({"sensors": small_rig().sensors * 2}, "more than one sensor is named 'tip'"),
+        ({"force_at": Station("nose")}, "rig 'small' has no body 'nose'; it has beam, mass"),
+        ({"force_at": Station("beam", 2.5)}, "the force stands at 2.5 m, off 'beam'; give 0 to 2.0 m"),
+        ({"force_at": Station("beam", float("nan"))}, "the force stands at nan m"),
+        ({"sensors": (Sensor(name="s", station=Station("beam", -0.1), quantity="velocity"),)}, "sensor 's' stands at"),
+        (
+            {"contacts": (Contact(name="c", at=Station("mass"), against=Station("beam", 3.0), law=LAW),)},
+            "contact 'c' stands at 3.0 m",
+        ),
+    ],
+)
+def test_a_rig_that_cannot_be_is_refused(changes, sentence):
+    with pytest.raises(RigError) as caught:
+        small_rig(**changes)
+    assert sentence in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"gain": 0.0}, "gain is 0.0; give a finite value other than zero"),
+        ({"gain": float("nan")}, "gain is nan"),
+        ({"gain": 1e-320}, "gain is 1e-320"),
+        ({"delay_s": 1000.0}, "delay_s is 1000.0; give a finite value, -1 to 1 s"),
+        ({"delay_s": float("inf")}, "delay_s is inf; give a finite value"),
+        ({"noise_density": -1.0}, "noise_density is -1.0; give zero or above"),
+        ({"measuring_range": 0.0}, "measuring_range is 0.0; give a finite value above zero"),
+        ({"measuring_range": float("inf")}, "measuring_range is inf; give a finite value above zero"),
+        ({"bits": 12}, "bits is 12; give 2 to 32, together with a measuring_range"),
+        ({"bits": 1, "measuring_range": 1.0}, "bits is 1; give 2 to 32"),
+    ],
+)
+def test_a_sensor_that_cannot_be_is_refused(changes, sentence):
+    with pytest.raises(RigError) as caught:
+        Sensor(name="s", station=Station("mass"), quantity="velocity", **changes)
+    assert "sensor 's': " + sentence in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place"),
+    [
+        (b'"sample_rate_hz"', b'"rate"', "rate"),
+        (b'"velocity"', b'"speed"', "$.sensors[0].quantity"),
+        (b'"oscillator"', b'"wheel"', "$.bodies[1].type"),
+        (b"2.0", b'"two"', "$.bodies[0].length_m"),
+        (b"2.0", b"-2.0", "length_m is -2.0"),
+        (b"}", b"", "malformed"),
+        (b"{", b"", "Expected `object`"),
+        (b'"small"', b'"\xff"', "utf-8"),
+    ],
+)
+def test_a_text_that_is_no_rig_is_refused_with_its_place(old, new, place):
+    text = to_json(small_rig())
+    assert old in text
+    with pytest.raises(RigError) as caught:
+        from_json(text.replace(old, new, 1), "rig.json of x")
+    assert str(caught.value).startswith("rig.json of x: not a rig description: ")
+    assert place in str(caught.value)
+
+
+def test_stations_are_distinct_and_ordered_along_each_body():
+    rig = BarrelCradle(stations=4).rig()
+    stations = stations_of(rig)
+    assert len(set(stations)) == len(stations)
+    assert set(stations) == {s.station for s in rig.sensors}  # its contacts stand among its sensors
+    for body in rig.bodies:
+        positions = [s.position_m for s in stations if s.body == body.name]
+        assert positions == sorted(positions)
+    assert [s.body for s in stations] == ["cradle"] * 4 + ["barrel"] * 4
+
+
+def test_a_body_and_a_contact_are_found_by_name():
+    rig = small_rig()
+    assert rig.body("mass") is rig.bodies[1]
+    assert rig.contact("stop") is rig.contacts[0]
+    with pytest.raises(RigError, match="has no body 'nose'; it has beam, mass"):
+        rig.body("nose")
+
+
+def test_a_rig_cannot_be_changed():
+    with pytest.raises(AttributeError):
+        small_rig().name = "other"
+    assert msgspec.structs.replace(small_rig(), name="other").name == "other"

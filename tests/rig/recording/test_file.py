@@ -1,0 +1,316 @@
+"""The file: what goes in comes out, and every way of being bad has its sentence."""
+
+import json
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+
+from rig.errors import RigError
+from rig.model.description import UNITS, to_json
+from rig.recording import channel_groups, read, read_truth, truth_groups, truth_path, writing
+from rig.recording.file import AT_ONCE, BLOCK, CHUNK_S
+from rig.recording.messages import decode_block
+from rig.simulation.reference import BarrelCradle, Sdof
+from tests.blocks import encode_block
+
+RIG = Sdof().rig()
+PROVENANCE = {"made_by": "a test", "seed": "3"}
+
+
+def samples_of(rig, samples, groups=channel_groups):
+    rng = np.random.default_rng(samples)
+    return {name: rng.standard_normal((len(g.names), samples)) for name, g in groups(rig).items()}
+
+
+def write(path, values, rig=RIG, groups=channel_groups, stop=None):
+    with writing(path, rig, groups(rig), PROVENANCE) as recording:
+        for group, rows in values.items():
+            recording.append(group, rows)
+        if stop:
+            raise stop
+
+
+def rewrite(path, *, message=lambda _, data: data, channel=lambda _, metadata: metadata, attachment=lambda text: text):
+    """Copies the file record by record, each passed through a function that may change it or drop it (None)."""
+    with path.open("rb") as source:
+        reader = make_reader(source)
+        channels = reader.get_summary().channels.values()
+        schemas = reader.get_summary().schemas
+        messages = list(reader.iter_messages(log_time_order=False))
+        (rig_json,) = reader.iter_attachments()
+    with path.open("wb") as target:
+        writer = Writer(target, compression=CompressionType.NONE)
+        writer.start()
+        if (text := attachment(rig_json.data)) is not None:
+            writer.add_attachment(0, 0, rig_json.name, rig_json.media_type, text)
+        numbers = {}
+        for old in channels:
+            if (metadata := channel(old.topic, dict(old.metadata))) is not None:
+                schema = schemas[old.schema_id]
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                numbers[old.id] = writer.register_channel(old.topic, old.message_encoding, number, metadata)
+        for _, old, m in messages:
+            if old.id in numbers and (data := message(old.topic, m.data)) is not None:
+                writer.add_message(numbers[old.id], m.log_time, data, m.publish_time, m.sequence)
+        writer.finish()
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=20)
+@given(total=st.integers(1, 4000), cuts=st.lists(st.integers(0, 4000), max_size=5))
+def test_a_recording_survives_exactly_however_it_is_appended(tmp_path, total, cuts):
+    values = samples_of(RIG, total)
+    path = tmp_path / "r.mcap"
+    ends = sorted({min(c, total) for c in cuts} | {0, total})
+    with writing(path, RIG, channel_groups(RIG), PROVENANCE) as recording:
+        for first, last in pairwise(ends):
+            for group, rows in values.items():
+                recording.append(group, rows[:, first:last])
+    back = read(path)
+    assert back.rig == RIG
+    assert back.provenance == PROVENANCE
+    assert {name: s.channels for name, s in back.signals.items()} == channel_groups(RIG)
+    for group, rows in values.items():
+        np.testing.assert_array_equal(back.signals[group].values, rows)
+        np.testing.assert_allclose(back.signals[group].time_s, np.arange(total) / RIG.sample_rate_hz)
+    np.testing.assert_array_equal(back.force_n, values["force"][0])
+    assert back.samples == total
+    assert back.duration_s == total / RIG.sample_rate_hz
+    assert [p.name for p in tmp_path.iterdir()] == ["r.mcap"]
+
+
+def test_the_truth_survives_beside_the_recording(tmp_path):
+    rig = BarrelCradle(stations=4).rig()
+    path = truth_path(tmp_path / "r.mcap")
+    assert path.name == "r.truth.mcap"
+    values = samples_of(rig, 1500, truth_groups)
+    write(path, values, rig, truth_groups)
+    back = read_truth(path)
+    for group, rows in values.items():
+        np.testing.assert_array_equal(back.signals[group].values, rows)
+
+
+def test_channels_say_unit_and_place(tmp_path):
+    rig = BarrelCradle(stations=4).rig()
+    write(tmp_path / "r.mcap", samples_of(rig, 10), rig)
+    with (tmp_path / "r.mcap").open("rb") as content:
+        channels = {c.topic: c for c in make_reader(content).get_summary().channels.values()}
+    for quantity in ("force", "displacement", "acceleration"):
+        metadata = channels[f"/rig/{quantity}/block"].metadata
+        assert metadata["unit"] == UNITS[quantity]
+        assert json.loads(metadata["sample_rate_hz"]) == rig.sample_rate_hz
+    named = dict(zip(json.loads(metadata["names"]), json.loads(metadata["stations"]), strict=True))
+    assert named == {
+        s.name: {"body": s.station.body, "position_m": s.station.position_m}
+        for s in rig.sensors
+        if s.quantity == "acceleration"
+    }
+
+
+def test_the_preview_is_the_mean_over_a_hundredth_of_a_second(tmp_path):
+    rig = msgspec.structs.replace(RIG, sample_rate_hz=1000.0)
+    values = samples_of(rig, 1024)
+    write(tmp_path / "r.mcap", values, rig)
+    with (tmp_path / "r.mcap").open("rb") as content:
+        shown = [
+            (m.log_time, np.frombuffer(m.data[-8:], "<f8")[0])
+            for _, _, m in make_reader(content).iter_messages(topics=["/rig/force/preview"])
+        ]
+    times_ns, means = zip(*shown, strict=True)
+    assert list(times_ns) == [round(k * 10e6) for k in range(103)]
+    np.testing.assert_allclose(means[:102], values["force"][0, :1020].reshape(102, 10).mean(axis=1))
+
+
+@pytest.mark.parametrize(("rate_hz", "at_once"), [(512.0, 1500), (65536.0, 1500), (512.0, 100_000)])
+def test_a_chunk_is_small_so_that_a_kill_loses_little(tmp_path, rate_hz, at_once):
+    rig = msgspec.structs.replace(RIG, sample_rate_hz=rate_hz)
+    values = samples_of(rig, 100_000)
+    with writing(tmp_path / "r.mcap", rig, channel_groups(rig), PROVENANCE) as recording:
+        for first in range(0, 100_000, at_once):
+            for group, rows in values.items():
+                recording.append(group, rows[:, first : first + at_once])
+    with (tmp_path / "r.mcap").open("rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    assert max(c.chunk_length for c in chunks) <= 2**20
+    assert max(c.message_end_time - c.message_start_time for c in chunks) * 1e-9 < CHUNK_S + (BLOCK + at_once) / rate_hz
+    assert len(chunks) > 2
+
+
+def test_groups_appended_together_lie_side_by_side(tmp_path):
+    values = samples_of(RIG, 50_000)
+    with writing(tmp_path / "r.mcap", RIG, channel_groups(RIG), PROVENANCE) as recording:
+        recording.append_all(values)
+    with (tmp_path / "r.mcap").open("rb") as stream:
+        read_in_order = make_reader(stream).iter_messages(log_time_order=False)
+        times_s = np.array([m.log_time * 1e-9 for _, channel, m in read_in_order if channel.topic.endswith("block")])
+    assert (times_s - np.maximum.accumulate(times_s)).min() >= -AT_ONCE / RIG.sample_rate_hz
+    back = read(tmp_path / "r.mcap")
+    assert all(np.array_equal(back.signals[group].values, rows) for group, rows in values.items())
+
+
+def test_an_interrupted_recording_keeps_what_was_recorded(tmp_path):
+    path, values = tmp_path / "r.mcap", samples_of(RIG, 1500)
+    with pytest.raises(KeyboardInterrupt):
+        write(path, values, stop=KeyboardInterrupt)
+    np.testing.assert_array_equal(read(path).force_n, values["force"][0])
+    assert [p.name for p in tmp_path.iterdir()] == ["r.mcap"]
+
+
+def test_any_other_error_leaves_nothing_and_keeps_what_was_there(tmp_path):
+    path = tmp_path / "r.mcap"
+    write(path, samples_of(RIG, 100))
+    before = path.read_bytes()
+    with pytest.raises(ZeroDivisionError):
+        write(path, samples_of(RIG, 5000), stop=ZeroDivisionError)
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["r.mcap"]
+
+
+def test_a_place_that_cannot_be_written_is_refused(tmp_path):
+    path = tmp_path / "missing" / "r.mcap"
+    with pytest.raises(RigError, match=r"r\.mcap: cannot be written \(No such file or directory\)"):
+        write(path, samples_of(RIG, 10))
+
+
+def without_second_block(topic, data):
+    return None if topic == "/rig/force/block" and decode_block(data).first_sample == 1024 else data
+
+
+def shorter(topic, data):
+    return None if topic == "/rig/acceleration/block" and decode_block(data).first_sample == 2048 else data
+
+
+def with_nan(topic, data):
+    if topic != "/rig/acceleration/block":
+        return data
+    block = decode_block(data)
+    values = block.values.copy()
+    values[0, 5] = np.nan
+    return encode_block(block.time_ns, block.first_sample, block.sample_rate_hz, values)
+
+
+def at_another_rate(topic, data):
+    if topic != "/rig/force/block":
+        return data
+    block = decode_block(data)
+    return encode_block(block.time_ns, block.first_sample, 2 * block.sample_rate_hz, block.values)
+
+
+def no_block(topic, data):
+    return data[:-3] if topic == "/rig/force/block" else data
+
+
+def without(topic):
+    return lambda other, metadata: None if other == topic else metadata
+
+
+def described(topic, **changes):
+    return lambda other, metadata: metadata | changes if other == topic else metadata
+
+
+def believing(**changes):
+    return lambda _: to_json(msgspec.structs.replace(RIG, **changes))
+
+
+FORCE, ACCELERATION = "/rig/force/block", "/rig/acceleration/block"
+RENAMED = msgspec.structs.replace(RIG.sensors[0], name="other")
+MORE = msgspec.structs.replace(RIG.sensors[0], name="more")
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"message": without_second_block}, "group force has samples 1024 to 2048 missing or doubled"),
+        ({"message": shorter}, "its groups differ in length"),
+        ({"message": with_nan}, "channel 'mass_0000mm_acceleration' is not a finite number at sample 5 (0.0098 s)"),
+        ({"message": at_another_rate}, "a block of group force does not fit its channel's metadata"),
+        ({"message": no_block}, "is damaged"),
+        ({"message": lambda *_: None}, "group force holds no samples"),
+        ({"channel": without(FORCE)}, "has no channel /rig/force/block"),
+        ({"channel": without(ACCELERATION)}, "sensor 'mass_0000mm_acceleration' of rig.json has no channel"),
+        ({"channel": described(FORCE, names="[")}, "the metadata of channel /rig/force/block cannot be read"),
+        ({"channel": described(FORCE, names='["a", "b"]')}, "2 names, 1 stations"),
+        ({"channel": described(FORCE, names="[]", stations="[]")}, "0 names, 0 stations"),
+        ({"channel": described(FORCE, sample_rate_hz="-1")}, "-1.0 Hz"),
+        ({"channel": described(FORCE, sample_rate_hz="Infinity")}, "inf Hz"),
+        ({"channel": described(FORCE, sample_rate_hz="9" * 400)}, "cannot be read (OverflowError"),
+        ({"channel": described(FORCE, names="[" * 100_000)}, "cannot be read (RecursionError"),
+        ({"channel": described(FORCE, unit="kN")}, "group force holds 'force' in 'kN'; write force in N"),
+        ({"channel": described(ACCELERATION, unit="g")}, "write acceleration in m/s^2"),
+        ({"channel": described(ACCELERATION, quantity="velocity")}, "group acceleration holds 'velocity' in 'm/s^2'"),
+        (
+            {"channel": described(FORCE, stations='[{"body": "nose", "position_m": 1}]')},
+            "group force has the channels ('force',) at (Station(body='nose'",
+        ),
+        ({"attachment": lambda _: None}, "has no attachment rig.json"),
+        ({"attachment": lambda text: text[1:]}, "rig.json: not a rig description"),
+        ({"attachment": believing(sample_rate_hz=100.0)}, "is sampled at 512.0 Hz, rig.json says 100.0 Hz"),
+        ({"attachment": believing(sensors=(RENAMED, RIG.sensors[1]))}, "is no sensor of rig.json"),
+        ({"attachment": believing(sensors=(*RIG.sensors, MORE))}, "sensor 'more' of rig.json has no channel"),
+    ],
+)
+def test_a_recording_that_disagrees_with_itself_is_refused(tmp_path, changes, sentence):
+    path = tmp_path / "r.mcap"
+    write(path, samples_of(RIG, 2500))
+    rewrite(path)
+    assert read(path).samples == 2500  # the copy alone changes nothing
+    rewrite(path, **changes)
+    with pytest.raises(RigError) as caught:
+        read(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert sentence in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def flipped(content):
+    middle = len(content) // 2
+    return content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :]
+
+
+@pytest.mark.parametrize(
+    ("damage", "sentence"),
+    [
+        (lambda _: b"", "is empty; record it again"),
+        (lambda _: b"time,force\n0,1\n", "is no MCAP file"),
+        (lambda content: content[:-100], "is cut off or damaged"),
+        (lambda content: content[: len(content) // 2], "is cut off or damaged"),
+        (lambda content: content[:20], "is cut off or damaged"),
+        (flipped, "damaged"),
+    ],
+)
+def test_a_damaged_file_is_refused(tmp_path, damage, sentence):
+    path = tmp_path / "r.mcap"
+    write(path, samples_of(RIG, 5000))
+    path.write_bytes(damage(path.read_bytes()))
+    with pytest.raises(RigError) as caught:
+        read(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert sentence in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40)
+@given(st.floats(0, 1, exclude_max=True), st.integers(1, 255))
+def test_a_flipped_byte_never_comes_back_as_data(tmp_path, fraction, change):
+    path, values = tmp_path / "r.mcap", samples_of(RIG, 1500)
+    write(path, values)
+    content = bytearray(path.read_bytes())
+    content[int(fraction * len(content))] ^= change
+    path.write_bytes(content)
+    try:
+        back = read(path)
+    except RigError:
+        return
+    assert back.rig == RIG  # the byte was in what reading does not need
+    for group, rows in values.items():
+        np.testing.assert_array_equal(back.signals[group].values, rows)
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(RigError, match="cannot be opened"):
+        read(tmp_path / "none.mcap")

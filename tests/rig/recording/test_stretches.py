@@ -1,0 +1,71 @@
+"""A recording read stretch by stretch."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from rig.errors import RigError
+from rig.recording import channel_groups, container, read, writing
+from rig.recording.stretches import stretches
+from rig.simulation.reference import Sdof
+
+RIG = Sdof().rig()
+RATE_HZ = RIG.sample_rate_hz
+SAMPLES = 400_000
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    path = tmp_path_factory.mktemp("stretches") / "long.mcap"
+    rng = np.random.default_rng(1)
+    with writing(path, RIG, channel_groups(RIG), {"made_by": "a test"}) as recording:
+        for first in range(0, SAMPLES, 3000):
+            for name, channels in channel_groups(RIG).items():
+                recording.append(name, rng.standard_normal((len(channels.names), min(3000, SAMPLES - first))))
+    return path
+
+
+@pytest.mark.parametrize(("length_s", "overlap_s"), [(20.0, 0.0), (20.0, 5.0), (31.7, 12.0), (1e4, 1.0)])
+def test_the_stretches_are_what_is_in_the_file(path, length_s, overlap_s):
+    whole = read(path)
+    begin, parts = 0, list(stretches(path, length_s, overlap_s))
+    for part in parts:
+        assert part.rig == whole.rig
+        assert part.start_s == begin / RATE_HZ
+        for name, signals in part.signals.items():
+            there = whole.signals[name].values[:, begin : begin + part.samples]
+            np.testing.assert_array_equal(signals.values, there)
+        begin += part.samples - round(overlap_s * RATE_HZ)
+    assert parts[-1].end_s == whole.duration_s
+    assert {p.samples for p in parts[:-1]} <= {round(length_s * RATE_HZ)}
+    if len(parts) > 1:
+        assert length_s / 2 < parts[-1].duration_s < 1.5 * length_s
+
+
+def test_no_more_is_held_than_a_stretch(path, monkeypatch):
+    monkeypatch.setattr(container, "_PIECE_BYTES", 1 << 19)
+    tracemalloc.start()
+    for _ in stretches(path, 10.0, 2.0):
+        pass
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 0.4 * path.stat().st_size
+
+
+def test_a_file_that_is_cut_off_says_so_where_it_ends(path, tmp_path):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    found = []
+    with pytest.raises(RigError, match=f"{cut}: is cut off or damaged"):
+        found.extend(stretches(cut, 20.0, 0.0))
+
+
+def test_a_file_without_a_force_is_refused(tmp_path):
+    path = tmp_path / "no_force.mcap"
+    groups = {name: g for name, g in channel_groups(RIG).items() if name != "force"}
+    with writing(path, RIG, groups, {}) as recording:
+        for name, channels in groups.items():
+            recording.append(name, np.zeros((len(channels.names), 5000)))
+    with pytest.raises(RigError, match="no channel /rig/force/block"):
+        next(stretches(path, 2.0, 0.0))

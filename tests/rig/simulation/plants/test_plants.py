@@ -1,0 +1,142 @@
+"""What any plant must do: exact motion as the step goes to zero, energy that adds up, agreement with the others."""
+
+from functools import partial
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.polynomial.legendre import leggauss
+from scipy.integrate import cumulative_trapezoid, solve_ivp
+
+from rig.errors import RigError
+from rig.model.description import Sensor, Station, contact_stations
+from rig.simulation.excitation import QUIET_S, BandLimitedGaussian, force_history
+from rig.simulation.motion import joined
+from rig.simulation.plants import PLANTS, ancf, modal, plant_named
+from rig.simulation.reference import BarrelCradle, Sdof
+from scenarios.engines import tip_difference, young_motion
+
+
+def simulated(plant, rig, force_n, step_s):
+    return joined(plant(rig, force_n, step_s, lambda _: None))
+
+
+@pytest.fixture(params=PLANTS)
+def plant(request):
+    return plant_named(request.param)
+
+
+def test_there_is_no_other_plant():
+    with pytest.raises(RigError, match="no plant 'bicycle'; there are ancf, modal"):
+        plant_named("bicycle")
+
+
+def test_one_mass_between_stops_converges_to_its_solution_at_least_with_the_square_of_the_step(plant):
+    rig = msgspec.structs.replace(Sdof().rig(), sensors=())
+    body, law = rig.bodies[0], rig.contacts[0].law
+    amplitudes_n = np.linspace(2, 6, 5)  # the error depends on where in a step each contact falls: an average
+    coarsest, duration_s = 9, 1.0
+    common_s = np.arange(round(duration_s * 2**coarsest)) * 2.0**-coarsest
+
+    def force(amplitude_n, time_s):
+        return amplitude_n * np.sin(2 * np.pi * 3 * time_s)
+
+    def exact(amplitude_n):
+        def rates(time_s, state):
+            depth_m = max(state[0] - law.upper_clearance_m, 0) + min(state[0] + law.lower_clearance_m, 0)
+            contact_n = law.stiffness_n_per_m * depth_m
+            linear_n = body.stiffness_n_per_m * state[0] + body.damping_n_s_per_m * state[1]
+            return [state[1], (force(amplitude_n, time_s) - linear_n - contact_n) / body.mass_kg]
+
+        span = (0, common_s[-1])
+        return solve_ivp(rates, span, [0, 0], t_eval=common_s, rtol=1e-9, atol=1e-12, max_step=2e-3).y[0]
+
+    solutions = np.array([exact(a) for a in amplitudes_n])
+    powers = np.arange(coarsest, 14)
+    errors = []
+    for power in powers:
+        time_s = np.arange(round(duration_s * 2**power)) * 2.0**-power
+        motions = [simulated(plant, rig, force(a, time_s), 2.0**-power) for a in amplitudes_n]
+        assert all(m.contact_force_n.any() for m in motions)
+        found = np.array([m.eta_m[0, :: 2 ** (power - coarsest)] for m in motions])
+        errors.append(np.linalg.norm(found - solutions) / np.linalg.norm(solutions))
+    assert errors[-1] < 1e-3
+    order = -np.polyfit(powers, np.log2(errors), 1)[0]
+    assert order > 1.7
+
+
+ELEMENTS = 20
+
+
+def energies(plant, step_s, duration_s):
+    """Work done on the barrel and its cradle, and where it went, as functions of time.
+
+    Four Gauss points an element carry a displacement and a velocity sensor each: they determine the cubic of the
+    finite elements exactly, hence its kinetic and its bending energy.
+    """
+    base = BarrelCradle(contact_damping_n_s_per_m=2.0, sensors="displacement").rig()
+    points, weights = leggauss(4)
+    within, length = (points + 1) / 2, 1.0 / ELEMENTS
+    x = (np.arange(ELEMENTS)[:, None] * length + within * length).ravel()
+    weight = np.tile(weights / 2 * length, ELEMENTS)
+    stations = [Station(b.name, float(p)) for b in base.bodies for p in x]
+    ends = [s for c in base.contacts for s in contact_stations(c)]
+    wanted = [("displacement", s) for s in stations] + [("velocity", s) for s in [*stations, *ends, base.force_at]]
+    rig = msgspec.structs.replace(
+        base, sensors=tuple(Sensor(name=str(k), station=s, quantity=q) for k, (q, s) in enumerate(wanted))
+    )
+    excitation = BandLimitedGaussian(rms_n=14.0, low_hz=0.5, high_hz=100.0)
+    force_n = force_history(excitation, QUIET_S + duration_s, step_s)[round(QUIET_S / step_s) :]
+    motion = simulated(plant, rig, force_n, step_s)
+    displacement, velocity, at_ends, at_force = np.split(
+        motion.sensed, np.cumsum([len(stations), len(stations), len(ends)])
+    )
+    second_derivative = np.stack([0 * within, 0 * within, 2 + 0 * within, 6 * within], axis=1) / length**2
+    curvature_of = second_derivative @ np.linalg.inv(np.vander(within, increasing=True))
+    stored, lost_w = np.zeros(force_n.size), np.zeros(force_n.size)
+    for body, q, v in zip(rig.bodies, np.split(displacement, 2), np.split(velocity, 2), strict=True):
+        curvature = (curvature_of @ q.reshape(ELEMENTS, 4, -1)).reshape(q.shape)
+        stored += weight @ (body.mass_per_length_kg_per_m * v**2 + body.bending_stiffness_n_m2 * curvature**2) / 2
+        modes = 16
+        rate = (body.mass_per_length_kg_per_m * weight[:, None] * body.shapes(x, modes)).T @ v
+        lost_w += 4 * np.pi * body.damping_ratios(modes) * body.frequencies_hz(modes) @ rate**2
+    for contact, eta, (at, against) in zip(rig.contacts, motion.eta_m, at_ends.reshape(2, 2, -1), strict=True):
+        depth = contact.law.penetration_m(eta)
+        stored += contact.law.stiffness_n_per_m * depth**2 / 2
+        lost_w += (contact.law.force_n(eta, at - against) - contact.law.stiffness_n_per_m * depth) * (at - against)
+    work = cumulative_trapezoid(force_n * at_force[0], dx=step_s, initial=0)
+    closures = np.count_nonzero(np.diff((motion.contact_force_n != 0).astype(int), axis=1) > 0)
+    return work, stored, cumulative_trapezoid(lost_w, dx=step_s, initial=0), closures
+
+
+def test_energy_adds_up_over_a_run_with_contacts(plant):
+    work, stored, lost, closures = energies(plant, 2.0**-13, 1.0)
+    assert closures > 10
+    assert lost[-1] > 0.3 * work[-1]
+    assert np.abs(work - stored - lost).max() < 0.005 * np.abs(work).max()
+
+
+@pytest.fixture(scope="module")
+def young():
+    return young_motion(ancf.simulate, 2.0**-15)
+
+
+@pytest.mark.parametrize("modes", [12, 16])
+def test_both_plants_move_alike_while_contact_is_young(young, modes):
+    motion = young_motion(partial(modal.simulate, modes=modes), young.step_s)
+    assert motion.contact_force_n.any()
+    for body, difference in tip_difference(young, motion).items():
+        assert difference < 0.03, body
+
+
+def test_six_modes_are_too_few_for_that(young):
+    difference = tip_difference(young, young_motion(partial(modal.simulate, modes=6), young.step_s))
+    assert max(difference.values()) > 0.03
+
+
+def test_at_the_full_amplitude_too(young):
+    """3 to 4 % whatever the step: there the beams turn far enough for their geometry to show."""
+    full = young_motion(ancf.simulate, young.step_s, scale=1.0)
+    linear = young_motion(modal.simulate, young.step_s, scale=1.0)
+    for body, difference in tip_difference(full, linear).items():
+        assert difference < 0.05, body

@@ -1,0 +1,293 @@
+"""The file for the viewer, read back: it holds the recording's values, moves as the stations do and is never half."""
+
+import json
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from msgspec.structs import replace as replace_struct
+from rerun.chunk import RrdReader
+
+import rig.viewer.stage
+import rig.viewer.viewing
+from rig.errors import RigError
+from rig.model.contact_law import dead_zone
+from rig.recording import read, read_truth, truth_path
+from rig.simulation.excitation import BandLimitedGaussian
+from rig.simulation.plants import modal
+from rig.simulation.record import record
+from rig.simulation.reference import BarrelCradle, Sdof
+from rig.viewer.blueprint import entity
+from rig.viewer.deflection import deflection
+from rig.viewer.identified import identified_laws
+from rig.viewer.stage import stage
+from rig.viewer.viewing import write_rrd
+
+
+def recorded(directory, machine, force, duration_s):
+    path = directory / "r.mcap"
+    step_s = 2.0**-14 if machine.name == "barrel_cradle" else 2.0**-13
+    record(
+        machine, force, plant=modal.simulate, duration_s=duration_s, step_s=step_s, path=path, progress=lambda _: None
+    )
+    return read(path), read_truth(truth_path(path))
+
+
+@pytest.fixture(scope="module")
+def beams(tmp_path_factory):
+    force = BandLimitedGaussian(rms_n=14.0, low_hz=4.0, high_hz=100.0)
+    return recorded(tmp_path_factory.mktemp("beams"), BarrelCradle(stations=4).rig(), force, 4.0)
+
+
+@pytest.fixture(scope="module")
+def mass(tmp_path_factory):
+    force = BandLimitedGaussian(rms_n=0.5, low_hz=0.5, high_hz=15.0)
+    return recorded(tmp_path_factory.mktemp("mass"), Sdof().rig(), force, 8.0)
+
+
+def column(path, place, component):
+    """Times in seconds and values of a component of an entity, in the order of time."""
+    reader = RrdReader(path)
+    times, values = [], []
+    for chunk in reader.stream(store=reader.recordings()[0]).filter(content=place):
+        batch = chunk.to_record_batch()
+        if component in batch.schema.names and "sim_time" in batch.schema.names:
+            times.extend(batch["sim_time"].cast("int64").to_pylist())
+            values.extend(batch[component].to_pylist())
+    order = np.argsort(times, kind="stable")
+    return np.array(times)[order] / 1e9, [values[i] for i in order]
+
+
+def series(path, place):
+    times, values = column(path, place, "Scalars:scalars")
+    return times, np.array(values).T
+
+
+@pytest.mark.parametrize("which", ["beams", "mass"])
+def test_the_series_are_those_of_the_recording_and_its_truth(which, request, tmp_path):
+    recording, truth = request.getfixturevalue(which)
+    write_rrd(recording, truth, tmp_path / "r.rrd")
+    time_s = recording.signals["force"].time_s
+    for row, contact in enumerate(recording.rig.contacts):
+        times, values = series(tmp_path / "r.rrd", entity("relative_displacement", contact.name, "value"))
+        np.testing.assert_allclose(times, time_s, atol=1e-9)
+        np.testing.assert_array_equal(values[0], 1e3 * truth.signals["relative_displacement"].values[row])
+        _, walls = series(tmp_path / "r.rrd", entity("relative_displacement", contact.name, "walls"))
+        assert walls[0] == pytest.approx(1e3 * contact.law.upper_clearance_m)
+        assert walls[1] == pytest.approx(-1e3 * contact.law.lower_clearance_m)
+        _, force = series(tmp_path / "r.rrd", entity("contact_force", contact.name))
+        np.testing.assert_array_equal(force[0], truth.signals["contact_force"].values[row])
+    _, exciting = series(tmp_path / "r.rrd", "exciting_force")
+    np.testing.assert_array_equal(exciting[0], recording.force_n)
+    assert [p.name for p in tmp_path.iterdir()] == ["r.rrd"]
+
+
+def test_a_close_up_is_in_true_scale_and_says_when_the_contact_is_closed(mass, tmp_path):
+    recording, truth = mass
+    write_rrd(recording, truth, tmp_path / "r.rrd", magnification=7.0)
+    times, points = column(tmp_path / "r.rrd", entity("close_up", "stop", "point"), "Points2D:positions")
+    _, readings = column(tmp_path / "r.rrd", entity("close_up", "stop", "reading"), "Points2D:labels")
+    frames = np.round(times * recording.rig.sample_rate_hz).astype(int)
+    eta = truth.signals["relative_displacement"].values[0, frames]
+    np.testing.assert_allclose([p[0][1] for p in points], -1e3 * eta, rtol=1e-6)  # the view's y points downwards
+    closed = dead_zone(eta, 1e-3, 1e-3) != 0
+    assert closed.any()
+    assert not closed.all()
+    assert [r[0].endswith("closed") for r in readings] == list(closed)
+
+
+def test_without_truth_the_displacement_sensors_are_shown(beams, tmp_path):
+    recording, _ = beams
+    write_rrd(recording, None, tmp_path / "r.rrd")
+    sensed = recording.signals["displacement"]
+    rows = dict(zip(sensed.channels.stations, sensed.values, strict=True))
+    for contact in recording.rig.contacts:
+        _, values = series(tmp_path / "r.rrd", entity("relative_displacement", contact.name, "value"))
+        np.testing.assert_allclose(values[0], 1e3 * (rows[contact.at] - rows[contact.against]), atol=1e-12)
+        assert series(tmp_path / "r.rrd", entity("contact_force", contact.name))[0].size == 0
+
+
+def only_accelerometers(recording):
+    machine = recording.rig
+    sensors = tuple(s for s in machine.sensors if s.quantity == "acceleration")
+    machine = type(machine)(**{f: getattr(machine, f) for f in machine.__struct_fields__} | {"sensors": sensors})
+    return replace(recording, rig=machine, signals={k: recording.signals[k] for k in ("force", "acceleration")})
+
+
+def test_accelerometers_alone_give_the_motion_above_one_hertz(beams, tmp_path):
+    recording, truth = beams
+    poor = only_accelerometers(recording)
+    write_rrd(poor, None, tmp_path / "r.rrd")
+    motion, known = deflection(poor, None), deflection(recording, truth)
+    assert motion.approximate
+    assert not known.approximate
+    station = recording.rig.contacts[0].against
+    inner = slice(recording.samples // 3, 2 * recording.samples // 3)
+    error = (motion.at(station) - known.at(station))[inner]
+    slow = np.fft.rfft(known.at(station))
+    slow[np.fft.rfftfreq(recording.samples, 1 / recording.rig.sample_rate_hz) >= 2.0] = 0
+    lacking = np.fft.irfft(slow, recording.samples)[inner]
+    assert np.std(error) < 2 * np.std(lacking) + 0.02 * np.std(known.at(station)[inner])
+
+
+def test_the_beams_pass_through_their_stations_and_between_them_follow_the_modes(beams):
+    recording, _ = beams
+    machine = recording.rig
+    body, rows = machine.bodies[1], [i for i, s in enumerate(machine.sensors) if s.station.body == "barrel"]
+    places = np.unique([machine.sensors[i].station.position_m for i in rows])
+    wanted = np.array([[1e-3, -2e-3, 5e-4, 3e-4]])  # modal coordinates, as many as there are stations
+    motion = deflection(recording, None)
+    shown = replace(
+        motion,
+        stations=tuple(type(machine.force_at)("barrel", float(x)) for x in places),
+        displacement_m=(wanted @ body.shapes(places, 4).T).T,
+    )
+    x = np.linspace(0, body.length_m, 23)
+    np.testing.assert_allclose(shown.of_body(body, x)[:, 0], (wanted @ body.shapes(x, 4).T)[0], atol=1e-12)
+
+
+def test_the_bodies_lie_over_each_other_at_their_contacts_and_move_magnified(beams, tmp_path):
+    recording, truth = beams
+    scene = stage(deflection(recording, truth), recording.rig.sample_rate_hz, 3.0)
+    for contact in recording.rig.contacts:
+        at, against = scene.point(contact.at), scene.point(contact.against)
+        np.testing.assert_allclose(at[:, 0], against[:, 0])
+        eta = truth.signals["relative_displacement"].values[recording.rig.contacts.index(contact), scene.frames]
+        np.testing.assert_allclose(at[:, 2] - against[:, 2], 3.0 * eta, atol=1e-12)
+        jaws = scene.fork(contact, contact.law)[..., 2]
+        outside = (at[:, 2] > jaws[:, 0]) | (at[:, 2] < jaws[:, 3])
+        np.testing.assert_array_equal(outside, contact.law.penetration_m(eta) != 0)
+    write_rrd(recording, truth, tmp_path / "r.rrd", magnification=3.0)
+    _, strips = column(tmp_path / "r.rrd", entity("model", "barrel"), "LineStrips3D:strips")
+    tip = [frame[0][-1][2] for frame in strips]
+    np.testing.assert_allclose(tip, scene.point(recording.rig.force_at)[:, 2], rtol=1e-5, atol=1e-7)
+
+
+def test_the_chosen_magnification_is_round_and_keeps_the_largest_deflection_in_the_view(beams):
+    recording, truth = beams
+    scene = stage(deflection(recording, truth), recording.rig.sample_rate_hz, None)
+    largest = np.abs(truth.signals["displacement"].values).max()
+    leading = scene.magnification / 10.0 ** np.floor(np.log10(scene.magnification))
+    assert round(leading, 9) in {1, 2, 5}
+    assert scene.extent_m / 3 / 2.5 < scene.magnification * largest <= scene.extent_m / 3
+
+
+def test_a_long_recording_is_thinned_out_but_not_near_contacts(mass, tmp_path, monkeypatch):
+    recording, truth = mass
+    monkeypatch.setattr(rig.viewing, "SCALARS", 4 * recording.samples // 8)  # force, acceleration, two of the contact
+    monkeypatch.setattr(rig.stage, "FRAME_RATES_HZ", (32.0, 32.0))
+    write_rrd(recording, truth, tmp_path / "r.rrd")
+    rate = recording.rig.sample_rate_hz
+    times, force = series(tmp_path / "r.rrd", "exciting_force")
+    np.testing.assert_array_equal(force[0], recording.force_n[::8])
+    times, values = series(tmp_path / "r.rrd", entity("contact_force", "stop"))
+    kept, known = np.round(times * rate).astype(int), truth.signals["contact_force"].values[0]
+    np.testing.assert_array_equal(values[0], known[kept])
+    closed = np.flatnonzero(recording.rig.contacts[0].law.penetration_m(relative(truth)))
+    assert closed.size
+    assert set(closed) <= set(kept)
+    assert set(range(0, recording.samples, 8)) <= set(kept)
+    assert kept.size < recording.samples
+
+
+def relative(truth):
+    return truth.signals["relative_displacement"].values[0]
+
+
+def test_every_closing_and_opening_is_an_event(mass, tmp_path):
+    recording, truth = mass
+    write_rrd(recording, truth, tmp_path / "r.rrd")
+    times, words = column(tmp_path / "r.rrd", entity("events", "stop"), "TextLog:text")
+    depth = recording.rig.contacts[0].law.penetration_m(relative(truth))
+    changes = np.flatnonzero(np.diff((depth != 0).astype(int))) + 1
+    assert changes.size
+    np.testing.assert_array_equal(np.round(times * recording.rig.sample_rate_hz).astype(int), changes)
+    for sample, (word,) in zip(changes, words, strict=True):
+        if depth[sample] > 0:
+            assert word == "stop closes at its upper stop"
+        elif depth[sample] < 0:
+            assert word == "stop closes at its lower stop"
+        else:
+            assert word.startswith("stop opens after ")
+
+
+def test_the_phase_plot_grows_over_the_truth(mass, tmp_path):
+    """Frame by frame, each line begins where the last one ended; together they hold every closed sample."""
+    recording, truth = mass
+    write_rrd(recording, truth, tmp_path / "r.rrd")
+    times, strips = column(tmp_path / "r.rrd", entity("phase", "stop", "seen"), "LineStrips2D:strips")
+    lines = [np.array(row[0]) for row in strips]
+    for before, after in pairwise(lines):
+        np.testing.assert_array_equal(before[-1], after[0])
+    eta_mm = np.concatenate([line[:-1, 0] for line in lines])
+    depth = recording.rig.contacts[0].law.penetration_m(relative(truth))
+    last = round(times[-1] * recording.rig.sample_rate_hz)
+    shown = np.isin(np.float32(1e3 * relative(truth)[:last][depth[:last] != 0]), np.float32(eta_mm))
+    assert shown.all()
+
+
+def test_identified_walls_stand_where_contact_json_says(mass, tmp_path):
+    recording, truth = mass
+    file = tmp_path / "contact.json"
+    value = {"value": 1.2e-3, "standard_error": 1e-6}
+    found = {"name": "stop", "clearance_m": value, "stiffness_n_per_m": value, "damping_n_s_per_m": {"value": -1.0}}
+    file.write_text(json.dumps({"rig": "sdof", "contacts": [found]}))
+    write_rrd(recording, truth, tmp_path / "r.rrd", identified=identified_laws(file, recording.rig))
+    _, walls = series(tmp_path / "r.rrd", entity("relative_displacement", "stop", "identified"))
+    np.testing.assert_allclose(walls[:, 0], [1.2, -1.2])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (None, "cannot be opened"),
+        ("{", "is no contact.json"),
+        ('{"contacts": [{"name": "stop"}]}', "is no contact.json"),
+        ("\xff", "is no contact.json"),
+        (
+            '{"contacts": [{"name": "other", "clearance_m": {"value": 1}, "stiffness_n_per_m": {"value": 1}, '
+            '"damping_n_s_per_m": {"value": 1}}]}',
+            "has a contact 'other', the rig has stop",
+        ),
+        (
+            '{"contacts": [{"name": "stop", "clearance_m": {"value": -1}, "stiffness_n_per_m": {"value": 1}, '
+            '"damping_n_s_per_m": {"value": 1}}]}',
+            "lower_clearance_m is -1",
+        ),
+    ],
+)
+def test_a_file_that_is_no_contact_json_is_named(mass, tmp_path, text, said):
+    path = tmp_path / "contact.json"
+    if text is not None:
+        path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(RigError, match=f"contact.json: .*{said}"):
+        identified_laws(path, mass[0].rig)
+
+
+def test_walls_are_the_true_ones_and_what_was_believed_is_drawn_too(mass, tmp_path):
+    recording, truth = mass
+    (contact,) = recording.rig.contacts
+    law = replace_struct(contact.law, upper_clearance_m=2 * contact.law.upper_clearance_m)
+    other = replace_struct(recording.rig, contacts=(replace_struct(contact, law=law),))
+    write_rrd(replace(recording, rig=other), truth, tmp_path / "r.rrd")
+    for name, wanted in (("walls", contact.law), ("believed", law)):
+        _, walls = series(tmp_path / "r.rrd", entity("relative_displacement", "stop", name))
+        np.testing.assert_allclose(walls[:, 0], [1e3 * wanted.upper_clearance_m, -1e3 * wanted.lower_clearance_m])
+
+
+def test_what_cannot_be_shown_is_said_in_one_sentence_and_leaves_nothing(beams, mass, tmp_path):
+    recording, _ = beams
+    barrel_only = only_accelerometers(recording)
+    machine = barrel_only.rig
+    sensors = tuple(s for s in machine.sensors if s.station.body == "barrel")
+    machine = type(machine)(**{f: getattr(machine, f) for f in machine.__struct_fields__} | {"sensors": sensors})
+    with pytest.raises(RigError, match="'cradle' has no sensor"):
+        write_rrd(replace(barrel_only, rig=machine), None, tmp_path / "r.rrd")
+    with pytest.raises(RigError, match="take it away"):
+        write_rrd(recording, mass[1], tmp_path / "r.rrd")
+    with pytest.raises(RigError, match="magnification is 0"):
+        write_rrd(recording, None, tmp_path / "r.rrd", magnification=0.0)
+    with pytest.raises(RigError, match="cannot be written"):
+        write_rrd(recording, None, tmp_path / "nowhere" / "r.rrd")
+    assert not list(tmp_path.iterdir())
