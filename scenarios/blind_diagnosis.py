@@ -13,6 +13,7 @@ from identify.gap.decision.null_reference import null_key, null_reference
 from identify.gap.decision.recordings import sound
 from identify.gap.results import Gap
 from rig.errors import RigError
+from rig.files import write_json
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording, read
 from rig.simulation import replay
@@ -93,9 +94,7 @@ def diagnosed_cases(
     cost = {made.key: made.cpu_s for made in run_tasks(nulls_made, to_make, NullsMade, out / "tasks", dask)}
     found = run_tasks(diagnosed, tasks, Found, out / "tasks", dask)
     found = [replace(f, nulls_cpu_s=cost[f.key]) for f in found]
-    part = out / "found.json.part"
-    part.write_bytes(msgspec.json.format(msgspec.json.encode(found), indent=2))
-    part.replace(out / "found.json")
+    write_json(found, out / "found.json")
     return found
 
 

@@ -5,17 +5,16 @@ python -m scenarios.blind_gap diagnose --cases out/blind --out out/found
 python -m scenarios.blind_gap score --cases out/blind --found out/found --out out/score
 """
 
-import hashlib
 import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import typer
 from rich.console import Console
 
 from rig.commands.command_line import Force, refuse_existing, run
+from rig.files import write_bytes, write_json
 from rig.model.tolerances import tolerances_named
 from scenarios import score_figures
 from scenarios.blind_comparison import by_world, check_recordings, pairs_of
@@ -25,7 +24,7 @@ from scenarios.score_table import calibration_told, limits_told, shown, temperat
 from scenarios.scoreboard import scored
 from scenarios.tasks import Dask, run_tasks
 from scenarios.tolerance_sensitivity import settings, table_of
-from scenarios.worlds.making import made, planned
+from scenarios.worlds.making import made, planned, sha256_of
 from scenarios.worlds.truth import Case, Key, World
 
 app = typer.Typer(pretty_exceptions_enable=False, no_args_is_help=True)
@@ -61,10 +60,9 @@ def make(
     answers = run_tasks(made, plans, Case, out / "sealed" / "tasks", dask)
     check_recordings(out, answers)
     answered = Key(world=world, seed=seed, nulls_only=nulls_only, duration_s=duration, cases=tuple(answers))
-    key = _json(answered)
-    _written(key_path, key)
-    digest = hashlib.sha256(key).hexdigest()
-    _written(hash_path, f"{digest}\n".encode())
+    write_json(answered, key_path)
+    digest = sha256_of(key_path)
+    write_bytes(f"{digest}\n".encode(), hash_path)
     console = Console()
     console.print(f"{len(answers)} cases in {out / 'recordings'}, answers in {key_path}")
     console.print(f"sha256 of the answers: {digest}", soft_wrap=True)
@@ -102,7 +100,7 @@ def score(
     groups = worlds | {"all": every} if len(worlds) > 1 else worlds
     boards = {name: scored(compared) for name, compared in groups.items()}
     reliability = {name: calibrated(compared) for name, compared in groups.items()}
-    _written(out / "score.json", _json({"worlds": boards, "calibration": reliability}))
+    write_json({"worlds": boards, "calibration": reliability}, out / "score.json")
     figures = score_figures.drawn(every, out)
     console = _wide_console()
     console.print(shown(boards, f"{len(every)} blind cases"))
@@ -133,24 +131,13 @@ def sensitivity(
         diagnosed_cases(cases / "recordings", out / name, tolerances, dask=dask)
         worlds = by_world([(cases, out / name)], out / name / "best")
         boards[name] = scored([c for compared in worlds.values() for c in compared])
-    _written(out / "sensitivity.json", _json(boards))
+    write_json(boards, out / "sensitivity.json")
     _wide_console().print(table_of(boards))
 
 
 def _wide_console() -> Console:
     """As wide as the tables where no terminal sets a width."""
     return Console() if sys.stdout.isatty() else Console(width=WIDTH)
-
-
-def _json(value: object) -> bytes:
-    return msgspec.json.format(msgspec.json.encode(value), indent=2)
-
-
-def _written(path: Path, data: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    part.write_bytes(data)
-    part.replace(path)
 
 
 if __name__ == "__main__":  # under its own name, by which other processes find its tasks

@@ -8,8 +8,8 @@ from rich.console import Console
 from rich.table import Table
 
 from identify.contact import Identification, identify_contact
-from identify.kinematics import Use
-from identify.report import write_results
+from identify.contact.report import write_results
+from identify.signals.kinematics import Use
 from rig.commands.command_line import progress_bar
 from rig.model.contact_law import DeadZone
 from rig.recording import read, read_truth, truth_path

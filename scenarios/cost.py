@@ -21,12 +21,12 @@ from rich.table import Table
 from scipy.fft import rfft
 from threadpoolctl import threadpool_limits
 
-from identify.answers import find_contacts
 from identify.contact import identify_contact
-from identify.kinematics import kinematics
-from identify.nifo import nifo
-from identify.spectra import OVERSAMPLING, Averaging, blocks
-from identify.surface import fit_surface
+from identify.contact.estimates import find_contacts
+from identify.paper.nifo import nifo
+from identify.paper.surface import fit_surface
+from identify.signals.kinematics import kinematics
+from identify.signals.spectra import OVERSAMPLING, Averaging, blocks
 from rig.commands.command_line import progress_bar, run
 from rig.model.tolerances import LABORATORY
 from rig.recording import read

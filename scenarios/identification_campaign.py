@@ -17,9 +17,9 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
-from identify.answers import Contacts, find_contacts
-from identify.joint import Joint
-from identify.tolerances import jittered
+from identify.contact.estimates import Contacts, find_contacts
+from identify.contact.joint import Joint
+from identify.signals.tolerances import jittered
 from rig.commands.command_line import run
 from rig.model.contact_law import DeadZone
 from rig.model.description import Rig

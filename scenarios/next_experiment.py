@@ -21,18 +21,19 @@ from msgspec.structs import replace
 from rich.console import Console
 from rich.table import Table
 
-from identify.gap.candidates import candidates, scale_of
 from identify.gap.decision.causes import ALIKE
 from identify.gap.decision.comparison import TEMPERATURE
 from identify.gap.decision.experiment import Experiment, begun_on, experiments, next_experiments, refitted
-from identify.gap.residual import base_of, residual_of
+from identify.gap.residual.residual import base_of, residual_of
+from identify.gap.residual.spectra import Record, record_of
 from identify.gap.results import AGAIN, NextExperiment
+from identify.gap.search.candidates import candidates, scale_of
 from identify.gap.search.hypothesis import Hypothesis, Search
 from identify.gap.search.screening import grid_screening, score_screening
-from identify.gap.spectra import Record, record_of
-from identify.spectra import force_band
+from identify.signals.spectra import force_band
 from rig.commands.command_line import run
 from rig.errors import RigError
+from rig.files import write_json
 from rig.model.description import Rig
 from rig.recording import Recording, Signals, channel_groups
 from rig.simulation.replay import modal
@@ -118,7 +119,7 @@ def main(
     """Ten pairs of causes that one record leaves alike: what a second record decides."""
     asked = _left_alike(out / "tasks", dask)
     told = run_tasks(after_two, asked, Second, out / "tasks", dask)
-    (out / "next.json").write_bytes(msgspec.json.format(msgspec.json.encode({"asked": asked, "told": told}), indent=2))
+    write_json({"asked": asked, "told": told}, out / "next.json")
     Console(width=170).print(_table(asked, told))
 
 

@@ -10,10 +10,10 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from identify.kinematics import kinematics
-from identify.modal import ModalEquation, modal_equations, relative_displacements, without_higher_modes
-from identify.nifo import Form, Nifo, nifo
-from identify.spectra import Averaging, Blocks, Term, blocks, decimated, penetration
+from identify.paper.nifo import Form, Nifo, nifo
+from identify.signals.kinematics import kinematics
+from identify.signals.spectra import Averaging, Blocks, Term, blocks, decimated, penetration
+from identify.structure.modal import ModalEquation, modal_equations, relative_displacements, without_higher_modes
 from rig.model.description import Rig
 from rig.recording import Recording, Signals, channel_groups
 from rig.simulation.excitation import QUIET_S, force_course

@@ -21,10 +21,10 @@ from scipy.signal import welch
 
 from identify.gap.decision.answer import Simulator, diagnose
 from identify.gap.page.report import write_all
-from identify.kinematics import kinematics
-from identify.results import write_json
-from identify.spectra import force_band
+from identify.signals.kinematics import kinematics
+from identify.signals.spectra import force_band
 from rig.commands.command_line import Force, progress_bar, refuse_existing, run
+from rig.files import write_json
 from rig.model.description import Rig, Sensor, Station
 from rig.model.modes import modes_of
 from rig.model.oscillator import Oscillator

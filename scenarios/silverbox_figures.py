@@ -9,7 +9,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 from scipy.ndimage import uniform_filter1d
 
-from identify.kinematics import kinematics
+from identify.signals.kinematics import kinematics
 from rig.model.description import Rig
 from rig.recording import Recording
 from scenarios.silverbox_data import mass_of

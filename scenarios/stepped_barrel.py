@@ -14,6 +14,7 @@ from msgspec.structs import replace
 from rig.commands.command_line import progress_bar, run
 from rig.effects import effect_named
 from rig.errors import RigError
+from rig.files import write_bytes
 from rig.model.beam import Beam
 from rig.model.description import Rig, to_json
 from rig.simulation.motion import Course, Motion, Progress
@@ -64,7 +65,7 @@ def stepped_barrel(
             progress=progress,
             actual=with_effect(believed, effect) if effect else None,
         )
-    (out / "rig.json").write_bytes(to_json(believed))
+    write_bytes(to_json(believed), out / "rig.json")
 
     # the identification has the modal basis in rig.json, and the record
     if not effect:

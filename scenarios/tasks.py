@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from rig.commands.command_line import progress_bar
 from rig.errors import RigError
+from rig.files import write_bytes
 
 Parameters = TypeVar("Parameters", bound=msgspec.Struct)
 Result = TypeVar("Result", bound=msgspec.Struct)
@@ -50,7 +51,7 @@ def run_tasks(
             waiting = {executor.submit(_alone, function, p): path for p, path in missing}
             for done, future in enumerate(as_completed(waiting), start=1):
                 if future.exception() is None:
-                    _keep(future.result(), waiting[future])
+                    write_bytes(msgspec.json.encode(future.result()), waiting[future])
                 progress(done / len(missing))
         errors = [error for future in waiting if (error := future.exception())]
         if any(isinstance(error, BrokenProcessPool) for error in errors):
@@ -93,9 +94,3 @@ def _alone(function: Callable[[Parameters], Result], parameters: Parameters) -> 
 def _key(function: Callable[[Parameters], Result], parameters: Parameters) -> str:
     name = f"{function.__module__}.{function.__qualname__} {importlib.metadata.version('rig-identify')}"
     return hashlib.sha256(name.encode() + msgspec.json.encode(parameters)).hexdigest()[:24]
-
-
-def _keep(result: Result, path: Path) -> None:
-    part = path.with_suffix(".part")
-    part.write_bytes(msgspec.json.encode(result))
-    part.replace(path)

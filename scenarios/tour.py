@@ -14,6 +14,7 @@ from identify.contact import identify_contact
 from identify.gap.decision.answer import Simulator, diagnose
 from rig.commands.command_line import progress_bar, run
 from rig.effects.added_mass import AddedMass
+from rig.files import write_bytes
 from rig.model.contact_law import DeadZone
 from rig.model.description import Contact, Rig, Sensor, Station, to_json
 from rig.model.oscillator import Oscillator
@@ -92,7 +93,7 @@ def tour(
     print(f"6. {found.sentence}")
 
     # 7. Correct. The diagnosis gives the rig with the effect in it, ready to be believed from now on.
-    (out / "rig.json").write_bytes(to_json(corrected))
+    write_bytes(to_json(corrected), out / "rig.json")
     added_kg = sum(m.mass_kg for m in corrected.masses)
     print(f"7. corrected by {1e3 * added_kg:.1f} g, in {out / 'rig.json'}")
 

@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-from identify import wording
 from identify.gap.results import Between, Cause, Compared, Gap, Left, Value
-from identify.wording import number, percent
+from identify.pages import wording
+from identify.pages.wording import number, percent
 
 VERDICTS = {
     "no_gap": "no gap",

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from rig.errors import RigError
-from rig.recording.container import part_of
+from rig.files import part_of
 
 INTERRUPTED = 130
 

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from rig.errors import RigError
+from rig.files import atomic_write, write_bytes
 from rig.model.description import to_json
 from rig.recording import RIG_NAME, Recording
-from rig.recording.container import part_of
 
 _UFF_KINDS = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13}
 _UFF_TIME = 17
@@ -31,22 +30,11 @@ def export(
     CSV holds 17 digits, UFF 58 (binary) and .mat the doubles themselves, so nothing is lost. Raises RigError if a file
     cannot be written.
     """
-    _beside(out, lambda part: WRITERS[form](recording, part, progress))
+    with atomic_write(out) as part:
+        WRITERS[form](recording, part, progress)
     if map_path is not None:
-        _beside(map_path, lambda part: part.write_bytes(_map_of(recording, form).encode()))
-        _beside(map_path.with_name(RIG_NAME), lambda part: part.write_bytes(to_json(recording.rig)))
-
-
-def _beside(path: Path, write: Callable[[Path], object]) -> None:
-    """Writes beside, then renames."""
-    part = part_of(path)
-    try:
-        write(part)
-        part.replace(path)
-    except OSError as error:
-        raise RigError(f"{path}: cannot be written ({error.strerror}); choose another place") from error
-    finally:
-        part.unlink(missing_ok=True)
+        write_bytes(_map_of(recording, form).encode(), map_path)
+        write_bytes(to_json(recording.rig), map_path.with_name(RIG_NAME))
 
 
 def _rows(recording: Recording) -> Iterator[tuple[str, int, str, Float[np.ndarray, " samples"]]]:

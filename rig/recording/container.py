@@ -44,15 +44,6 @@ DAMAGE = (McapError, ValueError, OverflowError, struct.error, EOFError, OSError,
 """What reading a bad record may raise."""
 
 
-def part_of(path: Path) -> Path:
-    """Where a file is written before it is renamed; raises RigError if either name is a symbolic link."""
-    part = path.with_name(path.name + ".part")
-    for place in (path, part):
-        if place.is_symlink():
-            raise RigError(f"{place}: is a symbolic link; name the file itself")
-    return part
-
-
 def opened(path: Path) -> BufferedReader:
     """The file, open behind its first eight bytes; raises RigError with a sentence if it is no MCAP file.
 

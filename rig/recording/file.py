@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
 
 from rig.errors import CutOffError, RigError
+from rig.files import part_of
 from rig.model.description import UNITS, Rig, check_given, from_json, stations_of, to_json
 from rig.model.sensing import quantities_of, sensors_of
 from rig.recording import container, messages
@@ -161,7 +162,7 @@ def writing(
     An interruption (Ctrl-C) completes the file with what was written so far. A full disk leaves what was written under
     the name FILE.part, as a kill does, for rig.recovery. Any other error removes it.
     """
-    part = container.part_of(path)
+    part = part_of(path)
     try:
         with part.open("wb") as stream:
             writer = RecordingWriter(stream, rig, groups, provenance)

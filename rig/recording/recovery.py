@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.errors import RigError
+from rig.files import part_of
 from rig.recording import container
 from rig.recording.agreement import check_channels
 from rig.recording.assembly import assembled
@@ -48,7 +49,7 @@ def recover(bad: Path, good: Path) -> tuple[Loss, ...]:
     Every complete chunk whose checksum is right is read. What was kept and lost of each group is returned, and written
     into the provenance. Raises RigError if there is no rig.json, no complete chunk, or the result cannot be written.
     """
-    if container.part_of(good) == bad:
+    if part_of(good) == bad:
         raise RigError(f"{good}: would be written over {bad}; give another name")
     contents, found = Contents(), defaultdict[str, list[Block]](list)
     with container.opened(bad) as file:

@@ -10,6 +10,7 @@ import numpy as np
 import rerun as rr
 
 from rig.errors import RigError
+from rig.files import atomic_write
 from rig.model.contact_law import DeadZone
 from rig.model.description import Contact
 from rig.recording import Recording
@@ -75,8 +76,7 @@ def write_rrd(
         )
         for j, (contact, row) in enumerate(zip(shown_rig.contacts, relative_m, strict=True))
     ]
-    part = path.with_name(path.name + ".part")
-    try:
+    with atomic_write(path) as part:
         part.touch()
         with rr.RecordingStream("rig") as stream:
             stream.save(part, default_blueprint=blueprint(look))
@@ -92,11 +92,6 @@ def write_rrd(
             _send_series(stream, recording, plays, stride)
             stream.flush()
             stream.disconnect()
-        part.replace(path)
-    except OSError as error:
-        raise RigError(f"{path}: cannot be written ({error.strerror}); choose another place") from error
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _others(contact: Contact, recording: Recording, identified: Mapping[str, DeadZone]) -> dict[str, DeadZone]:

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from identify.contact import identify_contact
-from identify.gap.candidates import candidates
-from identify.gap.linear import linear_model
-from identify.gap.nuisance import columns_of
-from identify.gap.spectra import record_of
-from identify.tolerances import jittered
+from identify.gap.residual.linear import linear_model
+from identify.gap.residual.nuisance import columns_of
+from identify.gap.residual.spectra import record_of
+from identify.gap.search.candidates import candidates
+from identify.signals.tolerances import jittered
 from rig.effects.base import Scale
 from rig.errors import RigError
 from rig.model.description import Rig

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.spectra import Averaging, blocks
+from identify.signals.spectra import Averaging, blocks
 from scenarios import excitation_sweep, frequency_resolution, nifo_study
 from scenarios.nifo_study import LONG, Study, estimated, free_shares, needed_s
 from scenarios.nifo_sweep import Point, ideal_range, shown

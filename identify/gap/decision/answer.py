@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from identify.gap.candidates import Candidate, candidates, scale_of
 from identify.gap.decision.attribution import attribution
 from identify.gap.decision.causes import ALIKE, bands_of, cause_of, confirmed_by, equivalent, left_of
 from identify.gap.decision.comparison import Judged, closed, judged, log_priors
@@ -18,14 +17,15 @@ from identify.gap.decision.response_comparison import compared
 from identify.gap.decision.sentence import sentence
 from identify.gap.decision.unmeasured import cost_with, unmeasured
 from identify.gap.decision.verdict import HALF, Decision, acts_where_they_do, decided
-from identify.gap.likelihood import Reference, reference_of
-from identify.gap.residual import Residual, base_of
+from identify.gap.residual.likelihood import Reference, reference_of
+from identify.gap.residual.residual import Residual, base_of
+from identify.gap.residual.spectra import Record, record_of
 from identify.gap.results import USUAL, Gap, Matters, NextExperiment
+from identify.gap.search.candidates import Candidate, candidates, scale_of
 from identify.gap.search.hypothesis import Hypothesis, Search
 from identify.gap.search.joint import search
 from identify.gap.search.nominal import fit_nuisance
 from identify.gap.search.pooled import fitted_together
-from identify.gap.spectra import Record, record_of
 from identify.gap.unknown import Sought, likeliest_force
 from identify.gap.unknown.play import Breathing, breathing
 from rig.errors import RigError

@@ -5,11 +5,11 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from identify.gap.likelihood import Misfit
-from identify.gap.linear import Linear
-from identify.gap.residual import Base, Residual
+from identify.gap.residual.likelihood import Misfit
+from identify.gap.residual.linear import Linear
+from identify.gap.residual.residual import Base, Residual
+from identify.gap.residual.spectra import Record
 from identify.gap.results import Attribution, Share, Surface
-from identify.gap.spectra import Record
 from rig.model.oscillator import Oscillator
 
 BANDS_HZ = (0.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 100.0, 150.0, 200.0, 400.0, 1000.0, 4000.0)

@@ -4,9 +4,9 @@ import numpy as np
 
 from identify.gap.decision.comparison import Judged, closed, closed_interval
 from identify.gap.decision.null_reference import NullReference
-from identify.gap.likelihood import Misfit
+from identify.gap.residual.likelihood import Misfit
+from identify.gap.residual.scales import BAND_HZ
 from identify.gap.results import Band, Cause, Left, Matters, Value
-from identify.gap.scales import BAND_HZ
 from rig.model.description import Rig
 
 ALIKE = 0.05

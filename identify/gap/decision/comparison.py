@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from identify.gap.candidates import Candidate
-from identify.gap.fit import fit
-from identify.gap.likelihood import Misfit, Reference, misfit
-from identify.gap.residual import Base, Residual, residual_of
+from identify.gap.residual.fit import fit
+from identify.gap.residual.likelihood import Misfit, Reference, misfit
+from identify.gap.residual.residual import Base, Residual, residual_of
+from identify.gap.residual.spectra import Record
 from identify.gap.results import Matters
+from identify.gap.search.candidates import Candidate
 from identify.gap.search.hypothesis import Hypothesis, applied
 from identify.gap.search.nominal import fit_nuisance
-from identify.gap.spectra import Record
 from rig.errors import RigError
 from rig.model.description import Rig
 

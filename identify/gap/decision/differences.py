@@ -18,14 +18,14 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2
 
-from identify.gap.candidates import Candidate
 from identify.gap.decision.comparison import TEMPERATURE, Judged, of_this_record
-from identify.gap.fit import Values
-from identify.gap.likelihood import Reference
+from identify.gap.residual.fit import Values
+from identify.gap.residual.likelihood import Reference
+from identify.gap.residual.spectra import Record
 from identify.gap.results import USUAL, Between, Compared, Trend, Value
+from identify.gap.search.candidates import Candidate
 from identify.gap.search.hypothesis import applied, bounds_of, steps_of
 from identify.gap.search.pooled import Information, Linearised, Pooled, linearised, pooled
-from identify.gap.spectra import Record
 from rig.errors import RigError
 from rig.model.description import Rig
 

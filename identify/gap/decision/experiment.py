@@ -16,13 +16,13 @@ from scipy.signal import butter, sosfiltfilt
 
 from identify.gap.decision.comparison import TEMPERATURE
 from identify.gap.decision.null_reference import Simulate, phase_randomized
-from identify.gap.fit import fit
-from identify.gap.likelihood import misfit, reference_of
-from identify.gap.residual import base_of, scales_at
+from identify.gap.residual.fit import fit
+from identify.gap.residual.likelihood import misfit, reference_of
+from identify.gap.residual.residual import base_of, scales_at
+from identify.gap.residual.spectra import REACH, Record, record_of
 from identify.gap.results import AGAIN, NextExperiment
 from identify.gap.search.hypothesis import ROUNDS, SETTLED, Hypothesis, Search, applied, straightened
 from identify.gap.search.nominal import fit_nuisance
-from identify.gap.spectra import REACH, Record, record_of
 from rig.errors import RigError
 from rig.model.description import PointMass, Rig, Station
 from rig.model.tolerances import Tolerances

@@ -6,7 +6,6 @@ rig, its tolerances, a simulator and a level of force, it is kept.
 
 import hashlib
 import importlib.metadata
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace as with_fields
 from pathlib import Path
@@ -20,11 +19,12 @@ from scipy.stats import norm, qmc
 from scipy.stats import t as student
 
 from identify.gap.decision.drawing import drawn
-from identify.gap.likelihood import Misfit, misfit, reference_of
-from identify.gap.residual import base_of
+from identify.gap.residual.likelihood import Misfit, misfit, reference_of
+from identify.gap.residual.residual import base_of
+from identify.gap.residual.spectra import record_of
 from identify.gap.search.nominal import fit_nuisance
-from identify.gap.spectra import record_of
 from rig.errors import RigError
+from rig.files import write_bytes
 from rig.model.description import Rig, to_json
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording
@@ -110,9 +110,7 @@ def null_reference(
     reference = NullReference(key, tuple(rows))
     if kept:
         kept.parent.mkdir(parents=True, exist_ok=True)
-        part = kept.with_name(f"{kept.name}.{os.getpid()}.part")
-        part.write_bytes(msgspec.json.encode(reference))
-        part.replace(kept)
+        write_bytes(msgspec.json.encode(reference), kept)
     return reference
 
 

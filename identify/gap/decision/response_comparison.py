@@ -7,9 +7,9 @@ from jaxtyping import Float
 from scipy.signal import csd, welch
 
 from identify.gap.decision.null_reference import Simulate
-from identify.gap.residual import Base, base_of
+from identify.gap.residual.residual import Base, base_of
+from identify.gap.residual.spectra import record_of
 from identify.gap.results import Curve, Figure
-from identify.gap.spectra import record_of
 from rig.model.description import Rig
 from rig.recording import Recording
 

@@ -4,7 +4,7 @@ from msgspec.structs import replace
 
 from identify.gap.results import USUAL, Gap
 from identify.gap.wording import MOST, between_records, cause_name, closes, closes_some, joined, leaves
-from identify.wording import percent
+from identify.pages.wording import percent
 
 
 def sentence(gap: Gap, criterion: str) -> Gap:

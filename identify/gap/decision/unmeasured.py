@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-from identify.gap.likelihood import Misfit, Reference, misfit
+from identify.gap.residual.likelihood import Misfit, Reference, misfit
+from identify.gap.residual.spectra import Record
 from identify.gap.results import Matters, MeanForce, Unknown
 from identify.gap.search.nominal import fit_nuisance
-from identify.gap.spectra import Record
 from identify.gap.unknown import Sought, UnknownForce
 from identify.gap.unknown import sentence as described
 from identify.gap.unknown.play import Breathing

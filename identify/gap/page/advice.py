@@ -4,7 +4,7 @@ import math
 
 from identify.gap.results import USUAL, Gap, Unknown
 from identify.gap.wording import MOST, cause_name, closes_some, joined, leaves
-from identify.wording import number, percent
+from identify.pages.wording import number, percent
 
 WIDEST = 3
 """Ranges of frequency that are named."""

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from identify import page
 from identify.gap.page.screen import COLOURS
 from identify.gap.page.sections import (
     between_records,
@@ -16,9 +15,9 @@ from identify.gap.page.sections import (
 )
 from identify.gap.results import Gap
 from identify.gap.wording import VERDICTS
-from identify.results import write_json
+from identify.pages import page
+from rig.files import write_bytes, write_json
 from rig.model.description import Rig, to_json
-from rig.recording.container import part_of
 
 CAPTIONS = {
     "next_experiments": "Each further recording was simulated with either of the two, and the other one fitted to it. "
@@ -39,9 +38,7 @@ def write_all(gap: Gap, corrected: Rig, title: str, folder: Path) -> None:
 
     folder.mkdir(parents=True, exist_ok=True)
     write_page(gap, pictures(gap, corrected), title, folder / "gap.html")
-    part = part_of(folder / "rig.json")
-    part.write_bytes(to_json(corrected))
-    part.replace(folder / "rig.json")
+    write_bytes(to_json(corrected), folder / "rig.json")
     write_json(gap, folder / "gap.json")
 
 

@@ -7,8 +7,8 @@ from rich.text import Text
 from identify.gap.page.advice import next_steps
 from identify.gap.results import Gap, Unknown
 from identify.gap.wording import VERDICTS, WHEN, cause_name, closes, interval, leaves, others, probability
-from identify.page import Colour
-from identify.wording import number, percent
+from identify.pages.page import Colour
+from identify.pages.wording import number, percent
 
 COLOURS: dict[str, Colour] = {"no_gap": "green", "explained": "green", "partly_explained": "yellow", "unknown": "red"}
 MOST = 5

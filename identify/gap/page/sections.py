@@ -3,12 +3,12 @@
 from collections.abc import Mapping, Sequence
 from html import escape
 
-from identify import page
 from identify.gap import wording
 from identify.gap.page.advice import next_steps, place, rest_hz
 from identify.gap.results import USUAL, Attribution, Between, Cause, Compared, Gap, Left, Share, Unknown, Value
 from identify.gap.wording import WHEN, cause_name, closes, closes_some, interval, joined, others, probability
-from identify.wording import number, percent
+from identify.pages import page
+from identify.pages.wording import number, percent
 
 MOST = 5
 """Causes that are shown at once; the others are folded away."""

@@ -9,7 +9,7 @@ import numpy as np
 from identify.gap.page.axes import BLUE, GREY, INK, RED, plain_decades
 from identify.gap.results import MeanForce, Unknown
 from identify.gap.unknown.location import offset_m
-from identify.wording import COVERED
+from identify.pages.wording import COVERED
 from rig.model.description import Rig, Station
 
 _HEIGHT_IN = 3.2

@@ -4,12 +4,12 @@ import numpy as np
 from jaxtyping import Complex
 from msgspec.structs import replace
 
-from identify.gap.fit import Column
-from identify.gap.grounded import displaced_at, ground_forces
-from identify.gap.linear import Linear, delivered_by, places_of
-from identify.gap.nuisance import counted
-from identify.gap.residual import Base, Residual
-from identify.gap.spectra import Record
+from identify.gap.residual.fit import Column
+from identify.gap.residual.grounded import displaced_at, ground_forces
+from identify.gap.residual.linear import Linear, delivered_by, places_of
+from identify.gap.residual.nuisance import counted
+from identify.gap.residual.residual import Base, Residual
+from identify.gap.residual.spectra import Record
 from rig.model.description import Rig, Station
 from rig.model.oscillator import Oscillator
 

@@ -7,11 +7,11 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize_scalar
 from scipy.signal.windows import hann
 
-from identify.gap.candidates import Candidate
-from identify.gap.linear import linear_model
-from identify.gap.nuisance import residual_scale
-from identify.gap.residual import Base, Residual
-from identify.gap.spectra import SMOOTHED_HZ
+from identify.gap.residual.linear import linear_model
+from identify.gap.residual.nuisance import residual_scale
+from identify.gap.residual.residual import Base, Residual
+from identify.gap.residual.spectra import SMOOTHED_HZ
+from identify.gap.search.candidates import Candidate
 from rig.model.description import BaseMotion
 
 WINDOW_LINES, WINDOW_POWERS = 1.5, 35 / 18

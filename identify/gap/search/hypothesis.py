@@ -7,12 +7,12 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from identify.gap.candidates import Candidate
-from identify.gap.fit import fit
-from identify.gap.likelihood import Misfit, Reference, misfit
-from identify.gap.nuisance import LIMIT
-from identify.gap.residual import Base, Residual, base_of, rescaled, scales_at
+from identify.gap.residual.fit import fit
+from identify.gap.residual.likelihood import Misfit, Reference, misfit
+from identify.gap.residual.nuisance import LIMIT
+from identify.gap.residual.residual import Base, Residual, base_of, rescaled, scales_at
 from identify.gap.search.base_excitation import fit_base_excitation
+from identify.gap.search.candidates import Candidate
 from identify.gap.search.nominal import fitted, singly_bent
 from rig.errors import RigError
 from rig.model.description import Rig

@@ -7,8 +7,8 @@ from itertools import chain
 import numpy as np
 from scipy.linalg import block_diag
 
-from identify.gap.candidates import Candidate
-from identify.gap.residual import Base, Residual, base_of, residual_of
+from identify.gap.residual.residual import Base, Residual, base_of, residual_of
+from identify.gap.search.candidates import Candidate
 from identify.gap.search.hypothesis import (
     FAR,
     WORTH,

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from identify.gap.fit import Fit, fit
-from identify.gap.likelihood import misfit, reference_of
-from identify.gap.residual import Base, Residual, base_of, rescaled
-from identify.gap.spectra import Record
+from identify.gap.residual.fit import Fit, fit
+from identify.gap.residual.likelihood import misfit, reference_of
+from identify.gap.residual.residual import Base, Residual, base_of, rescaled
+from identify.gap.residual.spectra import Record
 from rig.model.description import Rig
 from rig.model.oscillator import Oscillator
 

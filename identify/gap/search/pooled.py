@@ -15,13 +15,13 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from identify.gap.fit import FINE, Values, bounded, by_nuisance, derivative
-from identify.gap.likelihood import Reference, misfit, reference_of
-from identify.gap.nuisance import LIMIT
-from identify.gap.residual import Base, Residual, base_of
+from identify.gap.residual.fit import FINE, Values, bounded, by_nuisance, derivative
+from identify.gap.residual.likelihood import Reference, misfit, reference_of
+from identify.gap.residual.nuisance import LIMIT
+from identify.gap.residual.residual import Base, Residual, base_of
+from identify.gap.residual.spectra import Record
 from identify.gap.search.hypothesis import Hypothesis, applied, bounds_of, steps_of
 from identify.gap.search.nominal import fit_nuisance
-from identify.gap.spectra import Record
 from rig.errors import RigError
 from rig.model.description import Rig
 

@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from identify.gap.candidates import Candidate
-from identify.gap.fit import Column, Reduced, derivative, reduced
-from identify.gap.grounded import needs_every_line
-from identify.gap.linear import linear_model
-from identify.gap.lines import sharpest
-from identify.gap.nuisance import LIMIT
-from identify.gap.residual import Base, Residual, residual_of, same_but_laws
+from identify.gap.residual.fit import Column, Reduced, derivative, reduced
+from identify.gap.residual.grounded import needs_every_line
+from identify.gap.residual.linear import linear_model
+from identify.gap.residual.lines import sharpest
+from identify.gap.residual.nuisance import LIMIT
+from identify.gap.residual.residual import Base, Residual, residual_of, same_but_laws
+from identify.gap.residual.spectra import Record
 from identify.gap.search.attached import attached
-from identify.gap.spectra import Record
+from identify.gap.search.candidates import Candidate
 from rig.errors import RigError
 from rig.model.description import Rig
 

@@ -11,7 +11,7 @@ from scipy.linalg import cho_factor, cho_solve
 from identify.gap.unknown.evidence import left, normal
 from identify.gap.unknown.location import Located
 from identify.gap.unknown.observed import gate
-from identify.kinematics import CORNER_HZ, integrated
+from identify.signals.kinematics import CORNER_HZ, integrated
 from rig.model.description import Station
 
 FINER = 4

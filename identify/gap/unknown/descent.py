@@ -8,7 +8,7 @@ from jaxtyping import Float
 from identify.gap.unknown.course import KNOTS_S, Course, softened
 from identify.gap.unknown.forms import Fine, Form
 from identify.gap.unknown.law import Law, fitted, solved, tone_of
-from identify.kinematics import CORNER_HZ
+from identify.signals.kinematics import CORNER_HZ
 
 STEPS, SETTLED = 8, 1e-4
 GRID, HALVINGS = 14, 5

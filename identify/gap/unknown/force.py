@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 from jaxtyping import Complex, Float
 
+from identify.gap.residual.spectra import Record
 from identify.gap.results import Surface, Value
-from identify.gap.spectra import Record
 from identify.gap.unknown.course import FINER, Course, course_of, explained_share, force_of
 from identify.gap.unknown.descent import kept
 from identify.gap.unknown.description import laws, shortest
@@ -19,7 +19,7 @@ from identify.gap.unknown.law import Law
 from identify.gap.unknown.location import Kind, Located, located, response_of
 from identify.gap.unknown.nuisance import drift_accelerations, observed
 from identify.gap.unknown.observed import BAND_HZ, Observed
-from identify.kinematics import QUIET_S
+from identify.signals.kinematics import QUIET_S
 from rig.model.description import Rig, Station
 
 When = Literal["always", "in contact", "growing with time"]

@@ -3,11 +3,11 @@
 import numpy as np
 from jaxtyping import Complex, Float, Inexact
 
-from identify.gap.nuisance import BEYOND
-from identify.gap.spectra import Record
+from identify.gap.residual.nuisance import BEYOND
+from identify.gap.residual.spectra import Record
 from identify.gap.unknown.observed import Observed, bare_residual, inverse_of, with_columns
-from identify.kinematics import CORNER_HZ, integrated
-from identify.modal import receptance
+from identify.signals.kinematics import CORNER_HZ, integrated
+from identify.structure.modal import receptance
 from rig.model.description import Rig
 from rig.model.oscillator import Oscillator
 

@@ -18,10 +18,10 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
-from identify.gap.linear import Linear, linear_model
-from identify.gap.response import Response
-from identify.gap.spectra import ORDER, Record
-from identify.kinematics import NORMAL_BY_MEDIAN, taper
+from identify.gap.residual.linear import Linear, linear_model
+from identify.gap.residual.response import Response
+from identify.gap.residual.spectra import ORDER, Record
+from identify.signals.kinematics import NORMAL_BY_MEDIAN, taper
 from rig.errors import RigError
 from rig.model.description import Rig, Station
 

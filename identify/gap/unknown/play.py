@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.fft import next_fast_len, rfft
 
-from identify.gap.law import Contact
-from identify.gap.residual import Residual
-from identify.gap.spectra import Record
-from identify.spectra import decimated
+from identify.gap.residual.law import Contact
+from identify.gap.residual.residual import Residual
+from identify.gap.residual.spectra import Record
+from identify.signals.spectra import decimated
 
 LOWEST_HZ = 0.2
 STEEP = 0.5

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from identify.gap.fit import derivative
-from identify.gap.residual import base_of, residual_of
+from identify.gap.residual.fit import derivative
+from identify.gap.residual.residual import base_of, residual_of
+from identify.gap.residual.spectra import record_of
 from identify.gap.search.attached import attached
-from identify.gap.spectra import record_of
 from rig.effects import effect_named
 from rig.simulation.excitation import force_history
 from rig.simulation.reference import BarrelCradle

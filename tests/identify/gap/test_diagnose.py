@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.gap import candidates
 from identify.gap.decision.answer import Simulator, diagnose
 from identify.gap.decision.null_reference import null_reference
 from identify.gap.faults import fault_of
+from identify.gap.search import candidates
 from rig.effects import effect_named, effects
 from rig.effects.base import Effect, Parameter
 from rig.errors import RigError

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.gap.candidates import candidates, scale_of
-from identify.gap.fit import derivative
-from identify.gap.likelihood import reference_of
-from identify.gap.residual import base_of, residual_of
+from identify.gap.residual.fit import derivative
+from identify.gap.residual.likelihood import reference_of
+from identify.gap.residual.residual import base_of, residual_of
+from identify.gap.residual.spectra import record_of
+from identify.gap.search.candidates import candidates, scale_of
 from identify.gap.search.hypothesis import Search, fit_effects
 from identify.gap.search.nominal import fit_nuisance
 from identify.gap.search.screening import followed_hz
-from identify.gap.spectra import record_of
 from rig.simulation.excitation import force_history
 from rig.simulation.reference import Sdof
 from rig.simulation.replay import modal

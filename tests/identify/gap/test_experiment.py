@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.gap.candidates import candidates, scale_of
 from identify.gap.decision import experiment
 from identify.gap.decision.experiment import begun_on, disagreement, experiments, next_experiments, refitted
-from identify.gap.likelihood import reference_of
-from identify.gap.residual import base_of
+from identify.gap.residual.likelihood import reference_of
+from identify.gap.residual.residual import base_of
+from identify.gap.residual.spectra import record_of
 from identify.gap.results import AGAIN
+from identify.gap.search.candidates import candidates, scale_of
 from identify.gap.search.hypothesis import Search
 from identify.gap.search.nominal import fit_nuisance
-from identify.gap.spectra import record_of
 from rig.effects import effect_named
 from rig.errors import RigError
 from rig.simulation.excitation import force_history

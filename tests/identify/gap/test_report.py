@@ -19,7 +19,7 @@ from identify.gap.page.report import write_all, write_page
 from identify.gap.page.screen import shown
 from identify.gap.results import Band, Gap, Value
 from identify.gap.wording import closes, interval, leaves, probability
-from identify.wording import COVERED, number, percent
+from identify.pages.wording import COVERED, number, percent
 from rig.errors import RigError
 from rig.model.description import from_json
 

@@ -8,14 +8,14 @@ from msgspec.structs import replace
 from typer.testing import CliRunner
 
 from identify.cli import app
-from identify.gap.candidates import candidates, scale_of
 from identify.gap.decision.answer import Simulator, diagnose
 from identify.gap.decision.differences import differences
 from identify.gap.decision.null_reference import null_reference
+from identify.gap.residual.spectra import record_of
+from identify.gap.search.candidates import candidates, scale_of
 from identify.gap.search.hypothesis import Search, fit_effects
 from identify.gap.search.nominal import fit_nuisance
 from identify.gap.search.pooled import fitted_together, references
-from identify.gap.spectra import record_of
 from rig.effects import effect_named
 from rig.errors import RigError
 from rig.model.tolerances import LABORATORY

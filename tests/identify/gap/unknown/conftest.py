@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from identify.gap.spectra import record_of
+from identify.gap.residual.spectra import record_of
 from rig.model.beam import Beam
 from rig.model.description import Rig, Sensor, Station
 from rig.recording import Recording, Signals

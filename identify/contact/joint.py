@@ -1,0 +1,330 @@
+"""Clearances, stiffness and damping of one contact, and the slow drift of its relative displacement, together."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.sparse import csc_matrix, csr_matrix, diags, hstack, vstack
+from scipy.sparse.linalg import splu, spsolve
+from scipy.stats import norm, t
+
+from identify.signals.drift import Drift, Spline, spline
+from identify.signals.spectra import decimated, oversampled
+from rig.errors import RigError
+from rig.model.contact_law import damping_share, dead_zone
+
+PARTS = 16
+STEPS = 30
+FINE_HZ = 16384.0
+"""The contact force is evaluated at this rate at least, so that its kinks do not alias."""
+CLEAR_SHARE = 0.1
+"""A contact counts as clearly closed where its force exceeds this share of the force's 99.5 % quantile."""
+ABOVE_NOISE = 8.0
+"""... and this many standard deviations of the force in the quiet seconds before the excitation."""
+STAGES = ((0.5, 30.0), (0.2, 30.0), (0.1, 10.0), (0.03, 3.0), (0.01, 1.0))
+"""Where a contact is clearly closed, its displacement is known to a share of its own standard deviation, and the
+drift's curvature so many times better than measured: in turn, so that at first no drift can follow the closures."""
+OUTSIDE = 3.0
+"""So many of those shares off, a force of either sign that rings weighs little in the next turn (Geman, McClure)."""
+LEAST_CLOSED = 1e-3
+"""A stop that is clearly touched for a smaller share of the record is not told by it."""
+STRAINED = 25.0
+"""A drift whose curvature is on average more than the root of this away from what was measured is no drift."""
+LOST = 3.0
+"""If between two closures the noise, integrated twice, wanders by more than this multiple of the median penetration,
+the fit cannot tell which closure belongs where."""
+
+Weights = Float[np.ndarray, " fewer"]
+Doubt = tuple[Float[np.ndarray, " fewer"], Float[np.ndarray, " samples"]]
+"""What one standard deviation of an uncertain thing would add to the force and to the relative displacement."""
+
+
+@dataclass(frozen=True)
+class Observed:
+    """One contact as seen: relative displacement and velocity (m, m/s) and the separated force (N).
+
+    The force has been low-passed and is that of every `factor`-th sample; quiet_n is its standard deviation where there
+    is no contact. drift is None where nothing was lost.
+    """
+
+    eta_m: Float[np.ndarray, " samples"]
+    velocity_m_per_s: Float[np.ndarray, " samples"]
+    sample_rate_hz: float
+    force_n: Float[np.ndarray, " fewer"]
+    factor: int
+    quiet_n: float
+    drift: Drift | None
+
+    @property
+    def spring_n_per_m(self) -> float:
+        return 0.0 if self.drift is None else self.drift.spring_n_per_m
+
+    @property
+    def sides_known(self) -> bool:
+        return self.drift is None or self.drift.spring_n_per_m > 0
+
+
+@dataclass(frozen=True)
+class Joint:
+    """The estimate: parameters are lower and upper clearance (m), stiffness (N/m), damping (N s/m), with covariance.
+
+    of_tolerances and of_drift are the parts of the covariance that come from what rig.json may have wrong and from the
+    slow motion that accelerometers miss; the rest is the record's own scatter. sides_known says whether lower and upper
+    are told apart; drift_m and drift_m_per_s are what was added to the relative displacement and velocity.
+    """
+
+    parameters: Float[np.ndarray, "4"]
+    covariance: Float[np.ndarray, "4 4"]
+    of_tolerances: Float[np.ndarray, "4 4"]
+    of_drift: Float[np.ndarray, "4 4"]
+    sides_known: bool
+    drift_m: Float[np.ndarray, " samples"]
+    drift_m_per_s: Float[np.ndarray, " samples"]
+
+    @property
+    def clearance_m(self) -> float:
+        return float(self.parameters[:2].mean())
+
+    @property
+    def clearance_error_m(self) -> float:
+        return float(np.sqrt(self.covariance[:2, :2].sum()) / 2)
+
+
+def law_force_n(
+    parameters: Float[np.ndarray, "4"],
+    eta_m: Float[np.ndarray, " samples"],
+    rate_m_per_s: Float[np.ndarray, " samples"],
+) -> Float[np.ndarray, " samples"]:
+    """k depth + c rate, the latter setting in over the first 10 um: `rig.contact.DeadZone`, with any sign of c."""
+    lower, upper, stiffness, damping = parameters
+    depth = dead_zone(eta_m, float(lower), float(upper))
+    return np.asarray(stiffness * depth + damping * rate_m_per_s * damping_share(depth))
+
+
+def fit_joint(seen: Observed, doubts: Sequence[Doubt] = ()) -> Joint:
+    """Gauss-Newton on the low-passed residual, with a cubic spline b(t) for the drift and a spring to the ground:
+
+        residual = force - spring b - low-pass[k dz(eta + b; lower, upper) + c (eta' + b') beyond the gap]
+
+    b'' is held to what the accelerometers saw of it, within their noise. Where nothing holds the zero of the relative
+    displacement, lower = upper = half the total play. The start is a linear regression of eta on the force over the
+    samples at which the contact is clearly closed.
+
+    The covariance is a sandwich estimate over sixteenths of the record (residuals may be coloured), plus the square of
+    what each doubt would do.
+
+    Raises RigError if the contact is hardly ever closed or the fit does not converge.
+    """
+    curve = spline(seen.eta_m.size, seen.sample_rate_hz, seen.drift)
+    free = [0, 1, 2, 3] if seen.sides_known else [0, 2, 3]
+    tie = np.eye(4)[:, free]
+    if not seen.sides_known:
+        tie[1, 0] = 1.0
+    law, knots = regressed(seen, curve)
+    for begin in (knots, np.zeros_like(knots)):  # rarely, the regression's drift leads astray
+        state, weights = _fitted(seen, curve, tie, _linearised(seen, curve, law, begin))
+        if _strain(curve, state) <= STRAINED:
+            break
+    else:
+        raise RigError(
+            "the drift that would explain it is larger than the noise of the accelerometers allows; check their noise "
+            "and gains, or excite the rig more strongly"
+        )
+    _check_bridged(seen, state)
+    scale = _scales(state, free)
+    hessian, _ = _normal(state, curve, tie * scale, weights)
+    chosen = np.zeros((hessian.shape[0], len(free)))
+    chosen[-len(free) :] = np.eye(len(free))
+    inverse = splu(hessian).solve(chosen)
+    influence = (_jacobian(state, curve, tie * scale) @ inverse) * weights[:, None] ** 2  # of residuals on parameters
+    parts = zip(np.array_split(influence, PARTS), np.array_split(state.residual, PARTS), strict=True)
+    left = PARTS - len(free)  # parts are few: Student's t, so that 1.96 standard errors cover 95 %
+    few = np.sqrt(PARTS / left) * t.ppf(0.975, left) / norm.ppf(0.975)
+    scatter = few * np.array([i.T @ r for i, r in parts])
+    moved = [force - state.by_eta * eta[:: seen.factor][: force.size] for force, eta in doubts]
+    doubted = np.array([influence.T @ m for m in moved]).reshape(-1, len(free))
+    drifted = curve.curvature @ inverse[: curve.knots]  # each row of the prior is uncertain by one
+    spread = tie * scale
+    of_scatter, of_tolerances, of_drift = (spread @ (x.T @ x) @ spread.T for x in (scatter, doubted, drifted))
+    return Joint(
+        parameters=state.law,
+        covariance=of_scatter + of_tolerances + of_drift,
+        of_tolerances=of_tolerances,
+        of_drift=of_drift,
+        sides_known=seen.sides_known,
+        drift_m=curve.value @ state.knots,
+        drift_m_per_s=curve.rate @ state.knots,
+    )
+
+
+@dataclass(frozen=True)
+class _State:
+    law: Float[np.ndarray, "4"]
+    knots: Float[np.ndarray, " knots"]
+    residual: Float[np.ndarray, " fewer"]
+    by_law: Float[np.ndarray, "fewer 4"]
+    by_eta: Float[np.ndarray, " fewer"]
+    at_force: csr_matrix
+
+
+def _closed(seen: Observed) -> Bool[np.ndarray, " fewer"]:
+    """Where the contact is clearly closed."""
+    size = np.abs(seen.force_n)
+    return size > max(CLEAR_SHARE * float(np.quantile(size, 0.995)), ABOVE_NOISE * seen.quiet_n)
+
+
+def _strain(curve: Spline, state: _State) -> float:
+    """Mean square of the drift's curvature less what was measured of it, in its standard deviations; about 1 to 2."""
+    return float(np.mean((curve.curvature @ state.knots - curve.target) ** 2)) if curve.knots else 0.0
+
+
+def _check_bridged(seen: Observed, state: _State) -> None:
+    """Raises RigError if between closures the integrated noise wanders too far for them to be put in their places."""
+    if seen.drift is None or seen.drift.spring_n_per_m > 0:
+        return
+    closed = _closed(seen)
+    between_s = np.diff(np.flatnonzero(np.diff(closed.astype(int)) == 1)) * seen.factor / seen.sample_rate_hz
+    wander_m = seen.drift.noise_density * np.sqrt(np.mean(between_s**3) / 6) if between_s.size else np.inf
+    depth_m = float(np.median(np.abs(seen.force_n[closed]))) / state.law[2]
+    if wander_m > LOST * depth_m:
+        raise RigError(
+            "it closes too rarely for accelerometers to bridge the time between (their noise wanders by "
+            f"{1e6 * wander_m:.0f} um, the penetration is {1e6 * depth_m:.0f} um); excite the rig more strongly, or "
+            "measure displacements"
+        )
+
+
+def regressed(seen: Observed, curve: Spline) -> tuple[Float[np.ndarray, "4"], Float[np.ndarray, " knots"]]:
+    """Where the contact is clearly closed, eta + b = +-clearance + force / k: linear in clearance, 1/k and b."""
+    size = np.abs(seen.force_n)
+    at_force = curve.value[:: seen.factor][: size.size]
+    force = seen.force_n
+    closed = _closed(seen)
+    if seen.spring_n_per_m:  # the drift's own force is in the measured one: leave it to Gauss-Newton
+        at_force = csr_matrix(at_force.shape)
+    touched = [float(np.mean(closed & side)) for side in (force < 0, force > 0)]
+    if max(touched) < LEAST_CLOSED:
+        raise RigError("it hardly ever closes in this record; excite the rig more strongly")
+    if min(touched) < LEAST_CLOSED:
+        raise RigError(
+            "only one of its stops is ever touched, so its play cannot be told; excite the rig more strongly"
+        )
+    eta = seen.eta_m[:: seen.factor][: size.size][closed]
+    columns = hstack([-at_force[closed], np.stack([np.sign(force[closed]), force[closed]], axis=1)]).tocsr()
+    bent = hstack([curve.curvature, csr_matrix((curve.target.size, 2))])
+    weights = np.ones(eta.size)
+    for share, stiffer in STAGES:
+        fuzz_m = share * float(np.std(eta))
+        rows = vstack([diags(weights / fuzz_m) @ columns, stiffer * bent]).tocsc()
+        target = np.concatenate([weights * eta / fuzz_m, stiffer * curve.target])
+        ridge = diags(np.r_[np.full(curve.knots, 1e-12 * (rows.T @ rows).diagonal().max()), np.zeros(2)])
+        found = spsolve((rows.T @ rows + ridge).tocsc(), rows.T @ target)
+        weights = 1 / (1 + ((eta - columns @ found) / (OUTSIDE * fuzz_m)) ** 2)
+    clearance, softness = found[-2:]
+    if not (np.isfinite(clearance) and softness > 0):
+        raise RigError(
+            "no force grows with this relative displacement; excite the rig more strongly, or check rig.json"
+        )
+    return np.array([max(clearance, 0.0), max(clearance, 0.0), 1 / softness, 0.0]), found[:-2]
+
+
+def _linearised(
+    seen: Observed, curve: Spline, law: Float[np.ndarray, "4"], knots: Float[np.ndarray, " knots"]
+) -> _State:
+    lower, upper, stiffness, _ = law
+    eta, velocity = seen.eta_m + curve.value @ knots, seen.velocity_m_per_s + curve.rate @ knots
+    above, below = eta > upper, eta < -lower
+    outside = (above | below).astype(float)
+    into = dead_zone(eta, lower, upper)
+    damped = velocity * damping_share(into)
+    parts = np.stack([stiffness * below, -stiffness * above, into, damped, stiffness * outside])
+    low_passed = decimated(parts, seen.factor)[:, : seen.force_n.size]
+    fine = max(1, round(FINE_HZ / seen.sample_rate_hz))
+    finer = oversampled(np.stack([eta, velocity]), fine)
+    fitted = decimated(law_force_n(law, *finer), fine * seen.factor)[: seen.force_n.size]
+    at_force = curve.value[:: seen.factor][: seen.force_n.size]
+    residual = seen.force_n - fitted - seen.spring_n_per_m * (at_force @ knots)
+    return _State(law, knots, residual, low_passed[:4].T, low_passed[4] + seen.spring_n_per_m, at_force)
+
+
+def _fitted(seen: Observed, curve: Spline, tie: Float[np.ndarray, "4 free"], state: _State) -> tuple[_State, Weights]:
+    """Descends, with the weights renewed from the scatter that is left until they stand."""
+    weights = _weights(seen, state, 0.02 * float(np.std(seen.force_n)))
+    for _ in range(4):
+        state = _descended(seen, curve, state, tie, weights)
+        before, weights = weights, _weights(seen, state, _scatter(state))
+        if np.allclose(weights, before, rtol=0.1):
+            break
+    return state, weights
+
+
+def _descended(
+    seen: Observed, curve: Spline, state: _State, mapped: Float[np.ndarray, "4 free"], weights: Weights
+) -> _State:
+    """Gauss-Newton with step halving, until the cost stands."""
+    free = [int(np.argmax(column)) for column in mapped.T]
+    for _ in range(STEPS):
+        cost = _cost(state, curve, weights)
+        to_law = mapped * _scales(state, free)
+        hessian, gradient = _normal(state, curve, to_law, weights)
+        step = spsolve(hessian, gradient)
+        for halving in range(12):
+            law = state.law + to_law @ step[curve.knots :] / 2**halving
+            if law[2] > 0 and law[:2].min() >= 0:
+                trial = _linearised(seen, curve, law, state.knots + step[: curve.knots] / 2**halving)
+                if _cost(trial, curve, weights) < cost:
+                    break
+        else:
+            return state
+        state = trial
+        if cost - _cost(state, curve, weights) < 1e-7 * cost:
+            return state
+    return state
+
+
+def _scales(state: _State, free: Sequence[int]) -> Float[np.ndarray, " free"]:
+    """Sizes of the parameters, so that the normal equations are well conditioned."""
+    gap = max(float(state.law[:2].mean()), 1e-9)
+    return np.array([gap, gap, state.law[2], 1e-3 * state.law[2]])[list(free)]
+
+
+def _scatter(state: _State) -> float:
+    """Standard deviation of the residual while the contact is open; of all of it where that is larger."""
+    open_n = np.std(state.residual[np.abs(state.by_eta) < 1e-3 * state.law[2]])
+    return float(open_n) if np.isfinite(open_n) and open_n > 0 else float(np.std(state.residual))
+
+
+def _weights(seen: Observed, state: _State, open_n: float) -> Weights:
+    """One over the standard deviation of each residual: that of the force, and while the contact is closed also what
+    the relative displacement's noise, where the drift's knots do not follow it, does through the stiffness."""
+    fast_m = 0.0 if seen.drift is None else seen.drift.unfollowed_m
+    return np.asarray(1 / np.hypot(open_n, state.by_eta * fast_m))
+
+
+def _cost(state: _State, curve: Spline, weights: Weights) -> float:
+    prior = curve.curvature @ state.knots - curve.target
+    return float(np.sum((weights * state.residual) ** 2) + np.sum(prior**2))
+
+
+def _jacobian(state: _State, curve: Spline, to_law: Float[np.ndarray, "4 free"]) -> csr_matrix:
+    """Of the fitted force, by the drift's knots and then by the free parameters of the law.
+
+    The low-pass acts on the slope of the law; the drift is slow against it.
+    """
+    by_knots = diags(state.by_eta) @ state.at_force
+    return (
+        hstack([by_knots, csr_matrix(state.by_law @ to_law)]).tocsr()
+        if curve.knots
+        else csr_matrix(state.by_law @ to_law)
+    )
+
+
+def _normal(
+    state: _State, curve: Spline, to_law: Float[np.ndarray, "4 free"], weights: Weights
+) -> tuple[csc_matrix, Float[np.ndarray, " unknowns"]]:
+    jacobian = diags(weights) @ _jacobian(state, curve, to_law)
+    rest = csr_matrix((curve.target.size, to_law.shape[1]))
+    prior = hstack([curve.curvature, rest]).tocsr() if curve.knots else rest
+    gradient = jacobian.T @ (weights * state.residual) + prior.T @ (curve.target - curve.curvature @ state.knots)
+    return csc_matrix(jacobian.T @ jacobian + prior.T @ prior), gradient

@@ -1,0 +1,99 @@
+"""A page that stands alone: one HTML file with its style and its pictures, readable on a phone, light or dark."""
+
+from base64 import b64encode
+from collections.abc import Iterable, Sequence
+from html import escape
+from pathlib import Path
+from typing import Literal
+
+from rig.files import write_bytes
+
+Colour = Literal["green", "yellow", "red"]
+Rows = Iterable[Sequence[str]]
+
+_STYLE = """
+:root{color-scheme:light dark;--ink:#1c1e21;--dim:#5b6168;--page:#fff;--line:#d8dce0;--card:#f4f6f8;
+--green:#1d7a48;--yellow:#9a6400;--red:#b3321f}
+@media(prefers-color-scheme:dark){:root{--ink:#e6e8ea;--dim:#a2a9b0;--page:#16181b;--line:#3a3f45;--card:#202327;
+--green:#5cc48c;--yellow:#e0ac4a;--red:#f0806c}}
+*{box-sizing:border-box}
+body{margin:0 auto;padding:1rem;max-width:66rem;background:var(--page);color:var(--ink);
+font:16px/1.5 system-ui,sans-serif;overflow-wrap:anywhere}
+h1{font-size:1.4rem;margin:.2rem 0}h2{font-size:1.2rem;margin:2.2rem 0 .5rem;border-bottom:1px solid var(--line)}
+h3{font-size:1rem;margin:1.2rem 0 .3rem}p{margin:.4rem 0}ul{margin:.3rem 0;padding-left:1.2rem}
+.verdict{background:var(--card);border-left:.4rem solid;padding:.7rem 1rem;margin:.8rem 0}
+.verdict b{display:block;font-size:.85rem;text-transform:uppercase;letter-spacing:.04em}
+.verdict p{color:var(--ink);font-size:1.15rem}.green{color:var(--green)}.yellow{color:var(--yellow)}
+.red{color:var(--red)}.dim{color:var(--dim);font-size:.9rem}
+.wide{overflow-x:auto}.wide+.wide{margin-top:.8rem}table{border-collapse:collapse;font-size:.92rem;font-variant-numeric:tabular-nums}
+th,td{text-align:left;padding:.25rem .9rem .25rem 0;border-bottom:1px solid var(--line);vertical-align:top;
+overflow-wrap:break-word}th{color:var(--dim);font-weight:600}td.number{white-space:nowrap}
+.pictures{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,22rem),1fr));gap:.8rem;margin:.8rem 0;
+align-items:start}
+img{width:100%;max-width:34rem;height:auto;background:#fff;border:1px solid var(--line);border-radius:.3rem}
+figure{margin:1rem 0}figure div{overflow-x:auto}figure img{max-width:46rem;min-width:30rem;display:block}
+figcaption{color:var(--dim);font-size:.9rem;margin-top:.2rem}
+summary{cursor:pointer;color:var(--dim)}
+@media(max-width:40rem){table{font-size:.85rem}th,td{padding-right:.5rem}td{overflow-wrap:anywhere;min-width:5.5rem}}
+"""
+_PAGE = """<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">
+<title>{title}</title><style>{style}</style></head>
+<body><h1>{title}</h1>
+<div class="verdict {colour}"><b>{verdict}</b><p>{sentence}</p></div>
+{sections}
+<p class="dim">{foot}</p>
+</body></html>
+"""
+
+
+def write(
+    path: Path,
+    *,
+    title: str,
+    colour: Colour,
+    verdict: str,
+    sentence: str,
+    sections: Iterable[tuple[str, str]],
+    foot: str,
+) -> None:
+    """Writes the page, which needs no other file: beside first, then renamed.
+
+    A section is its heading and its HTML; everything else is plain text.
+    """
+    page = _PAGE.format(
+        title=escape(title),
+        style=_STYLE,
+        colour=colour,
+        verdict=escape(verdict),
+        sentence=escape(sentence),
+        sections="\n".join(f"<section><h2>{escape(heading)}</h2>\n{html}</section>" for heading, html in sections),
+        foot=escape(foot),
+    )
+    write_bytes(page.encode(), path)
+
+
+def picture(name: str, png: bytes) -> str:
+    """A PNG file within the page; its name is what is read where it cannot be seen."""
+    return f'<img alt="{escape(name.replace("_", " "))}" src="data:image/png;base64,{b64encode(png).decode()}">\n'
+
+
+def figure(name: str, png: bytes, caption: str) -> str:
+    """A picture with what it shows below it."""
+    return f"<figure><div>{picture(name, png)}</div><figcaption>{escape(caption)}</figcaption></figure>\n"
+
+
+def listed(items: Iterable[str]) -> str:
+    return "<ul>" + "".join(f"<li>{escape(item)}</li>" for item in items) + "</ul>"
+
+
+def table(head: Sequence[str], rows: Rows) -> str:
+    """The first column, and cells of words, may break; a cell that begins with a figure does not."""
+    said = "".join(f"<th>{escape(cell)}</th>" for cell in head)
+    body = "".join("<tr>" + "".join(map(_cell, row)) + "</tr>\n" for row in rows)
+    return f'<div class="wide"><table><thead><tr>{said}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def _cell(text: str) -> str:
+    kind = ' class="number"' if len(text) < 24 and text[:1] in "0123456789-<>(" and text else ""
+    return f"<td{kind}>{escape(text)}</td>"

@@ -1,0 +1,126 @@
+"""NIFO: the contact force as a further input, per frequency (equations 4, 5 and 23 to 28 of the paper)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from identify.signals.regression import influences, line_by_line, variance_of_sum
+from identify.signals.spectra import Blocks, Term
+from identify.structure.modal import ModalEquation, receptance
+from rig.errors import RigError
+
+Form = Literal["weak", "paper"]
+
+
+@dataclass(frozen=True)
+class Nifo:
+    """What NIFO finds in one modal equation.
+
+    frf is q over the modal force (s^2), stiffness the complex contact stiffness of each visible contact; contacts are
+    the indices of the visible contacts. stiffness_error is the standard error of the spectral means.
+    """
+
+    equation: ModalEquation
+    contacts: tuple[int, ...]
+    frequency_hz: Float[np.ndarray, " lines"]
+    frf: Complex[np.ndarray, " lines"]
+    stiffness_n_per_m: Complex[np.ndarray, "contacts lines"]
+    stiffness_error_n_per_m: Float[np.ndarray, " contacts"]
+    averages: int
+    resolution_hz: float
+
+    @property
+    def mean_n_per_m(self) -> Float[np.ndarray, " contacts"]:
+        """The spectral mean of the real part."""
+        return self.stiffness_n_per_m.real.mean(axis=1)
+
+    @property
+    def spread_n_per_m(self) -> Float[np.ndarray, " contacts"]:
+        """The rms over frequency of the deviation from the spectral mean."""
+        return np.sqrt(np.mean(np.abs(self.stiffness_n_per_m - self.mean_n_per_m[:, None]) ** 2, axis=1))
+
+    def true_frf(self) -> Complex[np.ndarray, " lines"]:
+        """The FRF that the rig's description believes in."""
+        return receptance(self.equation.frequency_hz, self.equation.damping_ratio, self.frequency_hz)
+
+
+def nifo(
+    equation: ModalEquation,
+    force_n: Float[np.ndarray, " samples"],
+    penetration_m: Float[np.ndarray, "contacts samples"],
+    blocks: Blocks,
+    form: Form = "weak",
+) -> Nifo:
+    """Regression of the modal coordinate on the modal force and the penetrations, line by line over the blocks.
+
+    The paper's form is Q = H (phi_F F - sum_j phi_j k_j P_j) with spectra under the window w; it leaks, as
+    the window's derivatives do not commute with the equation of motion. The weak form keeps them: with Q' and Q'' the
+    spectra of q under w' and w'' ::
+
+        Q = H (phi_F F - Q'' + 2 i omega Q' - sum_j phi_j k_j P_j) + 2 zeta omega_0 H Q'
+
+    which is exact for any motion, since w and w' vanish at a block's ends.
+
+    Contacts that the equation does not see, or that never close, take no part. Raises RigError if the blocks are fewer
+    than the unknowns.
+    """
+    seen = tuple(j for j, visible in enumerate(equation.visible) if visible and np.any(penetration_m[j]))
+    unknowns = 1 + len(seen) + (form == "weak")
+    if len(blocks.starts) <= unknowns:
+        raise RigError(
+            f"{len(blocks.starts)} blocks for {unknowns} unknowns a line; use shorter blocks or record longer"
+        )
+    response = equation.displacement
+    inputs = [[Term(force_n, factor=equation.shape_at_force)]]
+    inputs += [[Term(penetration_m[j], factor=equation.shape_at_contacts[j])] for j in seen]
+    if form == "weak":
+        inputs[0].append(Term(response, derivative=2, factor=-1.0))
+        inputs.append([Term(response, derivative=1)])
+    rate = 2j * 2 * np.pi * blocks.frequency_hz
+
+    def spectra(chosen: Sequence[int]) -> Complex[np.ndarray, "channels blocks lines"]:
+        found = blocks.together([*inputs, [Term(response)]], [blocks.starts[k] for k in chosen])
+        if form == "weak":
+            found[0] += rate * found[-2]
+        return found
+
+    weights, inverse = line_by_line(spectra, len(blocks.starts))
+    frf = weights[:, 0]
+    stiffness = -weights[:, 1 : 1 + len(seen)] / frf[:, None]
+
+    def of_the_mean(
+        changes: Complex[np.ndarray, "some blocks unknowns"], some: slice
+    ) -> Float[np.ndarray, "blocks contacts"]:
+        ours, alone = changes[:, :, 1 : 1 + len(seen)], changes[:, :, :1]
+        return -((ours + stiffness[some, None] * alone) / frf[some, None, None]).real.sum(axis=0) / frf.size
+
+    variance = variance_of_sum(
+        lambda chosen: influences(spectra, chosen, weights, inverse, of_the_mean), len(blocks.starts)
+    )
+    return Nifo(
+        equation=equation,
+        contacts=seen,
+        frequency_hz=blocks.frequency_hz,
+        frf=frf,
+        stiffness_n_per_m=stiffness.T,
+        stiffness_error_n_per_m=np.sqrt(variance),
+        averages=len(blocks.starts),
+        resolution_hz=blocks.resolution_hz,
+    )
+
+
+def fitted_mode(result: Nifo) -> tuple[float, float]:
+    """Natural frequency (Hz) and damping ratio of the FRF: 1/H = omega_0^2 - omega^2 + 2 i zeta omega_0 omega.
+
+    Linear least squares of H (omega_0^2 + i omega g) = 1 + omega^2 H, so that resonance and noise weigh as in H.
+    """
+    omega = 2 * np.pi * result.frequency_hz
+    columns = np.stack([result.frf, 1j * omega * result.frf], axis=1)
+    target = 1 + omega**2 * result.frf
+    both = np.concatenate([columns.real, columns.imag]), np.concatenate([target.real, target.imag])
+    (square, rate), *_ = np.linalg.lstsq(*both, rcond=None)
+    natural = float(np.sqrt(max(float(square), 0.0)))
+    return natural / (2 * np.pi), float(rate) / (2 * natural) if natural > 0 else 0.0

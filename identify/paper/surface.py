@@ -1,0 +1,177 @@
+"""The restoring force surface, and the clearances from it and from the occurrence of the relative displacement."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import least_squares, minimize
+
+from identify.signals.spectra import decimated
+from identify.structure.modal import ModalEquation
+from rig.model.contact_law import dead_zone
+
+PARTS = 16
+"""Into how many parts a record is cut for standard errors."""
+LEAST_CONTACT = 2e-3
+"""A contact that is closed for a smaller share of the time tells nothing about its clearance."""
+
+
+@dataclass(frozen=True)
+class Stops:
+    """The two stops of a contact, and half their distance, the clearance; standard errors beside."""
+
+    lower_m: float
+    upper_m: float
+    lower_error_m: float
+    upper_error_m: float
+    clearance_error_m: float
+
+    @property
+    def clearance_m(self) -> float:
+        return (self.lower_m + self.upper_m) / 2
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A modal equation's restoring force over the relative displacements, as measured and as fitted.
+
+    Every `factor`-th sample of the record.
+
+    measured = shape_at_force F - q'' (N / sqrt(kg)); fitted = damping q' + stiffness q + sum_j shape_j k_j dz_j(eta_j).
+    contact_share is what each contact adds to the fitted force.
+    """
+
+    equation: ModalEquation
+    factor: int
+    measured: Float[np.ndarray, " samples"]
+    fitted: Float[np.ndarray, " samples"]
+    contact_share: Float[np.ndarray, "contacts samples"]
+    stops: tuple[Stops | None, ...]
+    stiffness_n_per_m: Float[np.ndarray, " contacts"]
+
+
+def restoring_force(equation: ModalEquation, force_n: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
+    """What the mass and the exciting force leave: r = shape_at_force F - q''."""
+    return equation.shape_at_force * force_n - equation.acceleration
+
+
+def fit_surface(
+    equation: ModalEquation,
+    force_n: Float[np.ndarray, " samples"],
+    eta_m: Float[np.ndarray, "contacts samples"],
+    factor: int,
+    start: tuple[Stops | None, ...],
+) -> Surface:
+    """Least squares of the restoring force on q', q and a dead zone per visible contact that has a start.
+
+    The stops enter nonlinearly and are found by Gauss-Newton around the linear regression; standard errors allow for
+    residuals that are correlated within a sixteenth of the record (a sandwich estimate). Both sides are low-passed
+    alike and decimated by `factor`, which keeps out frequencies at which the modal transformation no longer holds.
+    """
+    known = [(j, s) for j, (s, visible) in enumerate(zip(start, equation.visible, strict=True)) if visible and s]
+    seen = [j for j, _ in known]
+    measured = decimated(restoring_force(equation, force_n), factor)
+    linear = decimated(np.stack([equation.velocity, equation.displacement]), factor)
+
+    def columns(stops: Float[np.ndarray, " stops"]) -> Float[np.ndarray, "samples columns"]:
+        zones = [
+            equation.shape_at_contacts[j] * decimated(dead_zone(eta_m[j], stops[2 * i], stops[2 * i + 1]), factor)
+            for i, j in enumerate(seen)
+        ]
+        return np.stack([*linear, *zones], axis=1)
+
+    def remainder(stops: Float[np.ndarray, " stops"]) -> Float[np.ndarray, " samples"]:
+        return measured - _projection(columns(stops), measured)[0]
+
+    largest = np.array([[-eta_m[j].min(), eta_m[j].max()] for j in seen]).ravel()
+    scale = np.maximum(largest, 1e-12)
+    first = np.array([x for _, s in known for x in (s.lower_m, s.upper_m)])
+    solution = least_squares(
+        lambda s: remainder(s * scale), np.clip(first / scale, 0.0, 0.98), bounds=(0, 1), xtol=1e-9, ftol=1e-12
+    )
+    stops = solution.x * scale
+    fitted, weights = _projection(columns(stops), measured)
+    covariance = _sandwich(np.concatenate([columns(stops), solution.jac / scale], axis=1), measured - fitted)
+    found: list[Stops | None] = [None] * len(eta_m)
+    share = np.zeros((len(eta_m), measured.size))
+    stiffness = np.full(len(eta_m), np.nan)
+    first_stop = len(linear) + len(seen)
+    for i, j in enumerate(seen):
+        pair = covariance[first_stop + 2 * i : first_stop + 2 * i + 2, first_stop + 2 * i : first_stop + 2 * i + 2]
+        stiffness[j] = weights[2 + i]
+        share[j] = weights[2 + i] * columns(stops)[:, 2 + i]
+        closed = np.mean((eta_m[j] > stops[2 * i + 1]) | (eta_m[j] < -stops[2 * i]))
+        if closed >= LEAST_CONTACT:
+            found[j] = Stops(
+                float(stops[2 * i]),
+                float(stops[2 * i + 1]),
+                *(float(e) for e in np.sqrt([pair[0, 0], pair[1, 1], pair.sum() / 4])),
+            )
+    return Surface(equation, factor, measured, fitted, share, tuple(found), stiffness)
+
+
+def clearance_from_occurrence(eta_m: Float[np.ndarray, " samples"]) -> Stops:
+    """The stops at which the density of the relative displacement bends: maximum likelihood of
+
+        log p = const - a eta - b eta^2 / 2 - kappa dz(eta; lower, upper)^2 / 2
+
+    (a Gaussian within the gap, a narrower one beyond a stop). Standard errors from sixteen parts of the record.
+    """
+    edges = np.linspace(eta_m.min(), eta_m.max(), 401)
+    middles = (edges[:-1] + edges[1:]) / 2
+    scale = float(np.std(eta_m))
+
+    def fit(
+        part: Float[np.ndarray, " samples"], starts: list[Float[np.ndarray, " parameters"]]
+    ) -> Float[np.ndarray, " parameters"]:
+        counts = np.histogram(part, edges)[0] / part.size
+
+        def cost(p: Float[np.ndarray, " parameters"]) -> float:
+            lower, upper = np.abs(p[3:]) * scale
+            x = middles / scale
+            exponent = (
+                -p[0] * x
+                - p[1] * x**2 / 2
+                - np.exp(min(p[2], 20.0)) * (dead_zone(middles, lower, upper) / scale) ** 2 / 2
+            )
+            top = exponent.max()
+            return float(-(counts @ exponent) + top + np.log(np.exp(exponent - top).sum()))
+
+        tries = [
+            minimize(cost, s, method="Nelder-Mead", options={"maxiter": 4000, "xatol": 1e-5, "fatol": 1e-10})
+            for s in starts
+        ]
+        return np.asarray(min(tries, key=lambda t: t.fun).x)
+
+    quantiles = np.quantile(np.abs(eta_m), [0.5, 0.7, 0.85, 0.95]) / scale
+    best = fit(eta_m, [np.array([0.0, 0.5, 3.0, q, q]) for q in quantiles])
+    parts = np.array([np.abs(fit(p, [best])[3:]) for p in np.array_split(eta_m, PARTS)]) * scale
+    lower, upper = np.abs(best[3:]) * scale
+    errors = [float(np.std(x, ddof=1) / np.sqrt(PARTS)) for x in (parts[:, 0], parts[:, 1], parts.mean(axis=1))]
+    return Stops(float(lower), float(upper), *errors)
+
+
+def _projection(
+    columns: Float[np.ndarray, "samples columns"], target: Float[np.ndarray, " samples"]
+) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " columns"]]:
+    """Least squares by the normal equations of scaled columns: the projection and the weights."""
+    scale = np.sqrt(np.einsum("ij,ij->j", columns, columns))
+    scale[scale == 0] = 1.0
+    normal = (columns.T @ columns) / np.outer(scale, scale)
+    weights = np.linalg.pinv(normal, rcond=1e-14, hermitian=True) @ (columns.T @ target / scale) / scale
+    return columns @ weights, weights
+
+
+def _sandwich(
+    jacobian: Float[np.ndarray, "samples parameters"], residual: Float[np.ndarray, " samples"]
+) -> Float[np.ndarray, "parameters parameters"]:
+    """Covariance of a least-squares estimate whose residuals are correlated within parts of the record."""
+    scale = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
+    scale[scale == 0] = 1.0
+    scaled = jacobian / scale
+    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)
+    scores = np.array(
+        [j.T @ r for j, r in zip(np.array_split(scaled, PARTS), np.array_split(residual, PARTS), strict=True)]
+    )
+    middle = scores.T @ scores * PARTS / (PARTS - 1)
+    return np.asarray(inverse @ middle @ inverse / np.outer(scale, scale))

@@ -1,0 +1,32 @@
+"""The form that the pages share, as a browser without a screen has it."""
+
+import pytest
+
+from identify.pages import page
+
+PHONE_PX = 375
+
+
+def written(path, html):
+    page.write(path, title="A page", colour="green", verdict="so", sentence="It is.", sections=[("One", html)], foot="")
+    return path
+
+
+def test_a_wide_table_and_a_long_word_need_no_sideways_scrolling(opened, tmp_path):
+    wide = page.table([f"column {i}" for i in range(12)], [[f"{i:.12f}" for i in range(12)], ["word" * 40] * 12])
+    seen = opened(written(tmp_path / "page.html", wide + page.listed(["word" * 100])), PHONE_PX)
+    assert (seen.scroll_px, seen.console) == (PHONE_PX, ())
+
+
+@pytest.mark.parametrize(
+    ("html", "found"),
+    [
+        (page.picture("broken", b"no picture"), lambda seen: seen.pictures_px == (0,)),
+        ("<script>nowhere()</script>", lambda seen: "nowhere is not defined" in "".join(seen.console)),
+        ("<script>console.error('odd')</script>", lambda seen: "odd" in "".join(seen.console)),
+        ('<div style="width:900px">wide</div>', lambda seen: seen.scroll_px >= 900),
+    ],
+)
+def test_what_is_wrong_with_a_page_is_seen(opened, tmp_path, html, found):
+    """Else the tests of the pages could not fail."""
+    assert found(opened(written(tmp_path / "page.html", html), PHONE_PX))

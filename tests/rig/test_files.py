@@ -1,0 +1,47 @@
+"""Files are whole or not there."""
+
+import pytest
+
+from rig.errors import RigError
+from rig.files import atomic_write, write_json
+
+
+def test_a_file_appears_when_it_is_whole(tmp_path):
+    path = tmp_path / "value.json"
+    write_json({"a": 1}, path)
+    assert path.read_text() == '{\n  "a": 1\n}\n'
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_fails_leaves_the_old_file_and_nothing_beside(tmp_path):
+    path = tmp_path / "value.json"
+    path.write_text("old")
+    with pytest.raises(ValueError, match="half"), atomic_write(path) as part:
+        part.write_text("half")
+        raise ValueError("half")
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_two_writers_do_not_mix(tmp_path, monkeypatch):
+    path = tmp_path / "value"
+    with atomic_write(path) as first:
+        first.write_text("first")
+        monkeypatch.setattr("os.getpid", lambda: 1)
+        with atomic_write(path) as second:
+            second.write_text("second")
+            assert first != second
+    assert path.read_text() == "first"
+
+
+@pytest.mark.parametrize("there", ["missing/value", "a_file/value"])
+def test_where_nothing_can_be_written_is_said(tmp_path, there):
+    (tmp_path / "a_file").write_text("")
+    with pytest.raises(RigError, match="cannot be written"), atomic_write(tmp_path / there) as part:
+        part.write_text("x")
+
+
+def test_a_symbolic_link_is_refused(tmp_path):
+    (tmp_path / "link").symlink_to(tmp_path / "target")
+    with pytest.raises(RigError, match="symbolic link"), atomic_write(tmp_path / "link"):
+        pass
