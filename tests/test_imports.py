@@ -29,7 +29,10 @@ def test_the_contracts_on_imports_hold():
     ("package", "spared"),
     [
         ("rig", ("rig.viewer.blueprint", "rig.viewer.contact_view", "rig.viewer.drawing", "rig.viewer.viewing")),
-        ("identify", ("identify.pages.style", "identify.contact.figures", "identify.law.figures", "identify.gap.page.pictures")),
+        (
+            "identify",
+            ("identify.pages.style", "identify.contact.figures", "identify.law.figures", "identify.gap.page.pictures"),
+        ),
     ],
 )
 def test_importing_a_package_pulls_in_nothing_heavy(package, spared):

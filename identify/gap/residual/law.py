@@ -197,7 +197,7 @@ class Contact:
     @cached_property
     def by_eta(self) -> Float[np.ndarray, " times"]:
         """The law's derivative by slow changes of the relative displacement, N/m."""
-        return _coarsely(self.tangent_n_per_m, self.laid.finer) + self.laid.spring_n_per_m
+        return decimated(self.tangent_n_per_m, self.laid.finer) + self.laid.spring_n_per_m
 
     @cached_property
     def columns(self) -> csr_matrix:
@@ -290,10 +290,3 @@ def _finely(values: Float[np.ndarray, " times"], finer: int) -> Float[np.ndarray
     """Linear between samples, which slow motion is."""
     between = values[:-1, None] + np.diff(values)[:, None] * (np.arange(finer) / finer)
     return np.append(between, values[-1])
-
-
-def _coarsely(values: Float[np.ndarray, " fine"], finer: int) -> Float[np.ndarray, " times"]:
-    """Means around every sample: good enough for derivatives."""
-    half = finer // 2
-    padded = np.pad(values, (half, finer - half - 1), mode="edge")
-    return np.asarray(padded.reshape(-1, finer).mean(axis=1))
