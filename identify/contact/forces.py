@@ -12,7 +12,6 @@ from identify.signals.spectra import decimated
 from identify.structure.modal import contact_shapes, receptance, shape_at, transformation
 from rig.errors import RigError
 from rig.model.description import Body, Rig
-from rig.model.oscillator import Oscillator
 from rig.model.tolerances import Tolerances
 
 SMOOTHED_HZ = 1.0
@@ -47,16 +46,18 @@ def separated_forces(
     rig: Rig, motion: Kinematics, factor: int, noise: Float[np.ndarray, " stations"], tolerances: Tolerances
 ) -> ContactForces:
     """The contact forces of beams or structures from all their stations, or of one mass from its equation of motion."""
-    if isinstance(rig.bodies[0], Oscillator):
-        return _on_oscillator(rig.bodies[0], motion, factor, tolerances)
+    if rig.bodies[0].is_mass:
+        return _on_mass(rig.bodies[0], motion, factor, tolerances)
     return _between_bodies(rig, motion, factor, noise, tolerances)
 
 
-def _on_oscillator(mass: Oscillator, motion: Kinematics, factor: int, tolerances: Tolerances) -> ContactForces:
+def _on_mass(mass: Body, motion: Kinematics, factor: int, tolerances: Tolerances) -> ContactForces:
     """F - m a - c v - k x."""
+    natural, ratio = 2 * np.pi * mass.frequencies_hz(1)[0], mass.damping_ratios(1)[0]
+    stiffness_n_per_m = float(mass.mass_kg * natural**2)
     inertia = mass.mass_kg * motion.acceleration_m_per_s2[:1]
-    damping = mass.damping_n_s_per_m * motion.velocity_m_per_s[:1]
-    spring = mass.stiffness_n_per_m * motion.displacement_m[:1]
+    damping = 2 * ratio * mass.mass_kg * natural * motion.velocity_m_per_s[:1]
+    spring = stiffness_n_per_m * motion.displacement_m[:1]
     nothing = np.zeros_like(spring)
     doubts = (
         (-tolerances.gain * (inertia + damping + spring), tolerances.gain * motion.displacement_m[:1]),
@@ -67,7 +68,7 @@ def _on_oscillator(mass: Oscillator, motion: Kinematics, factor: int, tolerances
         force_n=decimated(motion.force_n - inertia - damping - spring, factor),
         factor=factor,
         doubts=tuple((decimated(force, factor), eta) for force, eta in doubts if np.any(force)),
-        spring_n_per_m=mass.stiffness_n_per_m,
+        spring_n_per_m=stiffness_n_per_m,
     )
 
 

@@ -4,7 +4,6 @@ import msgspec
 import numpy as np
 
 from rig.model.description import Body, Rig, Station
-from rig.model.oscillator import Oscillator
 
 
 def jittered(rig: Rig, rng: np.random.Generator) -> Rig:
@@ -29,7 +28,7 @@ def jittered(rig: Rig, rng: np.random.Generator) -> Rig:
 def _body(body: Body, rng: np.random.Generator) -> Body:
     """All frequencies of a beam or a structure go with the root of E."""
     damped = body.damped(1 + rng.uniform(-0.2, 0.2))
-    if isinstance(body, Oscillator):
+    if body.is_mass:
         return damped.tuned(1 + rng.uniform(-1.5e-3, 1.5e-3))
     return damped.tuned(float(np.sqrt(1 + rng.uniform(-3e-3, 3e-3))))
 

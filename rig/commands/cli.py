@@ -18,9 +18,7 @@ from rig.commands.cli_files import export_, import_, recover
 from rig.commands.command_line import Force, Json, StoppedError, progress_bar, refuse_existing, run, working
 from rig.effects import effect_named, effects
 from rig.errors import RigError
-from rig.model.beam import Beam
-from rig.model.description import Body, Station
-from rig.model.oscillator import Oscillator
+from rig.model.description import Station
 from rig.recording import Recording, Signals, read, read_truth, truth_path
 from rig.simulation.plants import PLANTS, plant_named
 from rig.simulation.record import record as record_rig
@@ -129,7 +127,7 @@ def info(file: File, as_json: Json = False) -> None:
     for body in rig.bodies:
         modes = min(4 + body.rigid_modes, body.most_modes)
         bodies.add_row(
-            body.name, _kind(body), ", ".join(f"{f:.2f}" for f in body.frequencies_hz(modes)[body.rigid_modes :])
+            body.name, body.kind, ", ".join(f"{f:.2f}" for f in body.frequencies_hz(modes)[body.rigid_modes :])
         )
     contacts = _table("Contacts, as rig.json believes", "contact", "at", "against", "clearance, mm", "stiffness, N/m")
     for contact in rig.contacts:
@@ -234,18 +232,6 @@ def _table(title: str, *headings: str) -> Table:
     for heading in headings:
         table.add_column(heading, justify="right" if "," in heading else "left")
     return table
-
-
-def _kind(body: Body) -> str:
-    if isinstance(body, Beam):
-        return body.ends
-    if isinstance(body, Oscillator):
-        return "mass on a spring"
-    try:
-        mass_kg = np.sum(body.translation() ** 2)
-    except RigError:
-        return f"modal basis, {body.most_modes} modes"
-    return f"modal basis, {body.most_modes} modes, {mass_kg:.4g} kg"
 
 
 def _place(station: Station) -> str:

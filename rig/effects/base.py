@@ -16,7 +16,6 @@ from rig.model.beam import Beam
 from rig.model.contact_law import DeadZone
 from rig.model.description import Body, Rig, Sensor, Station, contact_stations
 from rig.model.modes import Modes, modes_of
-from rig.model.structure import Structure
 
 PLACES = 11
 """Along a beam, where its softest place is looked for."""
@@ -75,11 +74,8 @@ class Scale:
         return min((self.at({"body": s.body}).mass_kg() for c in chosen for s in contact_stations(c)), default=np.inf)
 
     def mass_kg(self) -> float:
-        """Of the body: one over the mean square of its mass-normalised shapes, exact for beams."""
-        body = self._body()
-        if isinstance(body, Beam):
-            return body.mass_kg
-        return float(1 / np.mean(body.shapes(_places_on(body), body.most_modes) ** 2))
+        """Of the body."""
+        return self._body().mass_kg
 
     def stiffness_n_per_m(self) -> float:
         """Of the body at its softest point: one over the sum of phi^2 / omega^2 of its elastic modes."""
@@ -116,13 +112,7 @@ class Scale:
         body = self._body()
         modes: Modes = modes_of(self.rig, body)
         count = body.most_modes
-        return modes.shapes(_places_on(body), count), 2 * np.pi * modes.frequencies_hz(count)
-
-
-def _places_on(body: Body) -> Float[np.ndarray, " places"]:
-    if isinstance(body, Structure):
-        return np.asarray(body.positions_m)
-    return np.linspace(0, body.length_m, PLACES if body.length_m else 1)
+        return modes.shapes(body.places(PLACES), count), 2 * np.pi * modes.frequencies_hz(count)
 
 
 class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -161,7 +151,7 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         targets: dict[str, list[str | None]] = {
             "contact": [*contacts, None] if len(contacts) > 1 else contacts,
             "body": [b.name for b in rig.bodies],
-            "beam": [b.name for b in rig.bodies if isinstance(b, Beam)],
+            "beam": [b.name for b in rig.beams],
             "sensor": list(sensors),
         }
         where = [t for t in targets if t in cls.__struct_fields__]
@@ -222,9 +212,7 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     def beams_of(self, rig: Rig, name: str | None, ends: str | None = None) -> tuple[Beam, ...]:
         """The beams with such ends, or the one of that name; raises RigError if there is none."""
-        beams = tuple(
-            b for b in rig.bodies if isinstance(b, Beam) and ends in (None, b.ends) and name in (None, b.name)
-        )
+        beams = tuple(b for b in rig.beams if ends in (None, b.ends) and name in (None, b.name))
         if not beams:
             raise self.nowhere(rig, f"{ends or ''} beam {'' if name is None else repr(name)}".strip())
         return beams

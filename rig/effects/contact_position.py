@@ -5,7 +5,6 @@ from typing import Annotated, ClassVar
 from msgspec.structs import replace
 
 from rig.effects.base import Effect, Parameter, Scale
-from rig.model.beam import Beam
 from rig.model.description import Contact, Rig, Station
 
 
@@ -40,7 +39,7 @@ class ContactPosition(Effect, frozen=True):
         return replace(contact, against=self._along(rig, against, self.shift_m))
 
     def _along(self, rig: Rig, station: Station, shift_m: float) -> Station:
-        if not isinstance(rig.body(station.body), Beam):
+        if not rig.body(station.body).is_uniform:
             raise self.nowhere(
                 rig, f"beam at {station.position_m} m of {station.body!r} that a contact could move along"
             )
@@ -48,4 +47,4 @@ class ContactPosition(Effect, frozen=True):
 
 
 def _shortest_m(rig: Rig) -> float:
-    return min((b.length_m for b in rig.bodies if isinstance(b, Beam)), default=0.0)
+    return min((b.length_m for b in rig.beams), default=0.0)

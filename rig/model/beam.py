@@ -53,12 +53,34 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         return self.youngs_modulus_pa * self.width_m * self.thickness_m**3 / 12
 
     @property
+    def kind(self) -> str:
+        return self.ends
+
+    @property
+    def is_mass(self) -> bool:
+        return False
+
+    @property
+    def is_uniform(self) -> bool:
+        """A beam of one section, known by its material."""
+        return True
+
+    @property
+    def clamped(self) -> bool:
+        """At its left end."""
+        return self.ends == "clamped-free"
+
+    @property
     def most_modes(self) -> int:
         return MAX_MODES
 
     @property
     def rigid_modes(self) -> int:
         return 2 if self.ends == "free-free" else 0
+
+    def places(self, count: int) -> Float[np.ndarray, " places"]:
+        """So many, evenly from end to end."""
+        return np.linspace(0, self.length_m, count)
 
     def frequencies_hz(self, modes: int) -> Float[np.ndarray, " modes"]:
         """Natural frequencies beta_i^2 sqrt(E I / rho A) / 2 pi; zero for rigid modes."""

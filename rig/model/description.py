@@ -252,6 +252,11 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
                 return body
         raise RigError(f"rig {self.name!r} has no body {name!r}; it has {', '.join(b.name for b in self.bodies)}")
 
+    @property
+    def beams(self) -> tuple[Beam, ...]:
+        """The bodies that are uniform beams."""
+        return tuple(b for b in self.bodies if isinstance(b, Beam))
+
     def contact(self, name: str) -> Contact:
         return next(c for c in self.contacts if c.name == name)
 

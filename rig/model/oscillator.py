@@ -26,6 +26,23 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
             )
 
     @property
+    def kind(self) -> str:
+        return "mass on a spring"
+
+    @property
+    def is_mass(self) -> bool:
+        """A single mass, without length."""
+        return True
+
+    @property
+    def is_uniform(self) -> bool:
+        return False
+
+    @property
+    def clamped(self) -> bool:
+        return False
+
+    @property
     def length_m(self) -> float:
         return 0.0
 
@@ -44,6 +61,10 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     @property
     def damping_n_s_per_m(self) -> float:
         return 2 * self.damping_ratio * self.mass_kg * 2 * np.pi * self.frequency_hz
+
+    def places(self, _count: int) -> Float[np.ndarray, " places"]:
+        """Where its shapes are known: at its one place."""
+        return np.zeros(1)
 
     def frequencies_hz(self, modes: int) -> Float[np.ndarray, " modes"]:
         return np.full(self._one(modes), self.frequency_hz)

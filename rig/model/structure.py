@@ -81,12 +81,41 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         return np.array([row.position_m for row in self.rows])
 
     @property
+    def kind(self) -> str:
+        known = f"modal basis, {self.most_modes} modes"
+        try:
+            return f"{known}, {np.sum(self.translation() ** 2):.4g} kg"
+        except RigError:
+            return known
+
+    @property
+    def is_mass(self) -> bool:
+        return False
+
+    @property
+    def is_uniform(self) -> bool:
+        return False
+
+    @property
+    def clamped(self) -> bool:
+        return False
+
+    @property
+    def mass_kg(self) -> float:
+        """About: one over the mean square of its shapes, which of a beam is its mass."""
+        return float(1 / np.mean(self.shapes(self.positions_m, self.most_modes) ** 2))
+
+    @property
     def most_modes(self) -> int:
         return len(self.natural_hz)
 
     @property
     def rigid_modes(self) -> int:
         return self.natural_hz.count(0.0)
+
+    def places(self, _count: int) -> Float[np.ndarray, " places"]:
+        """Where its shapes are given."""
+        return self.positions_m
 
     def frequencies_hz(self, modes: int) -> Float[np.ndarray, " modes"]:
         return np.array(self.natural_hz[: self._checked(modes)])

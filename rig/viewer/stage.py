@@ -6,7 +6,6 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int
 
-from rig.model.beam import Beam
 from rig.model.contact_law import DeadZone
 from rig.model.description import Body, Contact, Rig, Station
 from rig.viewer.deflection import Deflection
@@ -80,7 +79,7 @@ class Stage:
 
     def support(self, body: Body) -> Float[np.ndarray, "corners 3"] | None:
         """The wall that a clamped end sits in."""
-        if not isinstance(body, Beam) or body.ends != "clamped-free":
+        if not body.clamped:
             return None
         y, z = 0.04 * self.extent_m * np.array([[-1, 1, 1, -1, -1], [-2, -2, 2, 2, -2]])
         return np.stack([np.full(5, self.left_m[body.name]), self.depth(body.name) + y, z], axis=1)

@@ -10,7 +10,6 @@ from identify.gap.residual.linear import Linear
 from identify.gap.residual.residual import Base, Residual
 from identify.gap.residual.spectra import Record
 from identify.gap.results import Attribution, Share, Surface
-from rig.model.oscillator import Oscillator
 
 BANDS_HZ = (0.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 100.0, 150.0, 200.0, 400.0, 1000.0, 4000.0)
 PARTS = 10
@@ -60,7 +59,7 @@ def _of_masses(record: Record, at: Residual) -> dict[str, Surface]:
     found = {}
     for response in at.model.responses:
         for i, sensor in enumerate(record.sensors):
-            if isinstance(response.body, Oscillator) and sensor.station.body == response.body.name:
+            if response.body.is_mass and sensor.station.body == response.body.name:
                 lacking = at.model.residual[i] * at.model.spread[i] / response.accelerance[0]
                 eta, rate, force = record.in_time(
                     np.stack([record.displaced[i], 1j * record.omega * record.displaced[i], lacking])
@@ -88,7 +87,7 @@ def _modal(record: Record, model: Linear, at: Residual) -> dict[str, float]:
         size = np.mean((inverse @ (at.linear[rows] * spread[rows, None])) ** 2, axis=1)
         error = np.sum((inverse * spread[rows]) ** 2, axis=1)
         for m in range(modes):
-            name = response.body.name if isinstance(response.body, Oscillator) else f"{response.body.name} {m + 1}"
+            name = response.body.name if response.body.is_mass else f"{response.body.name} {m + 1}"
             found[name] = float(size[m] / error[m])
     return _shared(found)
 

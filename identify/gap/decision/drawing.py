@@ -8,8 +8,7 @@ from msgspec.structs import replace
 
 from rig.model.description import Body, Contact, Rig, Sensor, Station, contact_stations
 from rig.model.modes import modes_of, modes_wanted
-from rig.model.oscillator import Oscillator
-from rig.model.structure import SAME_PLACE_M, Structure, structure_of
+from rig.model.structure import SAME_PLACE_M, structure_of
 from rig.model.tolerances import Tolerances
 
 MODES = 24
@@ -42,7 +41,7 @@ def drawn(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draws"]
     gain = rig.force_sensor.gain * (1 + tolerances.force_gain * next(draw))
     contacts = tuple(_contact(contact, tolerances, draw) for contact in rig.contacts)
     bodies = tuple(_body(rig, body, sensors, tolerances, draw) for body in rig.bodies)
-    taken_up = {b.name for b in bodies if isinstance(b, Structure)} & {b.name for b in rig.bodies}
+    taken_up = {b.name for b in bodies if not b.is_mass} & {b.name for b in rig.bodies}
     return (
         replace(
             rig,
@@ -85,13 +84,8 @@ def _contact(contact: Contact, tolerances: Tolerances, draw: Iterator[float]) ->
 def _body(rig: Rig, body: Body, sensors: list[Sensor], tolerances: Tolerances, draw: Iterator[float]) -> Body:
     heavier = 1 + tolerances.mass * next(draw)
     faster, lossier = tolerances.frequency * next(draw), tolerances.damping * next(draw)
-    if isinstance(body, Oscillator):
-        return replace(
-            body,
-            mass_kg=body.mass_kg * heavier,
-            frequency_hz=body.frequency_hz * (1 + faster),
-            damping_ratio=body.damping_ratio * float(np.exp(lossier)),
-        )
+    if body.is_mass:
+        return body.weighed(heavier).tuned(1 + faster).damped(float(np.exp(lossier)))
     modes, count = modes_of(rig, body), modes_wanted(body, MODES)
     own = [tolerances.of_mode(body.name, m + 1) for m in range(count)]
     factors = np.array([1 + faster + t.frequency * next(draw) for t in own])
@@ -100,7 +94,7 @@ def _body(rig: Rig, body: Body, sensors: list[Sensor], tolerances: Tolerances, d
     order = np.argsort(frequencies)
     standing = [s.station for s in sensors] + [s.station for s in rig.sensors] + [rig.force_at]
     standing += [s for c in rig.contacts for s in contact_stations(c)] + [load.station for load in rig.loads]
-    given = body.positions_m if isinstance(body, Structure) else np.linspace(0, body.length_m, PLACES)
+    given = body.places(PLACES)
     places = np.unique([*given, *(s.position_m for s in standing if s.body == body.name)])
     places = places[np.append(np.diff(places) > SAME_PLACE_M, True)]
     shapes = modes.shapes(places, count) / np.sqrt(heavier)

@@ -23,7 +23,6 @@ from identify.gap.residual.response import Response, dynamics_of, times, weights
 from identify.gap.residual.spectra import Record
 from rig.model.description import Body, Rig, Station
 from rig.model.modes import modes_of, participation
-from rig.model.oscillator import Oscillator
 
 FREE = 1e-3
 """What floats is held by so little (s^-2) that its compliance has an inverse: as at 0.005 Hz."""
@@ -247,7 +246,7 @@ def _response(record: Record, rig: Rig, body: Body) -> Response:
     """With accelerometers alone, springs under a mass or a floating body act on its high-passed displacement only."""
     modes, count = modes_of(rig, body), body.most_modes
     natural_hz, zeta = modes.frequencies_hz(count), modes.damping_ratios(count)
-    loose = 1 if isinstance(body, Oscillator) else body.rigid_modes
+    loose = 1 if body.is_mass else body.rigid_modes
     high_passed = 0 if record.zero_known else loose
     dynamics = dynamics_of(natural_hz.tobytes(), zeta.tobytes(), record.omega.tobytes(), high_passed)
     return Response(body, modes, count, dynamics)
@@ -273,7 +272,7 @@ def _holding(rig: Rig, responses: tuple[Response, ...]) -> Float[np.ndarray, " c
     held = np.zeros(len(rig.contacts))
     for response in responses if rig.loads else ():
         free = response.modes.frequencies_hz(response.count) == 0
-        if isinstance(response.body, Oscillator):
+        if response.body.is_mass:
             free[:] = True
         push = np.array([x.force_n for x in rig.loads]) @ response.shapes([x.station for x in rig.loads])
         if np.any(push[free]):

@@ -15,7 +15,6 @@ from identify.gap.residual.spectra import Record
 from identify.structure.modal import receptance
 from rig.model.description import Body, Rig, Sensor
 from rig.model.modes import modes_of
-from rig.model.oscillator import Oscillator
 from rig.model.tolerances import Tolerances
 
 LIMIT = 6.0
@@ -192,7 +191,7 @@ def _of_modes(
     for kind, change in per_unit.items():
         if common := float(getattr(believed, kind)):
             yield _Change(Nuisance(kind, body.name), rows, common * chain * times(shapes, change))
-        for m in elastic if not isinstance(body, Oscillator) else []:
+        for m in elastic if not body.is_mass else []:
             if own := float(getattr(believed.of_mode(body.name, int(m) + 1), kind)):
                 moved = own * chain * (shapes[:, m, None] * change[m])
                 yield _Change(Nuisance(kind, body.name, int(m) + 1), rows, moved)
@@ -209,7 +208,7 @@ def apply_nuisance(
     Those alone bend the residual: a single mass may have been believed from a record of another level, and a resonance
     that lies off by a part of its width is no linear matter. The modes of other bodies are not moved one by one.
     """
-    single = {b.name for b in rig.bodies if isinstance(b, Oscillator)}
+    single = {b.name for b in rig.bodies if b.is_mass}
     bends = {Nuisance(kind, name) for name in single for kind in ("frequency", "damping")}
     bends |= {Nuisance("gain", s.name) for s in rig.sensors if s.station.body in single}
     put = np.where([p in bends for p in parameters], values, 0.0)

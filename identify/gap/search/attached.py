@@ -11,7 +11,6 @@ from identify.gap.residual.nuisance import counted
 from identify.gap.residual.residual import Base, Residual
 from identify.gap.residual.spectra import Record
 from rig.model.description import Rig, Station
-from rig.model.oscillator import Oscillator
 
 ATTACHED = ("springs", "dampers", "masses", "tones")
 """The fields of a rig that hold what sits, or acts, at a point of a body."""
@@ -32,7 +31,7 @@ def attached(base: Base, moved: Rig, at: Residual) -> Column | None:
     """
     record, model, rig = base.record, at.model, at.rig
     more = added(rig, moved)
-    if more is None or any(isinstance(b, Oscillator) for b in rig.bodies):
+    if more is None or any(b.is_mass for b in rig.bodies):
         return None
     forces = _forces(record, model, more)
     left, less_n = model.projection.of(delivered_by(model, places_of(record, model.rig), forces))

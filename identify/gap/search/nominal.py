@@ -7,7 +7,6 @@ from identify.gap.residual.likelihood import misfit, reference_of
 from identify.gap.residual.residual import Base, Residual, base_of, rescaled
 from identify.gap.residual.spectra import Record
 from rig.model.description import Rig
-from rig.model.oscillator import Oscillator
 
 ROUNDS, MOST, SETTLED = 2, 6, 1.0
 """Scales and fit follow each other so many times, and more often while more is left than noise and tolerated shares,
@@ -38,4 +37,4 @@ def fitted(base: Base, start: Residual | None = None) -> Fit:
 
 def singly_bent(rig: Rig) -> int:
     """So many linearisations more, as the resonance of a single mass is no linear matter."""
-    return 3 if any(isinstance(b, Oscillator) for b in rig.bodies) else 0
+    return 3 if any(b.is_mass for b in rig.bodies) else 0

@@ -9,7 +9,6 @@ from identify.gap.unknown.observed import Observed, bare_residual, inverse_of, w
 from identify.signals.kinematics import CORNER_HZ, integrated
 from identify.structure.modal import receptance
 from rig.model.description import Rig
-from rig.model.oscillator import Oscillator
 
 
 def observed(record: Record, rig: Rig) -> Observed:
@@ -104,7 +103,7 @@ def drift_accelerations(own: Observed, body: str) -> Complex[np.ndarray, "sensor
     found = np.zeros(model.chain.shape, dtype=complex)
     twice = integrated(record.omega, -2, CORNER_HZ)
     for response, motion in zip(model.responses, own.modal, strict=True):
-        if response.body.name == body and not isinstance(response.body, Oscillator):
+        if response.body.name == body and not response.body.is_mass:
             natural = 2 * np.pi * response.modes.frequencies_hz(response.count)
             near = natural < BEYOND * record.omega[-1]
             pushed = -np.fft.rfft(tau * np.fft.irfft(natural[near, None] ** 2 * twice * motion[near], length))

@@ -13,7 +13,7 @@ from rig.errors import RigError
 from rig.model.beam import Beam
 from rig.model.description import Body, PointSpring, Rig, Station, stations_of
 from rig.model.modes import held_coordinates, with_attachments
-from rig.model.structure import Structure
+from rig.model.oscillator import Oscillator
 from rig.simulation.motion import Course, Motion, Progress
 from rig.simulation.plants.connectors import (
     ChangingModulus,
@@ -174,24 +174,31 @@ def build(
 
 
 def _add_body(mbs: Any, rig: Rig, body: Body, ground: int, elements: int, sections: list[Section]) -> Mesh:
+    add = _ADDED.get(type(body))
+    if add is None:
+        raise RigError(f"the ancf plant meshes beams, and {body.name!r} is a modal basis; simulate it with modal")
+    return add(mbs, rig, body, ground, elements, sections)
+
+
+def _add_mass(mbs: Any, rig: Rig, body: Oscillator, ground: int, _elements: int, _sections: list[Section]) -> Mesh:
+    whole = with_attachments(rig, body)
+    node = int(mbs.AddNode(_item("Node1D")(referenceCoordinates=[0.0])))
+    mbs.AddObject(_item("Mass1D")(nodeNumber=node, physicsMass=whole.mass_kg))
+    marker = mbs.AddMarker(_item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=0))
+    mbs.AddObject(
+        _item("CoordinateSpringDamper")(
+            markerNumbers=[ground, marker], stiffness=whole.stiffness_n_per_m, damping=whole.damping_n_s_per_m
+        )
+    )
+    return Mesh(body, np.zeros(1), (node,))
+
+
+def _add_beam(mbs: Any, rig: Rig, body: Beam, ground: int, elements: int, sections: list[Section]) -> Mesh:
     def fix(node: int, coordinates: tuple[int, ...]) -> None:
         for coordinate in coordinates:
             marker = mbs.AddMarker(_item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=coordinate))
             mbs.AddObject(_item("CoordinateConstraint")(markerNumbers=[ground, marker]))
 
-    if isinstance(body, Structure):
-        raise RigError(f"the ancf plant meshes beams, and {body.name!r} is a modal basis; simulate it with modal")
-    if not isinstance(body, Beam):
-        whole = with_attachments(rig, body)
-        node = int(mbs.AddNode(_item("Node1D")(referenceCoordinates=[0.0])))
-        mbs.AddObject(_item("Mass1D")(nodeNumber=node, physicsMass=whole.mass_kg))
-        marker = mbs.AddMarker(_item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=0))
-        mbs.AddObject(
-            _item("CoordinateSpringDamper")(
-                markerNumbers=[ground, marker], stiffness=whole.stiffness_n_per_m, damping=whole.damping_n_s_per_m
-            )
-        )
-        return Mesh(body, np.zeros(1), (node,))
     positions = mesh_positions(rig, body, elements)
     nodes = tuple(int(mbs.AddNode(_item("NodePoint2DSlope1")(referenceCoordinates=[x, 0, 1, 0]))) for x in positions)
     for (left, right), length, middle in zip(
@@ -209,9 +216,13 @@ def _add_body(mbs: Any, rig: Rig, body: Body, ground: int, elements: int, sectio
                 axialStiffness=heavier * axial,
             )
         )
-    if body.ends == "clamped-free":  # a free beam needs no hold lengthwise: no force acts there, its centre stays
+    if body.clamped:  # a free beam needs no hold lengthwise: no force acts there, its centre stays
         fix(nodes[0], (0, 1, 3)[: 1 + held_coordinates(rig, body)])
     return Mesh(body, positions, nodes)
+
+
+_ADDED: dict[type, Callable[..., Mesh]] = {Beam: _add_beam, Oscillator: _add_mass}
+"""The bodies that this plant meshes, and how."""
 
 
 def _add_attachments(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
@@ -219,7 +230,7 @@ def _add_attachments(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
 
     def add(station: Station, **matrices: Float[np.ndarray, "4 4"]) -> None:
         mesh = next(m for m in meshes if m.body.name == station.body)
-        if isinstance(mesh.body, Beam):
+        if not mesh.body.is_mass:
             mbs.AddObject(_item("ObjectGenericODE2")(nodeNumbers=[mesh.node_at(station.position_m)], **matrices))
 
     for point in rig.masses:
@@ -254,8 +265,8 @@ def _add_damping(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
     mass, stiffness, _ = mbs.ComputeLinearizedSystem()
     first = 0
     for mesh in meshes:
-        size = 4 * len(mesh.nodes) if isinstance(mesh.body, Beam) else 1
-        if isinstance(mesh.body, Beam):
+        size = mesh.per_node * len(mesh.nodes)
+        if not mesh.body.is_mass:
             free = free_coordinates(rig, mesh)
             inside = np.ix_(first + free, first + free)
             squares, shapes = eigh(stiffness[inside], mass[inside])

@@ -31,7 +31,12 @@ class Mesh:
     @property
     def transverse(self) -> list[int]:
         """Of a node's coordinates (x, y, slope x, slope y), those of the transverse motion."""
-        return [1, 3] if isinstance(self.body, Beam) else [0]
+        return [0] if self.body.is_mass else [1, 3]
+
+    @property
+    def per_node(self) -> int:
+        """Coordinates of a node."""
+        return 1 if self.body.is_mass else 4
 
 
 def mesh_positions(rig: Rig, beam: Beam, elements: int) -> Float[np.ndarray, " nodes"]:
@@ -75,7 +80,7 @@ def by_node(meshes: list[Mesh], transverse: Float[np.ndarray, " rows"]) -> list[
     vectors, first = [], 0
     for mesh in meshes:
         size = len(mesh.transverse) * len(mesh.nodes)
-        values = np.zeros((len(mesh.nodes), 4 if isinstance(mesh.body, Beam) else 1))
+        values = np.zeros((len(mesh.nodes), mesh.per_node))
         values[:, mesh.transverse] = transverse[first : first + size].reshape(len(mesh.nodes), -1)
         vectors.append(values.ravel())
         first += size
@@ -89,7 +94,7 @@ def coordinates_at_rest(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " coo
     """
     vectors = by_node(meshes, _at_rest(rig, meshes))
     for mesh, values in zip(meshes, vectors, strict=True):
-        if isinstance(mesh.body, Beam):
+        if not mesh.body.is_mass:
             shortening = values[3::4] ** 2 / 2
             steps = np.diff(mesh.positions_m) * (shortening[1:] + shortening[:-1]) / 2
             values[2::4] = -shortening
