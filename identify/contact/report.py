@@ -45,7 +45,7 @@ def write_results(found: Identification, out: Path, title: str, laws: Laws, laws
 def write_page(
     found: Identification, figures: Mapping[str, bytes], title: str, laws: Laws, laws_name: str, path: Path
 ) -> None:
-    """Writes the page; figures are PNG files, by the names of `identify.plots`."""
+    """Writes the page; figures are PNG files, by the names of `identify.contact.figures`."""
     report = found.report
     told, count = len(report.contacts), len(found.answers)
     page.write(

@@ -9,7 +9,7 @@ import scenarios.worlds
 
 PACKAGE = Path(scenarios.worlds.__path__[0])
 OWN = "scenarios.worlds"
-ALLOWED = {"rig.model.description", "rig.errors", "rig.recording.file", "rig.simulation.reference"}
+ALLOWED = {"rig.model.description", "rig.errors", "rig.recording", "rig.simulation.reference"}
 """The believed rig and the file of a recording; of the reference rig its description alone, never its force."""
 
 
