@@ -11,11 +11,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from identify.contact import identify_contact
-from identify.contact.pooled import LARGE_BYTES, STRETCH_S, identify_long
-from identify.contact.results import ContactReport, Estimate, Stretches
-from identify.gap.command import gap
-from identify.law.results import LawReport
+from identify.contacts import identify_contact
+from identify.contacts.pooled import LARGE_BYTES, STRETCH_S, identify_long
+from identify.contacts.results import ContactReport, Estimate, Stretches
+from identify.gaps.command import gap
+from identify.laws.results import LawReport
 from identify.signals.kinematics import Use
 from identify.signals.spectra import POWERS, Averaging
 from rig.commands.command_line import Force, Json, progress_bar, refuse_existing, run
@@ -98,7 +98,7 @@ def _whole(file: Path, out: Path | None, progress: Callable[[float], None], sett
     drawn = 1.0 if out is None else DRAWN_FROM
     found = identify_contact(read(file), progress=lambda share: progress(drawn * share), **settings)
     if out is not None:
-        from identify.contact.report import write_results
+        from identify.contacts.report import write_results
 
         laws = {c.name: c.law for c in found.rig.contacts}
         write_results(found, out, f"{found.rig.name}: {file.name}", laws, "rig.json")
@@ -110,7 +110,7 @@ def _by_stretches(
 ) -> ContactReport:
     report, parts = identify_long(file, stretch_s=stretch_s, progress=progress, **settings)
     if out is not None:
-        from identify.contact.figures import write_stretches
+        from identify.contacts.figures import write_stretches
 
         out.mkdir(parents=True, exist_ok=True)
         if report.contacts:
@@ -137,7 +137,7 @@ def law(
 
     Example: identify law barrel_cradle.mcap --contact contact_1 --out results
     """
-    from identify.law import identify_law
+    from identify.laws import identify_law
 
     if use not in get_args(Use):
         raise typer.BadParameter(f"{use!r} is none of {', '.join(get_args(Use))}", param_hint="--use")
@@ -148,7 +148,7 @@ def law(
             read(file), contact=contact, use=msgspec.convert(use, Use), seconds=seconds, seed=seed, progress=progress
         )
     if out is not None:
-        from identify.law.figures import write_law_figure
+        from identify.laws.figures import write_law_figure
 
         out.mkdir(parents=True, exist_ok=True)
         if found.found:

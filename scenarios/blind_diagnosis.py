@@ -8,10 +8,10 @@ from pathlib import Path
 import msgspec
 from msgspec.structs import replace
 
-from identify.gap.decision.answer import Simulator, diagnose
-from identify.gap.decision.null_reference import null_key, null_reference
-from identify.gap.decision.recordings import sound
-from identify.gap.results import Gap
+from identify.gaps.decision.answer import Simulator, diagnose
+from identify.gaps.decision.null_reference import null_key, null_reference
+from identify.gaps.decision.recordings import sound
+from identify.gaps.results import Gap
 from rig.errors import RigError
 from rig.files import write_json
 from rig.model.tolerances import LABORATORY, Tolerances

@@ -10,9 +10,9 @@ from jaxtyping import Bool, Float
 from scipy.optimize import minimize_scalar
 from scipy.special import logsumexp
 
-from identify.gap.decision.comparison import PRIOR_NOTHING, PRIOR_UNKNOWN, TEMPERATURE
-from identify.gap.decision.verdict import UNKNOWN_PLACES
-from identify.gap.results import Left, Matters
+from identify.gaps.decision.comparison import PRIOR_NOTHING, PRIOR_UNKNOWN, TEMPERATURE
+from identify.gaps.decision.verdict import UNKNOWN_PLACES
+from identify.gaps.results import Left, Matters
 from scenarios.scoreboard import Compared, wilson
 
 OLD_POWER = 20

@@ -7,8 +7,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from identify.contact import Identification, identify_contact
-from identify.contact.report import write_results
+from identify.contacts import Identification, identify_contact
+from identify.contacts.report import write_results
 from identify.signals.kinematics import Use
 from rig.commands.command_line import progress_bar
 from rig.model.contact_law import DeadZone

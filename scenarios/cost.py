@@ -21,8 +21,8 @@ from rich.table import Table
 from scipy.fft import rfft
 from threadpoolctl import threadpool_limits
 
-from identify.contact import identify_contact
-from identify.contact.estimates import find_contacts
+from identify.contacts import identify_contact
+from identify.contacts.estimates import find_contacts
 from identify.paper.nifo import nifo
 from identify.paper.surface import fit_surface
 from identify.signals.kinematics import kinematics

@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
-from identify.contact.estimates import Contacts, find_contacts
-from identify.contact.joint import Joint
+from identify.contacts.estimates import Contacts, find_contacts
+from identify.contacts.joint import Joint
 from identify.signals.tolerances import jittered
 from rig.commands.command_line import run
 from rig.model.contact_law import DeadZone

@@ -21,15 +21,15 @@ from msgspec.structs import replace
 from rich.console import Console
 from rich.table import Table
 
-from identify.gap.decision.causes import ALIKE
-from identify.gap.decision.comparison import TEMPERATURE
-from identify.gap.decision.experiment import Experiment, begun_on, experiments, next_experiments, refitted
-from identify.gap.residual.residual import base_of, residual_of
-from identify.gap.residual.spectra import Record, record_of
-from identify.gap.results import AGAIN, NextExperiment
-from identify.gap.search.candidates import candidates, scale_of
-from identify.gap.search.hypothesis import Hypothesis, Search
-from identify.gap.search.screening import grid_screening, score_screening
+from identify.gaps.decision.causes import ALIKE
+from identify.gaps.decision.comparison import TEMPERATURE
+from identify.gaps.decision.experiment import Experiment, begun_on, experiments, next_experiments, refitted
+from identify.gaps.residual.residual import base_of, residual_of
+from identify.gaps.residual.spectra import Record, record_of
+from identify.gaps.results import AGAIN, NextExperiment
+from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.hypothesis import Hypothesis, Search
+from identify.gaps.search.screening import grid_screening, score_screening
 from identify.signals.spectra import force_band
 from rig.commands.command_line import run
 from rig.errors import RigError

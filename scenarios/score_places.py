@@ -2,7 +2,7 @@
 
 import re
 
-from identify.gap.results import Cause, Unknown
+from identify.gaps.results import Cause, Unknown
 from scenarios.worlds.truth import EffectTruth, Expected
 
 FIELDS = ("contact", "body", "beam", "sensor", "side")

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 from scipy.stats import binomtest
 
-from identify.gap.results import Gap
+from identify.gaps.results import Gap
 from scenarios.blind_diagnosis import Found
 from scenarios.score_places import description_right, place_fields, place_right
 from scenarios.true_effect import Best, named_now

@@ -19,8 +19,8 @@ from rich.table import Table
 from scipy.optimize import least_squares
 from scipy.signal import welch
 
-from identify.gap.decision.answer import Simulator, diagnose
-from identify.gap.page.report import write_all
+from identify.gaps.decision.answer import Simulator, diagnose
+from identify.gaps.page.report import write_all
 from identify.signals.kinematics import kinematics
 from identify.signals.spectra import force_band
 from rig.commands.command_line import Force, progress_bar, refuse_existing, run

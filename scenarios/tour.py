@@ -10,8 +10,8 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from identify.contact import identify_contact
-from identify.gap.decision.answer import Simulator, diagnose
+from identify.contacts import identify_contact
+from identify.gaps.decision.answer import Simulator, diagnose
 from rig.commands.command_line import progress_bar, run
 from rig.effects.added_mass import AddedMass
 from rig.files import write_bytes

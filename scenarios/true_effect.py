@@ -7,14 +7,14 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from identify.gap.decision.comparison import TEMPERATURE, closed, left_without, log_prior, size
-from identify.gap.decision.recordings import sound
-from identify.gap.residual.likelihood import Misfit, Reference, misfit, reference_of
-from identify.gap.residual.residual import base_of
-from identify.gap.residual.spectra import Record, record_of
-from identify.gap.results import Matters
-from identify.gap.search.candidates import candidates, scale_of
-from identify.gap.search.nominal import fit_nuisance
+from identify.gaps.decision.comparison import TEMPERATURE, closed, left_without, log_prior, size
+from identify.gaps.decision.recordings import sound
+from identify.gaps.residual.likelihood import Misfit, Reference, misfit, reference_of
+from identify.gaps.residual.residual import base_of
+from identify.gaps.residual.spectra import Record, record_of
+from identify.gaps.results import Matters
+from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.nominal import fit_nuisance
 from rig.effects import effect_named
 from rig.model.description import Rig
 from rig.model.tolerances import LABORATORY, Tolerances

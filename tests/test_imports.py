@@ -31,7 +31,12 @@ def test_the_contracts_on_imports_hold():
         ("rig", ("rig.viewer.blueprint", "rig.viewer.contact_view", "rig.viewer.drawing", "rig.viewer.viewing")),
         (
             "identify",
-            ("identify.pages.style", "identify.contact.figures", "identify.law.figures", "identify.gap.page.pictures"),
+            (
+                "identify.pages.style",
+                "identify.contacts.figures",
+                "identify.laws.figures",
+                "identify.gaps.page.pictures",
+            ),
         ),
     ],
 )

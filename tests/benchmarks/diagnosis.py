@@ -14,8 +14,8 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from identify.gap.decision.answer import Simulator, diagnose
-from identify.gap.decision.null_reference import null_reference
+from identify.gaps.decision.answer import Simulator, diagnose
+from identify.gaps.decision.null_reference import null_reference
 from rig.effects import effect_named
 from rig.model.tolerances import LABORATORY
 from rig.recording import Recording

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from identify import cli
-from identify.contact.results import ContactReport, Stretches
+from identify.contacts.results import ContactReport, Stretches
 from rig.simulation.reference import Sdof
 
 

@@ -4,11 +4,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from identify.contact import identify_contact
-from identify.gap.residual.linear import linear_model
-from identify.gap.residual.nuisance import columns_of
-from identify.gap.residual.spectra import record_of
-from identify.gap.search.candidates import candidates
+from identify.contacts import identify_contact
+from identify.gaps.residual.linear import linear_model
+from identify.gaps.residual.nuisance import columns_of
+from identify.gaps.residual.spectra import record_of
+from identify.gaps.search.candidates import candidates
 from identify.signals.tolerances import jittered
 from rig.effects.base import Scale
 from rig.errors import RigError

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from identify.gap.results import Attribution, Cause, Gap, Left, Matters, Unknown, Value
+from identify.gaps.results import Attribution, Cause, Gap, Left, Matters, Unknown, Value
 from scenarios.blind_diagnosis import Found
 from scenarios.scoreboard import Compared
 from scenarios.true_effect import Best, Effect

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from identify.gap.decision.comparison import PRIOR_NOTHING, PRIOR_UNKNOWN
-from identify.gap.decision.verdict import UNKNOWN_PLACES
-from identify.gap.results import Left, Matters
+from identify.gaps.decision.comparison import PRIOR_NOTHING, PRIOR_UNKNOWN
+from identify.gaps.decision.verdict import UNKNOWN_PLACES
+from identify.gaps.results import Left, Matters
 from scenarios.calibration import (
     Hypotheses,
     brier,

@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from identify.contact.results import ContactReport
+from identify.contacts.results import ContactReport
 from rig.recording import read
 from rig.simulation.plants import modal
 from rig.simulation.record import record

@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 from rich.console import Console
 
-from identify.gap.results import Value
+from identify.gaps.results import Value
 from scenarios.score_figures import drawn
 from scenarios.score_places import description_right, place_right
 from scenarios.score_table import limits_told, shown

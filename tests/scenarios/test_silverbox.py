@@ -12,7 +12,7 @@ import pytest
 from msgspec.structs import replace
 from typer.testing import CliRunner
 
-from identify.gap.decision.answer import Simulator, diagnose
+from identify.gaps.decision.answer import Simulator, diagnose
 from rig.errors import RigError
 from rig.model.description import PointSpring
 from rig.simulation.excitation import BandLimitedGaussian, force_history

@@ -1,4 +1,4 @@
-"""How a rig is simulated: one protocol (`rig.simulation.motion.Plant`), several engines, imported when they are asked for."""
+"""How a rig is simulated: one protocol (`rig.simulation.motion.Plant`), several engines, imported when asked for."""
 
 from importlib import import_module
 

@@ -1,5 +1,0 @@
-"""Clearance, stiffness and damping of every contact of a rig, from a recording of its motion."""
-
-from identify.contact.identification import Identification, identify_contact
-
-__all__ = ["Identification", "identify_contact"]

@@ -1,0 +1,106 @@
+"""What an identification took for granted, and what would make its answer surer, in sentences."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from identify.contacts.identification import Identification
+from identify.contacts.joint import Joint
+from identify.pages.wording import percent
+from rig.model.description import Station
+from rig.model.tolerances import EXACT
+
+QUIET_S = 0.3
+"""A record whose force begins earlier does not tell its noise."""
+HEAVY = 0.5
+"""A source of error is named that makes at least this share of an estimate's variance."""
+_REMEDY = {
+    "tolerances": "what rig.json may have wrong (gains, positions, frequencies, damping): calibrate the sensors, "
+    "measure their positions and fit the modes; a longer record would not help",
+    "drift": "the slow motion that accelerometers miss: add displacement sensors at the contact, or take quieter "
+    "accelerometers",
+    "scatter": "the record's own scatter: record longer (four times as long halves it) or excite more strongly",
+}
+
+
+def assumed(found: Identification) -> Iterator[str]:
+    """The law's form, the sensors and bands used, and what of rig.json was believed how exactly."""
+    report, motion, rig, believed = found.report, found.motion, found.rig, found.tolerances
+    yield (
+        "The contact law: no force within the gap; beyond it stiffness times penetration plus damping times relative "
+        "velocity. Both stops of a contact are equally stiff, and nothing wears during the record."
+    )
+    yield (
+        "The bodies are those of rig.json, linear: "
+        + "; ".join(
+            f"{b.name}, {_frequencies(b.frequencies_hz(4 + b.rigid_modes if b.length_m else 1))}" for b in rig.bodies
+        )
+        + "."
+    )
+    if believed != EXACT:
+        yield (
+            "Tolerances of rig.json, as standard deviations: sensor gains "
+            f"{100 * believed.gain:.2g} %, sensor positions {1e3 * believed.position_m:.2g} mm, natural frequencies "
+            f"{100 * believed.frequency:.2g} %, damping {100 * believed.damping:.2g} %."
+        )
+    else:
+        yield "rig.json is believed exactly: no tolerance of gains, positions, frequencies or damping."
+    places = "; ".join(_places(body.name, motion.stations) for body in rig.bodies)
+    yield f"Stations used: {places}. Channels: {', '.join(report.channels_used)}."
+    if idle := [s.name for s in rig.sensors if s.name not in report.channels_used]:
+        yield f"Channels not used: {', '.join(idle)}."
+    low, high = report.trusted_hz
+    yield (
+        f"Frequencies: the motion is trusted from {low:g} to {high:.4g} Hz, the contact forces are separated up to "
+        f"{motion.sample_rate_hz / 2 / found.separated.factor:.4g} Hz"
+        + (", and the slow motion below is solved for within the noise of the accelerometers." if low else ".")
+    )
+    if not all(isinstance(a, Joint) and a.sides_known for a in found.answers):
+        yield "The zero of the relative displacement is not known: the two stops stand equally far from it."
+
+
+def surer(found: Identification) -> Iterator[str]:
+    """Per source of error the estimates that it rules, and what would lessen it; then what else would help."""
+    for silent in found.report.unanswered:
+        yield f"{silent.name}: {silent.reason.rpartition('; ')[2]}."  # a reason ends with what to do
+    ruled: dict[str, list[str]] = {}
+    for contact, answer in zip(found.rig.contacts, found.answers, strict=True):
+        if isinstance(answer, Joint):
+            for quantity, shares in variance_shares(answer).items():
+                for source, share in shares.items():
+                    if share >= HEAVY:
+                        ruled.setdefault(source, []).append(f"{contact.name}'s {quantity} ({percent(share)})")
+    for source, estimates in ruled.items():
+        yield f"Most of the variance of {_joined(estimates)} comes from {_REMEDY[source]}."
+    if any(isinstance(a, Joint) and not a.sides_known for a in found.answers):
+        yield (
+            "Only half the total play can be told: displacement sensors that show a standing displacement too, at both "
+            "sides of a contact, would tell its two sides apart."
+        )
+    if found.motion.excited_from < QUIET_S * found.motion.sample_rate_hz:
+        yield "Let the record begin with a second or more without force: the sensors' noise is taken from it."
+    yield "These intervals believe in the linear bodies of rig.json: identify gap asks whether they are right."
+
+
+def variance_shares(answer: Joint) -> dict[str, dict[str, float]]:
+    """Of the clearance and the stiffness, the shares of their variance by source; each sums to one."""
+    parts = {"tolerances": answer.of_tolerances, "drift": answer.of_drift}
+    half = np.array([0.5, 0.5, 0.0, 0.0])
+    found = {}
+    for quantity, along in (("clearance", half), ("stiffness", np.eye(4)[2])):
+        whole = float(along @ answer.covariance @ along)
+        shares = {source: float(along @ part @ along) / whole for source, part in parts.items()} if whole > 0 else {}
+        found[quantity] = shares | {"scatter": 1.0 - sum(shares.values())}
+    return found
+
+
+def _places(body: str, stations: tuple[Station, ...]) -> str:
+    return f"{body} at " + ", ".join(f"{s.position_m:g}" for s in stations if s.body == body) + " m"
+
+
+def _frequencies(hz: np.ndarray) -> str:
+    return ", ".join(f"{f:.4g}" for f in hz if f > 0) + " Hz"
+
+
+def _joined(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

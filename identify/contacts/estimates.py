@@ -1,0 +1,172 @@
+"""The answers: contact forces separated without a law, then each contact fitted together with its drift."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from identify.contacts.forces import RING_S, ContactForces, separated_forces
+from identify.contacts.joint import Joint, Observed, fit_joint
+from identify.signals.drift import KNOT_S, Drift
+from identify.signals.kinematics import Kinematics, Use, acceleration_noise, kinematics
+from identify.signals.spectra import decimated, force_band
+from identify.structure.modal import relative_displacements, relative_velocities
+from rig.errors import RigError
+from rig.model.description import ForceSensor, Rig, Station, contact_stations
+from rig.model.tolerances import Tolerances
+from rig.recording import Recording
+
+SEPARATED_TO = 4.0
+"""Contact forces are separated up to this multiple of the force's highest frequency."""
+LOOSE = 0.1
+"""An estimate whose standard error is a larger share of it is no answer."""
+QUIETEST = 1e-5
+"""No accelerometer is believed to be quieter, m/s^2/sqrt(Hz): then other errors than noise make the drift."""
+
+Answer = Joint | str
+"""What is known of a contact, or why nothing is."""
+ROUNDING = 1e-7
+"""No contact force is believed to be quieter, of the exciting force: what a record without noise leaves is rounding."""
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """What was found of every contact of a recording, and from what."""
+
+    rig: Rig
+    motion: Kinematics
+    separated: ContactForces
+    observed: tuple[Observed, ...]
+    answers: tuple[Answer, ...]
+
+
+def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Contacts:
+    """Clearance, stiffness and damping of every contact, or the reason why the record does not tell them.
+
+    Of a stretch of a longer record the first seconds, in which the beams ring of what was before, tell nothing.
+
+    Raises RigError if the record allows nothing: too short, too few stations, no force, no contacts described.
+    """
+    rig = recording.rig
+    if not rig.contacts:
+        raise RigError(f"rig {rig.name!r} has no contacts; describe them in rig.json")
+    _check_known(rig)
+    motion = kinematics(recording, use)
+    high_hz = force_band(motion.force_n, motion.sample_rate_hz)[1]
+    factor = max(1, int(motion.sample_rate_hz / 2 / min(SEPARATED_TO * high_hz, motion.trusted_hz[1])))
+    noise = acceleration_noise(motion, rig)
+    separated = separated_forces(rig, motion, factor, noise, tolerances)
+    if recording.start_s > 0:
+        fewer = round(RING_S * motion.sample_rate_hz / factor)
+        motion, separated = motion.part(slice(fewer * factor, None)), separated.after(fewer)
+    observed = _observed(rig, motion, noise, separated, tolerances)
+    answers = tuple(_answer(o, separated, j) for j, o in enumerate(observed))
+    return Contacts(rig, motion, separated, tuple(observed), answers)
+
+
+def _check_known(rig: Rig) -> None:
+    """Raises RigError if the description holds something that the linear model of the identification leaves out."""
+    for what in ("masses", "springs", "clamps", "loads", "base_motion", "force_sensor", "dampers", "tones"):
+        if getattr(rig, what) not in ((), None, ForceSensor()):
+            raise RigError(
+                f"rig.json of {rig.name!r} has {what}, which the identification does not know; it takes beams, "
+                "structures or one mass on a spring, without attachments"
+            )
+
+
+def _observed(
+    rig: Rig,
+    motion: Kinematics,
+    noise: Float[np.ndarray, " stations"],
+    separated: ContactForces,
+    tolerances: Tolerances,
+) -> list[Observed]:
+    samples = separated.force_n.shape[1] * separated.factor
+    samples = min(samples, motion.force_n.size)
+    eta, velocity = relative_displacements(rig, motion), relative_velocities(rig, motion)
+    found = []
+    quiet = separated.force_n[:, : motion.excited_from // separated.factor]
+    quiet_n = quiet.std(axis=1) if quiet.shape[1] else np.zeros(len(rig.contacts))
+    quiet_n = np.maximum(quiet_n, ROUNDING * motion.force_n.std())
+    for j in range(len(rig.contacts)):
+        found.append(
+            Observed(
+                eta_m=eta[j, :samples],
+                velocity_m_per_s=velocity[j, :samples],
+                sample_rate_hz=motion.sample_rate_hz,
+                force_n=separated.force_n[j],
+                factor=separated.factor,
+                quiet_n=float(quiet_n[j]),
+                drift=drift_of(rig, motion, j, noise, tolerances, separated.spring_n_per_m, samples),
+            )
+        )
+    return found
+
+
+def drift_of(
+    rig: Rig,
+    motion: Kinematics,
+    contact: int,
+    noise: Float[np.ndarray, " stations"],
+    tolerances: Tolerances,
+    spring_n_per_m: float,
+    samples: int,
+) -> Drift | None:
+    """What is known of the slow part of a contact's relative displacement; None where nothing of it is lost.
+
+    Raises RigError if no sensor stands at the contact.
+    """
+    if motion.zero_known:
+        return None
+    stations = contact_stations(rig.contacts[contact])
+    missing = [s for s in stations if motion.row(s) is None]
+    if missing:
+        raise RigError(
+            f"contact {rig.contacts[contact].name!r} has no sensor at {missing[0].position_m} m of "
+            f"{missing[0].body!r}; its drift cannot be told: put an accelerometer there"
+        )
+    slow = [motion.lost_m_per_s2[motion.stations.index(s)] for s in stations]
+    densities = [_density(motion, s, noise, tolerances) for s in stations]
+    return Drift(
+        acceleration_m_per_s2=(slow[0] - (slow[1] if len(slow) > 1 else 0.0))[:samples],
+        noise_density=max(float(np.hypot.reduce(densities)), QUIETEST),
+        spring_n_per_m=spring_n_per_m,
+    )
+
+
+def _density(
+    motion: Kinematics, station: Station, noise: Float[np.ndarray, " stations"], tolerances: Tolerances
+) -> float:
+    """One-sided density of a station's acceleration error where the drift follows it, m/s^2/sqrt(Hz).
+
+    The sensor's noise, and what the tolerances of its gain and of its position make of the slow acceleration there.
+    """
+    row = motion.stations.index(station)
+    own = [i for i, s in enumerate(motion.stations) if s.body == station.body]
+    own.sort(key=lambda i: motion.stations[i].position_m)
+    acceleration = motion.acceleration_m_per_s2[own]
+    followed_hz = 0.5 / KNOT_S
+    factor = max(1, int(motion.sample_rate_hz / (2 * followed_hz)))
+    slow = decimated(acceleration, factor)
+    error = tolerances.gain**2 * np.mean(slow[own.index(row)] ** 2)
+    if len(own) > 1:
+        slope = np.gradient(slow, [motion.stations[i].position_m for i in own], axis=0)[own.index(row)]
+        error += tolerances.position_m**2 * np.mean(slope**2)
+    return float(np.sqrt(2 * noise[row] ** 2 / motion.sample_rate_hz + error / followed_hz))
+
+
+def _answer(observed: Observed, separated: ContactForces, contact: int) -> Answer:
+    """The joint estimate, or the reason why there is none."""
+    samples = observed.eta_m.size
+    try:
+        found = fit_joint(observed, [(force[contact], eta[contact, :samples]) for force, eta in separated.doubts])
+    except RigError as error:
+        return str(error)
+    for what, value, error_of in (
+        ("clearance", found.clearance_m, found.clearance_error_m),
+        ("stiffness", found.parameters[2], np.sqrt(found.covariance[2, 2])),
+    ):
+        if not error_of < LOOSE * value:
+            share = 100 * error_of / max(value, 1e-12)
+            return f"its {what} is uncertain by {min(share, 100):.0f} % or more; record longer or change the force"
+    return found

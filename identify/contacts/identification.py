@@ -1,0 +1,165 @@
+"""The identification of the contacts: separated forces, joint estimate, and the paper's surface and NIFO beside it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from identify.contacts.estimates import Answer, find_contacts
+from identify.contacts.forces import ContactForces
+from identify.contacts.joint import Joint, Observed, law_force_n
+from identify.contacts.results import ContactReport
+from identify.contacts.summary import contact_report
+from identify.paper.nifo import Nifo, nifo
+from identify.paper.surface import Stops, Surface, clearance_from_occurrence, fit_surface
+from identify.signals.kinematics import Kinematics, Use
+from identify.signals.spectra import Averaging, blocks, force_band, penetration
+from identify.structure.modal import modal_equations, transformation, without_higher_modes
+from rig.errors import RigError
+from rig.model.description import Rig
+from rig.model.tolerances import LABORATORY, Tolerances
+from rig.recording import Recording
+
+LOWEST_HZ = 0.5
+"""Lines below are not looked at: a free body's response there is drift."""
+CLEAR_OF_CORNER = 4.0
+"""NIFO on integrated accelerations begins at this multiple of the corner, clear of what the blocks leak over it."""
+EQUATIONS = 4
+
+
+@dataclass(frozen=True)
+class Identification:
+    """The report, and what it was drawn from, for figures and for further work.
+
+    eta_m is complete with its drift; answers has one entry a contact.
+    """
+
+    report: ContactReport
+    rig: Rig
+    motion: Kinematics
+    eta_m: Float[np.ndarray, "contacts samples"]
+    separated: ContactForces
+    answers: tuple[Answer, ...]
+    surface: Surface
+    weak: Nifo
+    paper: Nifo
+    tolerances: Tolerances
+
+    @property
+    def stops(self) -> tuple[Stops | None, ...]:
+        return tuple(_stops(a) for a in self.answers)
+
+
+def identify_contact(
+    recording: Recording,
+    *,
+    use: Use = "auto",
+    averaging: Averaging | None = None,
+    equation: str | None = None,
+    tolerances: Tolerances | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> Identification:
+    """Clearance, stiffness and damping of every contact of a recording's rig.
+
+    The contact forces are separated without a law, then each is fitted together with the slow drift of its relative
+    displacement: these are the answers. With the law found, the modes beyond the fitted ones are taken off the
+    motion, and the paper's methods are applied to every modal equation: the restoring force surface and NIFO. The main
+    equation, which the figures show, is the one whose stiffness varies least over frequency, unless it is named
+    ("barrel 3").
+
+    Raises RigError if the record does not allow it: too short, too few stations, no force.
+    """
+    averaging = averaging or Averaging()
+    names = [f"{recording.rig.force_at.body} {i}" for i in range(1, EQUATIONS + 1)]
+    if equation not in (None, *names):
+        raise RigError(f"no modal equation {equation!r} with a measured force; there are {', '.join(names)}")
+    found = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY)
+    progress(0.5)
+    rig, motion, answers = found.rig, found.motion, found.answers
+    low, high = force_band(motion.force_n, motion.sample_rate_hz)
+    band = averaging.band_hz or (
+        max(low, CLEAR_OF_CORNER * motion.trusted_hz[0], LOWEST_HZ),
+        min(high, motion.trusted_hz[1]),
+    )
+    eta, force, depth = _with_law(found.observed, answers)
+    samples = eta.shape[1]
+    cleaned = without_higher_modes(rig, motion.part(slice(samples)), force)
+    eta, depth = eta[:, : cleaned.force_n.size], depth[:, : cleaned.force_n.size]
+    stops = tuple(_stops(a) for a in answers)
+    cut = blocks(cleaned.force_n.size, motion.sample_rate_hz, averaging, band)
+    equations = [e for body in rig.bodies for e in modal_equations(rig, cleaned, body, EQUATIONS)]
+    spectra = [nifo(e, cleaned.force_n, depth, cut) for e in equations if e.shape_at_force != 0]
+    progress(0.7)
+    coarse = _decimation(rig, motion)
+    surfaces = [fit_surface(e, cleaned.force_n, eta, coarse, stops) for e in equations]
+    progress(0.95)
+    weak = _main(spectra, equation)
+    return Identification(
+        report=contact_report(
+            rig,
+            motion,
+            answers=answers,
+            transformations=[transformation(rig, body, motion) for body in rig.bodies],
+            surfaces=surfaces,
+            occurrence=[
+                None if s is None else clearance_from_occurrence(e[motion.excited_from :])
+                for e, s in zip(eta, stops, strict=True)
+            ],
+            weak=weak,
+            spectra=spectra,
+        ),
+        rig=rig,
+        motion=cleaned,
+        eta_m=eta,
+        separated=found.separated,
+        answers=answers,
+        surface=next(s for s in surfaces if s.equation.name == weak.equation.name),
+        weak=weak,
+        paper=nifo(weak.equation, cleaned.force_n, depth, cut, "paper"),
+        tolerances=tolerances or rig.tolerances or LABORATORY,
+    )
+
+
+def _with_law(
+    observed: tuple[Observed, ...], answers: tuple[Answer, ...]
+) -> tuple[
+    Float[np.ndarray, "contacts samples"], Float[np.ndarray, "contacts samples"], Float[np.ndarray, "contacts samples"]
+]:
+    """Relative displacement with its drift; contact force and penetration by the law found, zero where none was."""
+    eta = np.stack([o.eta_m for o in observed])
+    force, depth = np.zeros_like(eta), np.zeros_like(eta)
+    for j, (seen, found) in enumerate(zip(observed, answers, strict=True)):
+        if isinstance(found, Joint):
+            lower, upper = (float(p) for p in found.parameters[:2])
+            eta[j] += found.drift_m
+            depth[j] = penetration(eta[j], lower, upper)
+            velocity = seen.velocity_m_per_s + found.drift_m_per_s
+            force[j] = law_force_n(found.parameters, eta[j], velocity)
+    return eta, force, depth
+
+
+def _stops(found: Answer) -> Stops | None:
+    if not isinstance(found, Joint):
+        return None
+    errors = np.sqrt(np.diag(found.covariance))
+    return Stops(*(float(x) for x in (*found.parameters[:2], *errors[:2], found.clearance_error_m)))
+
+
+def _decimation(rig: Rig, motion: Kinematics) -> int:
+    """So that a surface is fitted below four fifths of the first frequency that the stations cannot resolve."""
+    limits = [motion.trusted_hz[1]]
+    for body in rig.bodies:
+        stations = sum(s.body == body.name for s in motion.stations)
+        if body.length_m > 0 and stations < body.most_modes:
+            limits.append(0.8 * float(body.frequencies_hz(stations + 1)[-1]))
+    return max(1, int(motion.sample_rate_hz / 2 / min(limits)))
+
+
+def _main(spectra: list[Nifo], wanted: str | None) -> Nifo:
+    """The equation that is wanted, or the one with the least spread of the stiffnesses over frequency."""
+
+    def spread(result: Nifo) -> tuple[int, float]:
+        return -len(result.contacts), float(np.max(result.spread_n_per_m / np.abs(result.mean_n_per_m), initial=0.0))
+
+    return min((n for n in spectra if wanted in (None, n.equation.name)), key=spread)

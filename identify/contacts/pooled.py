@@ -1,0 +1,104 @@
+"""A record of any length, identified stretch by stretch, and what the stretches say together."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from identify.contacts.forces import RING_S
+from identify.contacts.identification import identify_contact
+from identify.contacts.results import ContactReport, Estimate, Stretch
+from identify.signals.kinematics import Use
+from identify.signals.spectra import Averaging
+from rig.errors import RigError
+from rig.model.tolerances import Tolerances
+from rig.recording.stretches import stretches
+
+LARGE_BYTES = 1 << 30
+"""Files of more are identified stretch by stretch, ..."""
+STRETCH_S = 40.0
+"""... of this length, which takes less memory than that."""
+SHORTEST_S = 10.0
+NAMES = ("name", "contact", "equation", "body", "beam", "index")
+"""The fields by which what belongs together is found."""
+
+
+def identify_long(
+    path: Path,
+    *,
+    stretch_s: float = STRETCH_S,
+    use: Use = "auto",
+    averaging: Averaging | None = None,
+    equation: str | None = None,
+    tolerances: Tolerances | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> tuple[ContactReport, tuple[Stretch, ...]]:
+    """As `identify_contact`, of a recording that need not fit into memory: pooled, and from every stretch by itself.
+
+    A stretch is read with the seconds before it in which the beams ring of what was earlier. One that allows no
+    identification is left out. Raises RigError if none does, or the recording cannot be read.
+    """
+    if not SHORTEST_S <= stretch_s < np.inf:
+        raise RigError(f"stretches of {stretch_s:g} s: give {SHORTEST_S:g} s or more, of which contacts can be told")
+    found: list[Stretch] = []
+    why = ""
+    size = path.stat().st_size if path.exists() else 0
+    for part in stretches(path, stretch_s + RING_S, RING_S):
+        try:
+            report = identify_contact(
+                part, use=use, averaging=averaging, equation=equation, tolerances=tolerances
+            ).report
+            found.append(Stretch(part.start_s + (RING_S if part.start_s else 0.0), part.end_s, report))
+        except RigError as error:
+            why = str(error)
+        rows = sum(len(s.channels.names) for s in part.signals.values())
+        progress(min(1.0, 8 * rows * part.end_s * part.rig.sample_rate_hz / size))
+    if not found:
+        raise RigError(f"{path}: no stretch of {stretch_s:g} s can be identified ({why})")
+    return together([s.report for s in found]), tuple(found)
+
+
+def together(reports: Sequence[ContactReport]) -> ContactReport:
+    """One report of several of the same rig: estimates pooled, figures without an error averaged, averages added."""
+    merged = _merged([msgspec.to_builtins(r) for r in reports])
+    answered = {c["name"] for c in merged["contacts"]}
+    merged["unanswered"] = [u for u in merged["unanswered"] if u["name"] not in answered]
+    merged["main_equation"] = max((r.main_equation for r in reports), key=[r.main_equation for r in reports].count)
+    return msgspec.convert(merged, ContactReport)
+
+
+def pooled(estimates: Sequence[Estimate]) -> Estimate:
+    """The mean of estimates x_i from stretches, weighted by their standard errors s_i.
+
+    They share what is in doubt about the rig, and differ by noise and chance: their scatter v about the mean goes down
+    with their number n, the rest of their variance does not: error^2 = v / n + mean of s_i^2 - v (1 - sqrt(2 / n)),
+    with v taken lower in the rest by as much as it is uncertain, and the rest not below zero. Weighted, n is
+    1 / sum of w_i^2 and v = n / (n - 1) sum of w_i (x_i - mean)^2. No mean is less certain than one of them unless they
+    scatter more than they should.
+    """
+    values, errors = np.array([(e.value, e.standard_error) for e in estimates]).T
+    if len(estimates) == 1 or not np.all(errors > 0):
+        return Estimate(float(values.mean()), float(errors.max()))
+    weights = errors**-2 / np.sum(errors**-2)
+    mean, count, single = weights @ values, 1 / (weights @ weights), weights @ errors**2
+    scatter = count / (count - 1) * weights @ (values - mean) ** 2
+    shared = max(0.0, single - scatter * max(0.0, 1 - np.sqrt(2 / count)))
+    return Estimate(float(mean), float(np.sqrt(max(scatter / count, min(scatter / count + shared, single)))))
+
+
+def _merged(parts: Sequence[Any]) -> Any:
+    first = parts[0]
+    if isinstance(first, dict):
+        if first.keys() == {"value", "standard_error"}:
+            return msgspec.to_builtins(pooled([Estimate(**p) for p in parts]))
+        keys = dict.fromkeys(key for p in parts for key in p)
+        merged = {key: _merged([p[key] for p in parts if key in p]) for key in keys}
+        return merged | ({"averages": sum(p["averages"] for p in parts)} if "averages" in first else {})
+    if isinstance(first, list | tuple) and any(isinstance(item, dict) for p in parts for item in p):
+        alike: dict[tuple[Any, ...], list[Any]] = {}
+        for item in (item for p in parts for item in p):
+            alike.setdefault(tuple(item.get(name) for name in NAMES), []).append(item)
+        return [_merged(items) for items in alike.values()]
+    return float(np.mean(parts)) if isinstance(first, float) else first

@@ -1,0 +1,154 @@
+"""The results of an identification on disk: contact.json, the figures, and contact.html, a page that stands alone."""
+
+from collections.abc import Iterator, Mapping
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from identify.contacts.advice import assumed, surer
+from identify.contacts.identification import Identification
+from identify.contacts.results import ContactEstimate, Estimate
+from identify.pages import page
+from identify.pages.wording import interval, number
+from rig.files import write_json
+from rig.model.contact_law import DeadZone
+
+_CAPTIONS = {
+    "separated": "The contact forces over the relative displacements, separated without assuming a law, and the law "
+    "found.",
+    "occurrence": "The relative displacements, and how often each occurs. The stops stand where it piles up.",
+    "section": "What the main modal equation leaves for each contact, over its relative displacement.",
+    "surface": "The restoring force surface of the main modal equation.",
+    "stiffness": "The contact stiffness by NIFO over frequency, and its deviation from what is drawn dotted.",
+    "frf": "The linear FRF that NIFO finds beside the contacts, and that of rig.json.",
+    "outputs": "The main modal coordinate as measured, and as it would be without contacts.",
+}
+Laws = Mapping[str, DeadZone]
+
+
+def write_results(found: Identification, out: Path, title: str, laws: Laws, laws_name: str) -> None:
+    """Writes contact.html, the figures and, last of all, contact.json.
+
+    `laws` has for every contact what stands beside the identified values, and `laws_name` says what they are: the true
+    ones where they are known, else those of rig.json.
+    """
+    from identify.contacts.figures import write_figures
+
+    out.mkdir(parents=True, exist_ok=True)
+    marks = {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in laws.items()}
+    figures = {path.stem: path.read_bytes() for path in write_figures(found, out, marks, laws_name)}
+    write_page(found, figures, title, laws, laws_name, out / "contact.html")
+    write_json(found.report, out / "contact.json")
+
+
+def write_page(
+    found: Identification, figures: Mapping[str, bytes], title: str, laws: Laws, laws_name: str, path: Path
+) -> None:
+    """Writes the page; figures are PNG files, by the names of `identify.contacts.figures`."""
+    report = found.report
+    told, count = len(report.contacts), len(found.answers)
+    page.write(
+        path,
+        title=title,
+        colour="green" if told == count else "yellow" if told else "red",
+        verdict="identified" if told == count else f"{told} of {count} contacts identified",
+        sentence=_sentence(found),
+        sections=[
+            ("What was found", _values(found, laws, laws_name)),
+            *([("What was refused", _refused(found))] if report.unanswered else []),
+            ("What would make it surer", page.listed(surer(found))),
+            ("What was assumed", page.listed(assumed(found))),
+            ("Figures", "".join(_figure(n, figures[n]) for n in _CAPTIONS if n in figures)),
+            ("Beside it: the paper's methods", _methods(found)),
+        ],
+        foot="Every identified value of this page stands in contact.json, unrounded, with its standard error.",
+    )
+
+
+def _sentence(found: Identification) -> str:
+    contacts = found.report.contacts
+    if not contacts:
+        return "This record tells nothing of the contacts; below stands why, and what to do."
+    return "; ".join(
+        f"{c.name}: clearance {_said(c.clearance_m, 'mm', 1e3)}, stiffness {_said(c.stiffness_n_per_m, 'N/m')}"
+        for c in contacts
+    )
+
+
+def _said(estimate: Estimate, unit: str, scale: float = 1.0) -> str:
+    return interval(scale * estimate.value, scale * estimate.standard_error, unit)
+
+
+def _values(found: Identification, laws: Laws, laws_name: str) -> str:
+    tables = [
+        f"<h3>{escape(c.name)}</h3>" + page.table(("", "identified", laws_name, "differs by"), _rows(c, laws[c.name]))
+        for c in found.report.contacts
+    ]
+    if not tables:
+        return "<p>Nothing.</p>"
+    note = "<p>Value ± 1.96 standard errors: 95 % interval. The clearance is half the total play.</p>"
+    return note + "".join(tables)
+
+
+def _rows(found: ContactEstimate, law: DeadZone) -> Iterator[tuple[str, ...]]:
+    """A row a quantity: what was identified, what stands beside it, and by how much the two differ."""
+    for name, estimate, beside, unit, scale in (
+        ("clearance", found.clearance_m, law.clearance_m, "mm", 1e3),
+        ("lower clearance", found.lower_clearance_m, law.lower_clearance_m, "mm", 1e3),
+        ("upper clearance", found.upper_clearance_m, law.upper_clearance_m, "mm", 1e3),
+        ("stiffness", found.stiffness_n_per_m, law.stiffness_n_per_m, "N/m", 1.0),
+        ("damping", found.damping_n_s_per_m, law.damping_n_s_per_m, "N s/m", 1.0),
+    ):
+        if estimate is not None:
+            off = f"{100 * (estimate.value / beside - 1):+.3f} %" if beside else ""
+            yield f"{name}, {unit}", _said(estimate, "1", scale), number(scale * beside), off
+
+
+def _refused(found: Identification) -> str:
+    return page.table(
+        ("contact", "not told by this record, because"), [(u.name, u.reason) for u in found.report.unanswered]
+    )
+
+
+def _figure(name: str, png: bytes) -> str:
+    return page.figure(name, png, _CAPTIONS[name])
+
+
+def _methods(found: Identification) -> str:
+    """NIFO, surface and occurrence, which the answers above do not rest on."""
+    report = found.report
+    nifo = [
+        (
+            each.equation,
+            s.contact,
+            _said(s.mean_n_per_m, "N/m"),
+            f"{100 * s.rms_spread_n_per_m / abs(s.mean_n_per_m.value):.2g} %",
+            "nearly invisible" if s.contact in each.nearly_invisible else "",
+        )
+        for each in report.nifo
+        for s in each.stiffness
+    ]
+    nifo += [
+        (each.equation, name, "not told", "", "on a node of this mode")
+        for each in report.nifo
+        for name in each.nearly_invisible
+        if name not in {s.contact for s in each.stiffness}
+    ]
+    ways = [(f"surface of {s.equation}", c) for s in report.surface.surfaces for c in s.clearances]
+    ways += [("occurrence", c) for c in report.surface.occurrence]
+    clearances = [(c.contact, way, _said(c.clearance_m, "mm", 1e3)) for way, c in ways]
+    modes = [
+        (f"{m.beam} {m.index}", f"{m.frequency_hz:.3f} Hz", f"{100 * m.damping_ratio:.2f} %") for m in report.modes
+    ]
+    low, high = report.nifo[0].band_hz if report.nifo else (np.nan, np.nan)
+    return (
+        "<p>With the law found, the response of the modes beyond the fitted ones is taken off; then NIFO "
+        f"({low:.3g} to {high:.3g} Hz) and the restoring force surface are applied to every modal equation. Their "
+        "standard errors do not know the tolerances. The figures show "
+        f"{escape(report.main_equation)}.</p><details><summary>All of them</summary>"
+        + page.table(("equation", "contact", "stiffness by NIFO", "rms spread", ""), nifo)
+        + page.table(("contact", "clearance by", "value"), sorted(clearances))
+        + page.table(("mode", "frequency", "damping"), modes)
+        + "</details>"
+    )

@@ -1,0 +1,94 @@
+"""From what the steps of the identification found to the report."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from identify.contacts import results
+from identify.contacts.estimates import Answer
+from identify.contacts.joint import Joint
+from identify.paper.nifo import Nifo, fitted_mode
+from identify.paper.surface import Stops, Surface
+from identify.signals.kinematics import Kinematics
+from identify.structure.modal import NEARLY_INVISIBLE, Transformation
+from rig.model.description import Rig
+
+
+def contact_report(
+    rig: Rig,
+    motion: Kinematics,
+    *,
+    answers: tuple[Answer, ...],
+    transformations: list[Transformation],
+    surfaces: list[Surface],
+    occurrence: list[Stops | None],
+    weak: Nifo,
+    spectra: list[Nifo],
+) -> results.ContactReport:
+    """The report; `weak` belongs to the main equation, `surfaces` and `spectra` to all."""
+    named = [(c.name, a) for c, a in zip(rig.contacts, answers, strict=True)]
+    return results.ContactReport(
+        rig=rig.name,
+        contacts=tuple(_contact(name, a) for name, a in named if isinstance(a, Joint)),
+        unanswered=tuple(results.Unanswered(name, a) for name, a in named if isinstance(a, str)),
+        main_equation=weak.equation.name,
+        modes=_modes(spectra),
+        nifo=tuple(_nifo_result(rig, n) for n in spectra),
+        surface=results.Surfaces(
+            tuple(results.SurfaceResult(s.equation.name, _clearances(rig, s.stops)) for s in surfaces),
+            _clearances(rig, occurrence),
+        ),
+        transformation=tuple(_transformation_result(t) for t in transformations),
+        trusted_hz=motion.trusted_hz,
+        channels_used=("force", *motion.channels),
+    )
+
+
+def _contact(name: str, found: Joint) -> results.ContactEstimate:
+    lower, upper, stiffness, damping = (
+        results.Estimate(float(value), float(error))
+        for value, error in zip(found.parameters, np.sqrt(np.diag(found.covariance)), strict=True)
+    )
+    return results.ContactEstimate(
+        name=name,
+        clearance_m=results.Estimate(found.clearance_m, found.clearance_error_m),
+        stiffness_n_per_m=stiffness,
+        damping_n_s_per_m=damping,
+        lower_clearance_m=lower if found.sides_known else None,
+        upper_clearance_m=upper if found.sides_known else None,
+    )
+
+
+def _modes(spectra: list[Nifo]) -> tuple[results.Mode, ...]:
+    """The elastic modes within the band."""
+    inside = [n for n in spectra if 0 < n.equation.frequency_hz < n.frequency_hz[-1]]
+    return tuple(results.Mode(n.equation.body, n.equation.index, *fitted_mode(n)) for n in inside)
+
+
+def _nifo_result(rig: Rig, found: Nifo) -> results.NifoResult:
+    stiffness = tuple(
+        results.Stiffness(rig.contacts[j].name, results.Estimate(float(mean), float(error)), float(spread))
+        for j, mean, error, spread in zip(
+            found.contacts, found.mean_n_per_m, found.stiffness_error_n_per_m, found.spread_n_per_m, strict=True
+        )
+    )
+    hidden = tuple(
+        c.name for c, share in zip(rig.contacts, found.equation.visibility, strict=True) if share < NEARLY_INVISIBLE
+    )
+    band = (float(found.frequency_hz[0]), float(found.frequency_hz[-1]))
+    return results.NifoResult(found.equation.name, band, found.resolution_hz, found.averages, stiffness, hidden)
+
+
+def _clearances(rig: Rig, stops: Sequence[Stops | None]) -> tuple[results.Clearance, ...]:
+    return tuple(
+        results.Clearance(c.name, results.Estimate(s.clearance_m, s.clearance_error_m))
+        for c, s in zip(rig.contacts, stops, strict=True)
+        if s is not None
+    )
+
+
+def _transformation_result(found: Transformation) -> results.TransformationResult:
+    modes, stations = found.inverse.shape
+    return results.TransformationResult(
+        found.body.name, stations, modes, found.condition, tuple(float(x) for x in found.lost)
+    )

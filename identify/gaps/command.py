@@ -1,0 +1,121 @@
+"""The command `identify gap`."""
+
+import sys
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+from rich.console import Console
+from threadpoolctl import threadpool_limits
+
+from identify.gaps.decision.answer import Simulator, diagnose
+from identify.gaps.results import Matters
+from rig.commands.command_line import Force, Json, progress_bar, refuse_existing
+from rig.errors import RigError
+from rig.model.tolerances import tolerances_named
+from rig.recording import read
+
+SIMULATORS = "identify.simulators"
+"""The entry points by which packages offer simulators."""
+
+
+def gap(
+    real: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Recordings of reality, one or more of one rig; their rig.json is the rig that is believed."
+        ),
+    ],
+    validate: Annotated[
+        Path | None,
+        typer.Option(
+            help="The recording that is not fitted, one of REAL or another; else the last of several, or the last part "
+            "of a single one."
+        ),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for gap.json, gap.html and the corrected rig.json.")] = None,
+    simulator: Annotated[
+        str, typer.Option(help="What simulates the rig: modal, ancf, or one that you installed.")
+    ] = "modal",
+    nulls: Annotated[
+        Path | None,
+        typer.Option(
+            help="File of the null reference, made where it is not there or of another rig; else beside the first REAL."
+        ),
+    ] = None,
+    tolerances: Annotated[
+        str | None,
+        typer.Option(
+            help="How exactly rig.json is believed: laboratory, exact, or a TOML file; else as it says itself."
+        ),
+    ] = None,
+    matters: Annotated[
+        float, typer.Option(min=0.0, help="A gap below this share of the acceleration does not matter, %.")
+    ] = 0.5,
+    matters_contact: Annotated[
+        float, typer.Option(min=0.0, help="... or below this share of every contact force, %.")
+    ] = 3.0,
+    next_experiment: Annotated[
+        bool,
+        typer.Option(
+            "--next-experiment", help="Compute which further recording would tell two causes apart (minutes)."
+        ),
+    ] = False,
+    as_json: Json = False,
+    force: Force = False,
+) -> None:
+    """Where the believed rig differs from reality, which effect causes it, and how far the gap shrinks with it.
+
+    Examples: identify gap monday.mcap --validate tuesday.mcap --out results
+
+    identify gap january.mcap april.mcap july.mcap --out results
+    """
+    if out is not None:
+        refuse_existing(out / "gap.json", force)
+    simulating = simulator_named(simulator)
+    believed = tolerances_named(tolerances) if tolerances else None
+    recordings = {path.resolve(): read(path) for path in real}
+    if len(recordings) < len(real):
+        raise RigError("a recording is given twice; give each once")
+    validation = None if validate is None else recordings.get(validate.resolve()) or read(validate)
+    name = next(iter(recordings.values())).rig.name
+    kept = nulls or real[0].with_name(f"{name}-{simulator}.nulls.json")
+    stages = {"nulls": (0.0, 0.6), "causes": (0.6, 0.4)}
+    title = ", ".join(path.name for path in real)
+    with progress_bar(f"diagnosing {title}") as progress:
+
+        def show(stage: str, fraction: float) -> None:
+            begin, length = stages[stage]
+            progress(begin + length * fraction)
+
+        with threadpool_limits(1):  # the matrices are small
+            found, corrected = diagnose(
+                list(recordings.values()),
+                validation,
+                simulating,
+                kept,
+                show,
+                believed,
+                Matters(matters / 100, matters_contact / 100),
+                next_experiment,
+            )
+    if out is not None:
+        from identify.gaps.page.report import write_all
+
+        write_all(found, corrected, f"{name}: {title}", out)
+    if as_json:
+        sys.stdout.buffer.write(msgspec.json.encode(found) + b"\n")
+    else:
+        from identify.gaps.page.screen import shown
+
+        Console().print(shown(found))
+
+
+def simulator_named(name: str) -> Simulator:
+    """The simulator that an installed package offers under this name; raises RigError if none does."""
+    offered = {point.name: point for point in entry_points(group=SIMULATORS)}
+    if name not in offered:
+        raise RigError(f"no simulator {name!r}; there are {', '.join(sorted(offered))}")
+    return Simulator(name, offered[name].load())

@@ -1,0 +1,275 @@
+"""What differs between the records of one rig, and what does not.
+
+Tolerances are one draw that all records share; a cause's parameters, and every effect of the library at every place,
+are in turn each record's own. With their values v, covariance C and contrasts A between the records,
+
+    chi2 = (Av)' (A C A')^-1 (Av) / TEMPERATURE
+
+(Wald's test of homogeneity, tempered as hypotheses are). The smallest p-value, times the number of effects looked at
+(Bonferroni), must be below `USUAL`; that effect then stands in the rig with each record's value, and the library is
+looked through once more, and again with what was found second taken first.
+"""
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import chi2
+
+from identify.gaps.decision.comparison import TEMPERATURE, Judged, of_this_record
+from identify.gaps.residual.fit import Values
+from identify.gaps.residual.likelihood import Reference
+from identify.gaps.residual.spectra import Record
+from identify.gaps.results import USUAL, Between, Compared, Trend, Value
+from identify.gaps.search.candidates import Candidate
+from identify.gaps.search.hypothesis import applied, bounds_of, steps_of
+from identify.gaps.search.pooled import Information, Linearised, Pooled, linearised, pooled
+from rig.errors import RigError
+from rig.model.description import Rig
+
+LOOKED_AT = 3
+"""Effects that promise most are fitted to every record."""
+ROUNDS = 2
+"""Linearisations of such a fit."""
+APART = 2.0
+"""Standard errors of its difference by which a value grows or falls from one record to the next."""
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Effects in the rigs of all records: values are each record's, `rigs` what they are put into."""
+
+    rigs: tuple[Rig, ...]
+    parts: tuple[Candidate, ...]
+    values: Float[np.ndarray, "records parameters"]
+
+    def rig(self, record: int) -> Rig:
+        return applied(self.rigs[record], self.parts, self.values[record])
+
+    @property
+    def names(self) -> list[str]:
+        return [p.name for p in self.parts]
+
+    def columns(self, name: str) -> list[int]:
+        """Where the parameters of an effect stand."""
+        part = self.names.index(name)
+        first = sum(len(p.parameters) for p in self.parts[:part])
+        return list(range(first, first + len(self.parts[part].parameters)))
+
+    def strong(self, name: str) -> list[int]:
+        """Those of them that say how much there is of it."""
+        return [self.columns(name)[i] for i in self.parts[self.names.index(name)].strong]
+
+    def with_effect(self, part: Candidate, values: Float[np.ndarray, "records own"]) -> "Standing":
+        """With these values of an effect, which stands there already or comes beside."""
+        if part.name in self.names:
+            return self.put(slice(None), self.columns(part.name), values)
+        return replace(self, parts=(*self.parts, part), values=np.concatenate([self.values, values], axis=1))
+
+    def put(self, record: int | slice, columns: Sequence[int], values: Float[np.ndarray, "*records own"]) -> "Standing":
+        """With other values in some columns of one record, or of all."""
+        every = self.values.copy()
+        every[record, columns] = values
+        return replace(self, values=every)
+
+
+@dataclass(frozen=True)
+class Varied:
+    """Parameters of standing effects, by their columns, that every record may have its own of."""
+
+    standing: Standing
+    columns: list[int]
+
+    @property
+    def own(self) -> Float[np.ndarray, "records varied"]:
+        return self.standing.values[:, self.columns]
+
+    @property
+    def steps(self) -> Values:
+        return steps_of(self.standing.parts)[self.columns]
+
+    @property
+    def bounds(self) -> tuple[Values, Values]:
+        low, high = bounds_of(self.standing.parts)
+        return low[self.columns], high[self.columns]
+
+    def said(self, record: int, looked: Linearised) -> Information:
+        def build(values: Values) -> Rig:
+            return self.standing.put(record, self.columns, values).rig(record)
+
+        return looked.with_parameters(build, self.own[record], self.steps, self.bounds[1])
+
+    def pooled(self, said: Sequence[Information]) -> Pooled:
+        return pooled(said, self.steps, self.bounds, self.own[0], own=True)
+
+    def moved(self, together: Pooled) -> "Varied":
+        """To what the records say, within the bounds."""
+        values = np.clip(together.values.reshape(self.own.shape), *self.bounds)
+        return Varied(self.standing.put(slice(None), self.columns, values), self.columns)
+
+
+@dataclass(frozen=True)
+class Test:
+    """An effect with each record's own strength, fitted: log_p is the logarithm of the p-value of one for all."""
+
+    part: Candidate
+    varied: Varied
+    cost: float
+    log_p: float
+
+    @property
+    def values(self) -> Float[np.ndarray, "records own"]:
+        return self.varied.standing.values[:, self.varied.standing.columns(self.part.name)]
+
+
+@dataclass(frozen=True)
+class _Compared:
+    """What all comparisons of the same records share."""
+
+    records: Sequence[Record]
+    seen: Sequence[Reference]
+    known: Sequence[Candidate]
+
+    def linearised(self, standing: Standing, record: int) -> Linearised:
+        return linearised(self.records[record], self.seen[record], standing.rig(record))
+
+    def screened(self, standing: Standing, found: Sequence[str]) -> list[Test]:
+        """Every effect but those found, linearised, the likeliest first; each at its best place."""
+        tried = [(p, Varied(standing, standing.strong(p.name))) for p in standing.parts if p.name not in found]
+        for part in self.known:
+            for start in part.starts() if part.name not in standing.names else ():
+                there = standing.with_effect(part, np.tile(start, (len(self.records), 1)))
+                tried.append((part, Varied(there, there.strong(part.name))))
+        said: list[list[Information]] = [[] for _ in tried]
+        for k in range(len(self.records)):
+            looked = self.linearised(standing, k)
+            for rows, (_, one) in zip(said, tried, strict=True):
+                with suppress(RigError):
+                    rows.append(one.said(k, looked))
+        best: dict[str, Test] = {}
+        for rows, (part, one) in zip(said, tried, strict=True):
+            if len(rows) == len(self.records):
+                together = one.pooled(rows)
+                if part.name not in best or together.cost < best[part.name].cost:
+                    best[part.name] = Test(part, one.moved(together), together.cost, _log_p(together, one.own.shape))
+        return sorted(best.values(), key=lambda t: t.cost)
+
+    def fitted(self, one: Varied) -> tuple[Varied, Pooled]:
+        """Each record's own values, linearised about themselves."""
+        for _ in range(ROUNDS):
+            said = [one.said(k, self.linearised(one.standing, k)) for k in range(len(self.records))]
+            together = one.pooled(said)
+            one = one.moved(together)
+        return one, together
+
+    def most_different(self, standing: Standing, found: Sequence[str]) -> tuple[Test | None, int]:
+        """The likeliest effect of those that differ beyond chance, and the number looked at."""
+        tests = self.screened(standing, found)
+        least = float(np.log(USUAL / max(1, len(tests))))
+        different = []
+        for test in [t for t in tests if t.log_p < least][:LOOKED_AT]:
+            with suppress(RigError):
+                varied, together = self.fitted(test.varied)
+                different.append(Test(test.part, varied, together.cost, _log_p(together, varied.own.shape)))
+        return min((t for t in different if t.log_p < least), key=lambda t: t.cost, default=None), len(tests)
+
+
+def differences(
+    records: Sequence[Record],
+    seen: Sequence[Reference],
+    cause: Judged | None,
+    known: Sequence[Candidate],
+    names: Sequence[str],
+    progress: Callable[[float], None] = lambda _: None,
+) -> Between:
+    """What differs between records beside a cause, or the believed rig; `known` are the effects at all places,
+    `names` those of the records.
+
+    Left out are effects that only a spectrum tells, and those that every record has its own of (a tone's phase).
+    """
+    compared = _Compared(records, seen, [c for c in known if not (c.kind.stochastic or c.kind.of_a_record)])
+    begun = _standing(records, cause)
+    standing, (first, looked_at) = begun, compared.most_different(begun, ())
+    progress(0.3)
+    found: list[Test] = []
+    if first:
+        found = [first]
+        second, _ = compared.most_different(first.varied.standing, [first.part.name])
+        progress(0.6)
+        if second:  # what was found first may be another effect beside what was found second
+            alone = begun.with_effect(second.part, second.values)
+            other, _ = compared.most_different(alone, [second.part.name])
+            found = [second, other] if other and other.cost < second.cost else [first, second]
+        for one in found:
+            standing = standing.with_effect(one.part, one.values)
+    strong = [c for one in found for c in standing.strong(one.part.name)]
+    varied, together = compared.fitted(Varied(standing, strong)) if found else (Varied(standing, []), None)
+    differing = _rows(varied, together, looked_at) if together else []
+    rest = [p for p in begun.parts if p.name not in {one.part.name for one in found}]
+    own = Varied(varied.standing, [c for p in rest for c in standing.columns(p.name)])
+    of_cause = own.columns and own.pooled(
+        [own.said(k, compared.linearised(own.standing, k)) for k in range(len(records))]
+    )
+    progress(1.0)
+    return Between(
+        records=tuple(names),
+        cause=tuple(_rows(own, of_cause, 0)) if of_cause else (),
+        cause_p_value=float(np.exp(_log_p(of_cause, own.own.shape))) if of_cause else None,
+        differing=tuple(differing),
+        looked_at=looked_at,
+    )
+
+
+def _standing(records: Sequence[Record], cause: Judged | None) -> Standing:
+    """The cause's effects, if each record can have its own values of them; else they are in the rigs as they are."""
+    parts = cause.hypothesis.parts if cause else ()
+    if cause and not any(p.kind.stochastic or p.kind.of_a_record for p in parts):
+        return Standing(tuple(r.rig for r in records), parts, np.tile(cause.hypothesis.values, (len(records), 1)))
+    rigs = tuple(of_this_record(r, cause.hypothesis) if cause else r.rig for r in records)
+    return Standing(rigs, (), np.zeros((len(records), 0)))
+
+
+def _log_p(together: Pooled, shape: tuple[int, ...], parameter: int | None = None) -> float:
+    """The logarithm of the p-value that the records have one value: of all parameters varied, or of one."""
+    records, size = shape
+    keep = np.eye(size) if parameter is None else np.eye(size)[[parameter]]
+    contrast = np.kron(np.diff(np.eye(records), axis=0), keep)
+    apart = contrast @ together.values
+    square = apart @ np.linalg.solve(contrast @ together.covariance @ contrast.T, apart)
+    return float(chi2.logsf(square / TEMPERATURE, len(contrast)))
+
+
+def _rows(one: Varied, together: Pooled, among: int) -> list[Compared]:
+    """For the answer; `among`: those that differ of so many looked at, or 0."""
+    records, size = one.own.shape
+    abouts = [(part, *named) for part in one.standing.parts for named in part.parameters.items()]
+    rows = []
+    for i, column in enumerate(one.columns):
+        part, name, about = abouts[column]
+        own = np.arange(records) * size + i
+        covariance = TEMPERATURE * together.covariance[np.ix_(own, own)]
+        values = together.values[own]
+        centred = np.eye(records) - 1 / records
+        errors = np.sqrt(np.maximum(np.diag(centred @ covariance @ centred), 0.0))
+        rows.append(
+            Compared(
+                parameter=f"{part.kind.name}.{name}",
+                place=", ".join(target or "all" for target in part.place.values()),
+                values=tuple(Value(float(v), float(e), about.unit) for v, e in zip(values, errors, strict=True)),
+                p_value=min(1.0, max(1, among) * float(np.exp(_log_p(together, one.own.shape, i)))),
+                trend=_trend(values, covariance) if among else "none",
+            )
+        )
+    return rows
+
+
+def _trend(values: Float[np.ndarray, " records"], covariance: Float[np.ndarray, "records records"]) -> Trend:
+    """Over the records in their order; a step within its error is neither up nor down."""
+    steps = np.diff(values)
+    errors = np.sqrt(np.diag(np.diff(np.diff(covariance, axis=0), axis=1)))
+    clear = steps[np.abs(steps) > APART * errors]
+    if clear.size and np.all(clear > 0):
+        return "grows"
+    return "falls" if clear.size and np.all(clear < 0) else "differs"

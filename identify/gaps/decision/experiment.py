@@ -1,0 +1,233 @@
+"""The next experiment: which further recording would tell two causes apart that this one leaves alike.
+
+T-optimality (Atkinson and Fedorov, Biometrika 62, 1975): of the experiments that a laboratory can make, the one in
+which the rival, fitted as well as it can be, explains the other's recording worst. Each is simulated with each cause.
+What the rival would have to change of its parameters is charged by what the record at hand knows of them.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from jaxtyping import Float
+from msgspec.structs import replace as with_fields
+from scipy.signal import butter, sosfiltfilt
+
+from identify.gaps.decision.comparison import TEMPERATURE
+from identify.gaps.decision.null_reference import Simulate, phase_randomized
+from identify.gaps.residual.fit import fit
+from identify.gaps.residual.likelihood import misfit, reference_of
+from identify.gaps.residual.residual import base_of, scales_at
+from identify.gaps.residual.spectra import REACH, Record, record_of
+from identify.gaps.results import AGAIN, NextExperiment
+from identify.gaps.search.hypothesis import ROUNDS, SETTLED, Hypothesis, Search, applied, straightened
+from identify.gaps.search.nominal import fit_nuisance
+from rig.errors import RigError
+from rig.model.description import PointMass, Rig, Station
+from rig.model.tolerances import Tolerances
+
+LEVELS = (0.4, 2.5)
+"""Forces to try, as multiples of the one at hand."""
+LONGER = 3
+"""Duration to try, likewise."""
+SIZED = 2.0
+"""A cause is simulated so many standard errors larger than fitted, within this multiple of a typical one."""
+PLACES = (0.5, 1.0)
+"""Of the force, as shares of every body's length."""
+ADDED = 0.1
+"""A known mass to hang on, as a share of its body's."""
+DISPLACEMENT_NOISE = 2e-7
+"""Of displacement sensors, m/sqrt(Hz)."""
+SPLIT = 0.4
+"""Where the band of the force is split, as a share of its upper end."""
+ORDER = 8
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What a laboratory could do next: in words, to the machine (and so to its description), and with which force."""
+
+    words: str
+    changed: Callable[[Rig], Rig]
+    force_n: Float[np.ndarray, " samples"]
+
+
+def next_experiments(
+    record: Record,
+    force_n: Float[np.ndarray, " samples"],
+    rivals: tuple[Hypothesis, Hypothesis],
+    simulate: Simulate,
+    progress: Callable[[float], None] = lambda _: None,
+) -> tuple[NextExperiment, ...]:
+    """Every experiment that can be simulated with both rivals, two causes that a record leaves alike (or one, and the
+    believed rig); most telling first.
+
+    Its figure is the mean, over which of the two is true, of the logarithm by which the odds of the true one grow.
+    """
+    tried = list(experiments(record, force_n))
+    found = []
+    for i, experiment in enumerate(tried):
+        known = experiment.changed(record.rig)
+        try:
+            gains = [
+                _gain(known, a, b, experiment.force_n, simulate, record.tolerances) for a, b in (rivals, rivals[::-1])
+            ]
+        except RigError:
+            continue  # the machine cannot be shaken so
+        found.append(NextExperiment(experiment.words, float(np.mean(gains)) / (2 * TEMPERATURE)))
+        progress((i + 1) / len(tried))
+    return tuple(sorted(found, key=lambda e: -e.log_odds))
+
+
+def experiments(record: Record, force_n: Float[np.ndarray, " samples"]) -> Iterator[Experiment]:
+    """The same again, other levels, halves of the band, a longer record, other places of the force, a known mass on
+    every body, displacement sensors."""
+    rate, rig = record.sample_rate_hz, record.rig
+    start = round(record.excited_s * rate)
+    random = partial(phase_randomized, start=start, sample_rate_hz=rate, rng=np.random.default_rng(11))
+    again = random(force_n)
+    yield Experiment(AGAIN, _as_it_is, again)
+    for level in LEVELS:
+        yield Experiment(f"record with {level:g} times the force", _as_it_is, level * again)
+    high_hz = float(record.omega[-1] / (2 * np.pi)) / REACH
+    for words, kind in (("lower", "lowpass"), ("upper", "highpass")):
+        sections = butter(ORDER, SPLIT * high_hz, kind, fs=rate, output="sos")
+        part = sosfiltfilt(sections, again)
+        part[:start] = 0.0
+        same = part * (np.std(again) / max(float(np.std(part)), 1e-300))
+        yield Experiment(
+            f"record with the {words} part of the band, split at {SPLIT * high_hz:.3g} Hz", _as_it_is, same
+        )
+    longer = force_n
+    while longer.size < LONGER * force_n.size:
+        longer = np.concatenate([longer, longer[:start:-1]])  # mirrored, so that it does not jump
+    longer = random(longer[: round(LONGER * force_n.size)])
+    length = f"record {longer.size / rate:.3g} s"
+    yield Experiment(length, _as_it_is, longer)
+    yield Experiment(f"{length} with {LEVELS[-1]:g} times the force", _as_it_is, LEVELS[-1] * longer)
+    for station in _places(rig):
+        yield Experiment(f"move the force to {_said(rig, station)}", partial(with_fields, force_at=station), again)
+    for body in rig.bodies:
+        mass_kg = ADDED * getattr(body, "mass_kg", 1.0)
+        end = Station(body.name, body.length_m)
+        hung = partial(_with_mass, mass=PointMass(station=end, mass_kg=mass_kg))
+        yield Experiment(f"hang a known {1e3 * mass_kg:.3g} g on {_said(rig, end)}", hung, again)
+    if any(s.quantity != "displacement" for s in rig.sensors):
+        yield Experiment("measure displacements in place of accelerations", _with_displacements, again)
+
+
+def begun_on(record: Record, rig: Rig) -> Search:
+    """Where fits to a record begin: at the scales, and with the slow motion, of a rig fitted to it.
+
+    All that are compared begin there, so that none of them stays in a worse minimum than another.
+    """
+    base, at = fit_nuisance(record, rig, rounds=1)
+    return Search(reference_of(base_of(record, record.rig)), base, at, ())
+
+
+def refitted(begun: Search, one: Hypothesis, held: bool = False) -> Hypothesis:
+    """A cause with its parameters fitted anew, from where they stand, on a record: of a rig that may differ from that
+    of its first fit.
+
+    The parameters may be held; what is known by its spectrum alone keeps its values. Raises RigError where the rig
+    cannot have it.
+    """
+    record = begun.base.record
+    free = not held and not any(p.kind.stochastic for p in one.parts)
+    parts, start = (one.parts, one.values) if free else ((), np.zeros(0))
+    rig = record.rig if free else one.applied_to(record.rig)
+    steps = np.concatenate([np.zeros(0), *(p.steps for p in parts)])
+    low, high = (np.concatenate([np.zeros(0), *(p.bounds[k] for p in parts)]) for k in (0, 1))
+    build = partial(applied, rig, parts)
+    base = base_of(record, build(start), None, begun.base.scales)
+    found = fit(base, build, start, steps, (low, high), straightened(begun.at))
+    left = misfit(record, begun.reference, found.residual)
+    for _ in range(ROUNDS):
+        base = base_of(record, build(found.values), found.residual, scales_at(base, found.residual))
+        further = fit(base, build, found.values, steps, (low, high), found.residual)
+        now = misfit(record, begun.reference, further.residual)
+        gained = left.minus_two_log - now.minus_two_log
+        if gained > 0:
+            found, left = further, now
+        if gained < SETTLED:
+            break
+    values, covariance = (found.values, found.covariance) if free else (one.values, one.covariance)
+    return replace(one, values=values, covariance=covariance, misfit=left)
+
+
+def enlarged(one: Hypothesis) -> Hypothesis:
+    """As large as the record leaves it open: every strength is `SIZED` standard errors, or times what is typical if
+    that is less, further from nothing than fitted.
+
+    A cause that a record hardly shows is fitted as nothing; simulated so, no experiment would tell it from another.
+    """
+    values, spread = one.values.copy(), np.sqrt(np.maximum(np.diag(one.covariance), 0.0))
+    at = 0
+    for part in one.parts:
+        for i in part.strong:
+            neutral, typical = list(part.parameters.values())[i].neutral or 0.0, part.default[i]
+            away = np.sign(values[at + i] - neutral) or np.sign(typical - neutral)
+            values[at + i] += away * SIZED * min(spread[at + i], abs(typical - neutral))
+            values[at + i] = np.clip(values[at + i], part.bounds[0][i], part.bounds[1][i])
+        at += len(part.parameters)
+    return replace(one, values=values)
+
+
+def disagreement(one: Hypothesis, other: Hypothesis) -> float:
+    """What -2 ln p of two records together exceeds the sum of theirs, as one value of every parameter has to do.
+
+    d' (C1 + C2)^-1 d of the difference d of both fits. What every record has of its own is left out.
+    """
+    shared = [
+        name not in part.kind.of_a_record and not part.kind.stochastic for part in one.parts for name in part.parameters
+    ]
+    apart = (one.values - other.values)[shared]
+    spread = (one.covariance + other.covariance)[np.ix_(shared, shared)]
+    return float(apart @ np.linalg.pinv(spread, hermitian=True) @ apart)
+
+
+def _as_it_is(rig: Rig) -> Rig:
+    return rig
+
+
+def _with_mass(rig: Rig, mass: PointMass) -> Rig:
+    return with_fields(rig, masses=(*rig.masses, mass))
+
+
+def _with_displacements(rig: Rig) -> Rig:
+    sensors = tuple(
+        with_fields(s, quantity="displacement", noise_density=DISPLACEMENT_NOISE, measuring_range=None, bits=None)
+        for s in rig.sensors
+    )
+    return with_fields(rig, sensors=sensors)
+
+
+def _places(rig: Rig) -> Iterator[Station]:
+    """Where else the force could act."""
+    for body in rig.bodies:
+        for station in {Station(body.name, share * body.length_m): None for share in PLACES}:
+            if station != rig.force_at:
+                yield station
+
+
+def _said(rig: Rig, station: Station) -> str:
+    return f"the {station.body} at {station.position_m:.3g} m" if rig.body(station.body).length_m else station.body
+
+
+def _gain(
+    known: Rig,
+    true: Hypothesis,
+    rival: Hypothesis,
+    force_n: Float[np.ndarray, " samples"],
+    simulate: Simulate,
+    tolerances: Tolerances,
+) -> float:
+    """-2 ln p of the rival less that of the true cause, on a recording that is simulated with the true one."""
+    larger = enlarged(true)
+    actual = larger.applied_to(known)
+    record = record_of(simulate(known, actual, force_n, 5), tolerances=tolerances)
+    begun = begun_on(record, actual)
+    own, other = refitted(begun, larger), refitted(begun, rival)
+    changes = disagreement(rival, other) - disagreement(true, own)
+    return other.misfit.minus_two_log - own.misfit.minus_two_log + changes

@@ -1,0 +1,196 @@
+"""The null reference: what the believed rig leaves of recordings of itself, built within its tolerances.
+
+Integration, chaos, sensors and tolerances are in it; it turns what is left of a record into a p-value. Made once for a
+rig, its tolerances, a simulator and a level of force, it is kept.
+"""
+
+import hashlib
+import importlib.metadata
+from collections.abc import Callable, Sequence
+from dataclasses import replace as with_fields
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+from msgspec.structs import replace
+from scipy.signal import bilinear, lfilter
+from scipy.stats import norm, qmc
+from scipy.stats import t as student
+
+from identify.gaps.decision.drawing import drawn
+from identify.gaps.residual.likelihood import Misfit, misfit, reference_of
+from identify.gaps.residual.residual import base_of
+from identify.gaps.residual.spectra import record_of
+from identify.gaps.search.nominal import fit_nuisance
+from rig.errors import RigError
+from rig.files import write_bytes
+from rig.model.description import Rig, to_json
+from rig.model.tolerances import Tolerances
+from rig.recording import Recording
+
+NULLS = 12
+"""Their mean and spread are known within 30 and 20 % of the spread; the p-value's Student distribution knows that."""
+RISE_S = 0.1
+LEVEL = 1.25
+"""Forces within this factor of each other share a null reference."""
+
+Simulate = Callable[[Rig, Rig, Float[np.ndarray, " samples"], int], Recording]
+"""The recording of the believed rig (first) that the actual one makes under a measured force, noise from a seed: the
+simulator that the diagnosis is handed."""
+
+
+class Null(msgspec.Struct, frozen=True):
+    """What one null simulation leaves: -2 ln p, the contacts' part of it and that of the worst band, and the
+    unexplained shares by band, overall, and of each contact force."""
+
+    minus_two_log: float
+    law: float
+    peak: float
+    shares: tuple[float, ...]
+    share: float
+    contact_shares: tuple[float, ...]
+
+
+class NullReference(msgspec.Struct, frozen=True):
+    """The null simulations of one rig; `key` says of which rig, tolerances, simulator, force and program."""
+
+    key: str
+    nulls: tuple[Null, ...]
+
+    def p_value(self, left: Misfit) -> float:
+        """How often tolerances and noise alone leave as much: Student's prediction from the nulls' -2 ln p.
+
+        The contacts' part and that of the worst band are judged apart, as one contact or one sharp line is a small
+        share of the whole; the smallest p-value counts, three times (Bonferroni).
+        """
+        parts = np.array([[n.minus_two_log - n.law, n.law, n.peak] for n in self.nulls])
+        spread = np.maximum(parts.std(axis=0, ddof=1) * np.sqrt(1 + 1 / len(parts)), 1.0)
+        here = np.array([left.minus_two_log - left.law, left.law, left.peak])
+        beyond = student.sf((here - parts.mean(axis=0)) / spread, len(parts) - 1)
+        return min(1.0, 3 * float(beyond.min()))
+
+    def usual_shares(self) -> Float[np.ndarray, " bands"]:
+        """By band: the share that nineteen of twenty nulls stay below."""
+        common = min(len(n.shares) for n in self.nulls)  # the bands of a record end where its force does
+        rows = np.array([n.shares[:common] for n in self.nulls])
+        beyond = student.ppf(0.95, len(rows) - 1) * np.sqrt(1 + 1 / len(rows))
+        return np.asarray(rows.mean(axis=0) + beyond * rows.std(axis=0, ddof=1))
+
+
+def null_reference(
+    measured: Recording,
+    tolerances: Tolerances,
+    simulate: Simulate,
+    simulator: str,
+    progress: Callable[[float], None] = lambda _: None,
+    kept: Path | None = None,
+    nulls: int = NULLS,
+) -> NullReference:
+    """That of a recording's rig, length and force, from the file `kept` if that is of the same; else made, and kept.
+
+    Of a folder it is the file named after the key, so that many rigs and levels have theirs in one.
+    """
+    key = null_key(measured, tolerances, simulator, nulls)
+    if kept and kept.is_dir():
+        kept = kept / f"{key[:16]}.json"
+    if kept and (found := _read(kept, key)):
+        return found
+    seen = record_of(measured, tolerances=tolerances)
+    density = float(np.sqrt(seen.force_noise / seen.samples))
+    start = round(seen.excited_s * seen.sample_rate_hz)
+    rows = []
+    for seed, normals in enumerate(_normals(measured.rig, nulls)):
+        rng = np.random.default_rng([seed, 77])
+        actual, corners_hz = drawn(measured.rig, tolerances, normals)
+        force_n = phase_randomized(measured.force_n, start, measured.rig.sample_rate_hz, rng)
+        made = simulate(measured.rig, actual, force_n, seed)
+        rows.append(_left(_instrumented(made, corners_hz, density, rng), tolerances))
+        progress((seed + 1) / nulls)
+    reference = NullReference(key, tuple(rows))
+    if kept:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(msgspec.json.encode(reference), kept)
+    return reference
+
+
+def phase_randomized(
+    force_n: Float[np.ndarray, " samples"], start: int, sample_rate_hz: float, rng: np.random.Generator
+) -> Float[np.ndarray, " samples"]:
+    """A force of the same spectrum with other phases, after silence up to the sample `start`."""
+    excited = force_n[start:]
+    spectrum = np.fft.rfft(excited)
+    turned = np.fft.irfft(np.abs(spectrum) * np.exp(2j * np.pi * rng.uniform(size=spectrum.size)), excited.size)
+    rise = min(round(RISE_S * sample_rate_hz), excited.size)
+    turned[:rise] *= np.sin(np.linspace(0, np.pi / 2, rise)) ** 2
+    return np.concatenate([np.zeros(start), turned])
+
+
+def _normals(rig: Rig, nulls: int) -> Float[np.ndarray, "nulls draws"]:
+    """Standard normal draws of every tolerance, spread evenly over the nulls (Latin hypercube)."""
+    draws = 512 + 8 * len(rig.sensors)
+    return np.asarray(norm.ppf(qmc.LatinHypercube(draws, seed=7).random(nulls)))
+
+
+def _instrumented(
+    made: Recording, corners_hz: Sequence[float], force_noise_n: float, rng: np.random.Generator
+) -> Recording:
+    """With the high-pass of each sensor and the noise of the force channel, which the simulator does not know."""
+    rate = made.rig.sample_rate_hz
+    corner = dict(zip([s.name for s in made.rig.sensors], corners_hz, strict=True))
+    signals = {}
+    for name, group in made.signals.items():
+        if name == "force":
+            values = group.values + force_noise_n * rng.standard_normal(group.values.shape)
+        else:
+            values = np.array(
+                [_high_passed(row, corner[n], rate) for n, row in zip(group.channels.names, group.values, strict=True)]
+            )
+        signals[name] = with_fields(group, values=values)
+    return with_fields(made, signals=signals)
+
+
+def _high_passed(row: Float[np.ndarray, " samples"], corner_hz: float, rate_hz: float) -> Float[np.ndarray, " samples"]:
+    if corner_hz <= 0:
+        return row
+    omega = 2 * np.pi * corner_hz
+    return np.asarray(lfilter(*bilinear([1.0, 0.0], [1.0, omega], rate_hz), row))
+
+
+def _left(recording: Recording, tolerances: Tolerances) -> Null:
+    record = record_of(recording, tolerances=tolerances)
+    reference = reference_of(base_of(record, record.rig))
+    left = misfit(record, reference, fit_nuisance(record, record.rig, rounds=1)[1])
+    return Null(
+        left.minus_two_log,
+        left.law,
+        left.peak,
+        tuple(left.shares.tolist()),
+        left.share,
+        tuple(left.contact_shares.tolist()),
+    )
+
+
+def null_key(measured: Recording, tolerances: Tolerances, simulator: str, nulls: int = NULLS) -> str:
+    """Of the rig, its tolerances, the simulator, the force's level and length, and the program."""
+    level = round(float(np.log(max(np.std(measured.force_n), 1e-300)) / np.log(LEVEL)))
+    version = importlib.metadata.version("rig-identify")
+    parts = (
+        to_json(replace(measured.rig, tolerances=None)),
+        msgspec.json.encode(tolerances),
+        f"{simulator} {level} {measured.samples} {nulls} {version}".encode(),
+    )
+    return hashlib.sha256(b"\n".join(parts)).hexdigest()
+
+
+def _read(path: Path, key: str) -> NullReference | None:
+    """What the file holds, if it is of this key; a file of anything else is made anew."""
+    if not path.exists():
+        return None
+    try:
+        found = msgspec.json.decode(path.read_bytes(), type=NullReference)
+    except OSError as error:
+        raise RigError(f"{path}: cannot be read ({error.strerror}); name another file") from error
+    except msgspec.DecodeError:
+        return None
+    return found if found.key == key else None

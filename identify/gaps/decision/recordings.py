@@ -1,0 +1,57 @@
+"""Recordings of one rig: their sound channels, and which of them validates."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from identify.gaps.faults import sound_channels
+from rig.errors import RigError
+from rig.model.description import to_json
+from rig.recording import Recording, Signals
+
+FIT_SHARE = 0.55
+"""Of a single record, what is fitted on; the rest validates."""
+
+
+def sound(*recordings: Recording) -> tuple[list[Recording], dict[str, str]]:
+    """All recordings without the channels that are dead or clipped in any."""
+    faults: dict[str, str] = {}
+    for one in recordings:
+        faults |= sound_channels(one, without=tuple(faults))[1]
+    return [sound_channels(one, without=tuple(faults))[0] for one in recordings], faults
+
+
+def parts_of(recordings: Recording | Sequence[Recording], validation: Recording | None) -> tuple[list[Recording], int]:
+    """All recordings in their order, and which of them validates."""
+    parts = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    if not parts:
+        raise RigError("no recording to diagnose; give one or more of the rig")
+    if validation is None and len(parts) == 1:
+        return list(_halves(parts[0])), 1
+    if validation is not None and not any(validation is one for one in parts):
+        parts.append(validation)
+    for k, one in enumerate(parts):
+        if to_json(one.rig) != to_json(parts[0].rig):
+            raise RigError(f"recording {k + 1} is of another rig (their rig.json differ); give recordings of one rig")
+        if any(_same(one, earlier) for earlier in parts[:k]):
+            raise RigError(f"recording {k + 1} is the same as an earlier one; give each recording once")
+    last = next((k for k, one in enumerate(parts) if one is validation), len(parts) - 1)
+    if len(parts) == 1:
+        raise RigError("the only recording cannot validate itself; leave --validate out, or give another recording")
+    return parts, last
+
+
+def _same(one: Recording, other: Recording) -> bool:
+    """Whether two recordings hold the same samples."""
+    return all(np.array_equal(s.values, other.signals[name].values) for name, s in one.signals.items())
+
+
+def _halves(recording: Recording) -> tuple[Recording, Recording]:
+    """One record cut in two."""
+    cut = round(FIT_SHARE * recording.samples)
+
+    def part(keep: slice) -> Recording:
+        signals = {n: Signals(s.channels, 0.0, s.values[:, keep]) for n, s in recording.signals.items()}
+        return Recording(recording.rig, signals, recording.provenance)
+
+    return part(slice(0, cut)), part(slice(cut, None))

@@ -1,0 +1,66 @@
+"""The verdict in a sentence, with the criterion that decided."""
+
+from msgspec.structs import replace
+
+from identify.gaps.results import USUAL, Gap
+from identify.gaps.wording import MOST, between_records, cause_name, closes, closes_some, joined, leaves
+from identify.pages.wording import percent
+
+
+def sentence(gap: Gap, criterion: str) -> Gap:
+    """The diagnosis with its sentence."""
+    said = [_verdict(gap), *_alternatives(gap), *_limits(gap), f"Criterion: {criterion}."]
+    said += [between_records(gap.between)] if gap.between else []
+    said += [f"Channel {name} is {what} and was left out." for name, what in gap.channel_faults.items()]
+    return replace(gap, sentence=" ".join(said))
+
+
+def _verdict(gap: Gap) -> str:
+    if gap.verdict == "no_gap":
+        small = gap.matters.times(gap.before.share, gap.before.contact_shares.values()) <= 1
+        usual = gap.before.p_value >= USUAL
+        what = "that matters" if small else "beyond tolerances and noise" if usual else "that surely matters"
+        return f"There is no gap {what}: the believed rig leaves {leaves(gap.before)} unexplained."
+    if gap.verdict == "unknown":
+        found = f"There is a gap that no effect of the library explains. {_looks(gap, 'It')}"
+        if not gap.causes or not closes_some(gap.causes[0]):
+            return f"{found} The likeliest effects close nothing of it."
+        return f"{found} {cause_name(gap.causes[0])}, the likeliest effect, closes only {closes(gap.causes[0])}."
+    best = gap.causes[0]
+    one = len(best.effects) == 1
+    explains, it_closes = ("explains", "it closes") if one else ("explain", "together they close")
+    how = f"{it_closes} {closes(best)} and {'leaves' if one else 'leave'} {leaves(gap.after)} unexplained"
+    if gap.verdict == "explained":
+        return f"{cause_name(best)} {explains} the gap: {how}."
+    return f"{cause_name(best)} {explains} the gap in part: {how}. {_looks(gap, 'The rest')}"
+
+
+def _looks(gap: Gap, what: str) -> str:
+    """What an unmeasured force tells of the gap, or of its rest, and how much of it where that is not most."""
+    if gap.unknown is None:
+        return f"{what} has no form that was recognised."
+    if gap.unknown.explained >= MOST:
+        return f"{what} looks like {gap.unknown.sentence}."
+    share = percent(gap.unknown.explained)
+    return f"{what} has no simple form; the nearest explains {share} of its mean square: {gap.unknown.sentence}."
+
+
+def _alternatives(gap: Gap) -> list[str]:
+    """What may stand in the place of an effect that is named."""
+    if gap.verdict not in ("explained", "partly_explained"):
+        return []
+    return [
+        f"In place of {effect} it may be {joined(others, 'or')}: these records hardly tell them apart."
+        for effect, *others in gap.equivalent
+    ]
+
+
+def _limits(gap: Gap) -> list[str]:
+    """A parameter that stands at the end of what was searched may be larger, or its effect wrong."""
+    if gap.verdict not in ("explained", "partly_explained"):
+        return []
+    at_limit = [name for name, value in gap.causes[0].parameters.items() if value.at_limit]
+    if not at_limit:
+        return []
+    stand = "stands at the limit of its range" if len(at_limit) == 1 else "stand at the limits of their ranges"
+    return [f"{joined(at_limit)} {stand}: the true value may lie beyond, or the effect is another."]

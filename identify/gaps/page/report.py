@@ -1,0 +1,75 @@
+"""gap.html: a diagnosis as a page that stands alone, beside gap.json and the corrected rig.json."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from identify.gaps.page.screen import COLOURS
+from identify.gaps.page.sections import (
+    between_records,
+    causes,
+    how_large,
+    response_comparison,
+    unknown_force,
+    what_next,
+    where,
+)
+from identify.gaps.results import Gap
+from identify.gaps.wording import VERDICTS
+from identify.pages import page
+from rig.files import write_bytes, write_json
+from rig.model.description import Rig, to_json
+
+CAPTIONS = {
+    "next_experiments": "Each further recording was simulated with either of the two, and the other one fitted to it. "
+    "The bar is the mean, over which of them is true, of what -2 ln p tells them apart by, as the logarithm of odds. "
+    "Grey: the same setting again.",
+    "large_bands": "The share of the measured acceleration that each rig leaves unexplained, in bands of frequency. "
+    "Nineteen of twenty null simulations (the believed rig within its tolerances) stay below the green line; a share "
+    "below the dashed line is too small to matter.",
+    "unknown_place": "The bodies seen from the side, with what is unknown in red: a dot where it acts, the double "
+    "arrow along the direction in which it pushes and pulls.",
+}
+"""Of the pictures that are shown wide; the others carry their titles."""
+
+
+def write_all(gap: Gap, corrected: Rig, title: str, folder: Path) -> None:
+    """gap.html, the corrected rig's rig.json, and gap.json, each whole or not at all."""
+    from identify.gaps.page.pictures import pictures
+
+    folder.mkdir(parents=True, exist_ok=True)
+    write_page(gap, pictures(gap, corrected), title, folder / "gap.html")
+    write_bytes(to_json(corrected), folder / "rig.json")
+    write_json(gap, folder / "gap.json")
+
+
+def write_page(gap: Gap, figures: Mapping[str, bytes], title: str, path: Path) -> None:
+    """Writes the page, which needs no other file: beside first, then renamed.
+
+    figures are PNG files; the first word of a name says the section, as `identify.gaps.page.pictures` names them.
+    """
+    rest = "What the rest looks like" if gap.verdict == "partly_explained" else "What is unknown"
+    sections = [
+        ("What to do next", "next", what_next(gap)),
+        ("How large is the gap?", "large", how_large(gap)),
+        ("What causes it?", "why", causes(gap)),
+        *([("What differs between the records?", "between", between_records(gap.between))] if gap.between else []),
+        *([(rest, "unknown", unknown_force(gap.unknown))] if gap.unknown else []),
+        ("Where does the gap lie?", "where", where(gap.attribution)),
+        ("Simulated and measured", "far", response_comparison(gap)),
+    ]
+    page.write(
+        path,
+        title=title,
+        colour=COLOURS[gap.verdict],
+        verdict=VERDICTS[gap.verdict],
+        sentence=gap.sentence,
+        sections=[(heading, f"{text}\n{_images(figures, key)}") for heading, key, text in sections],
+        foot="Every number of this page stands in gap.json, unrounded.",
+    )
+
+
+def _images(figures: Mapping[str, bytes], section: str) -> str:
+    own = {name: png for name, png in figures.items() if name.split("_")[0] == section}
+    wide = "".join(page.figure(name, png, CAPTIONS[name]) for name, png in own.items() if name in CAPTIONS)
+    small = "".join(page.picture(name, png) for name, png in own.items() if name not in CAPTIONS)
+    return wide + (f'<div class="pictures">\n{small}</div>' if small else "")

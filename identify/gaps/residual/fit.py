@@ -1,0 +1,290 @@
+"""Gauss-Newton on the residual: parameters of effects, with nuisance parameters, drifts and contact tolerances."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Complex, Float
+from scipy.linalg import solve_triangular
+from scipy.optimize import lsq_linear
+from scipy.sparse.linalg import SuperLU
+
+from identify.gaps.residual.linear import chain_of
+from identify.gaps.residual.nuisance import LIMIT, at_contacts, counted
+from identify.gaps.residual.residual import Base, Residual, linear_of, residual_of, same_but_laws, same_but_sensors
+from identify.gaps.residual.spectra import Record
+from identify.signals.spectra import decimated
+from rig.errors import RigError
+from rig.model.description import Rig
+
+STEPS = 12
+FINE = 1e-3
+"""Derivatives are by this share of a candidate's steps: little is left once nuisance parameters are eliminated."""
+TRIES = 6
+"""Of a step, shorter and shorter, until the cost falls."""
+ROUNDING = 1e-9
+SETTLED = 3e-5
+"""A step of Gauss-Newton is the last if the cost falls by a smaller share, a tenth of the errors; ..."""
+UNFIT = 1e-3
+"""... or by a smaller share of what no noise explains."""
+
+Column = tuple[Float[np.ndarray, "rows times"], list[Float[np.ndarray, " _"]]]
+Values = Float[np.ndarray, " parameters"]
+Build = Callable[[Values], Rig]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The parameters at which the residual is least, and their covariance.
+
+    The samples count for `Record.strictness` times fewer.
+    """
+
+    values: Float[np.ndarray, " parameters"]
+    covariance: Float[np.ndarray, "parameters parameters"]
+    residual: Residual
+
+    @property
+    def cost(self) -> float:
+        return self.residual.cost
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Normal equations of nuisance parameters and parameters with the contacts' own unknowns eliminated."""
+
+    matrix: Float[np.ndarray, "global global"]
+    gradient: Float[np.ndarray, " global"]
+    eliminated: tuple[tuple[Float[np.ndarray, " _"], Float[np.ndarray, "_ global"]], ...]
+    without: float
+    """What the contacts' own unknowns alone lower the cost by."""
+
+    def promised(self, step: Float[np.ndarray, " global"]) -> float:
+        """What a step lowers the cost by, were the residual linear."""
+        return float(self.without + 2 * self.gradient @ step - step @ self.matrix @ step)
+
+    def unknowns(self, step: Float[np.ndarray, " global"]) -> list[Float[np.ndarray, " _"]]:
+        """The steps of the contacts' unknowns that go with a step of the others."""
+        return [start - coupled @ step for start, coupled in self.eliminated]
+
+
+def derivative(base: Base, moved: Rig, at: Residual) -> Column:
+    """What another rig, which differs by little, takes off the linear and the contact residuals.
+
+    Another law is evaluated. Another linear model changes the contact forces and the relative displacements, of which
+    the law at hand takes its slope. The contact forces are projected out with the weights of the rig at hand (Kaufman,
+    BIT 15, 1975), as for the nuisance parameters: a parameter that is the like of one of them then has its column.
+    """
+    record, old = base.record, at.model
+    if same_but_laws(at.rig, moved):
+        there = residual_of(base, moved, at.nuisance, tuple(c.unknowns for c in at.contacts), like=at)
+        contacts = [a.residual - b.residual for a, b in zip(at.contacts, there.contacts, strict=True)]
+        return at.linear - there.linear, contacts
+    if same_but_sensors(at.rig, moved):
+        return _by_sensors(base, moved, at)
+    new = linear_of(base, moved)
+    sensors = len(record.sensors)
+    change = old.residual - new.residual
+    inputs = np.concatenate([old.contact_n - new.contact_n, change[sensors:]])
+    less = change[:sensors] + np.einsum("isl,il->sl", old.by_input, inputs)
+    left, less_n = old.projection.of(less * old.spread)
+    less_force = record.in_time(less_n) + (old.holding_n - new.holding_n)[:, None]
+    for by_one, contact in zip((new.slow_n_per_m - old.slow_n_per_m).T, at.contacts, strict=True):
+        less_force += np.outer(by_one, contact.slow_m)
+    contacts = _by_motion(record, at, less_force, old.eta_m - new.eta_m)
+    return counted(record, left), contacts
+
+
+def _by_sensors(base: Base, moved: Rig, at: Residual) -> Column:
+    """Other gains and delays: what the sensors would deliver of the same motion."""
+    record, model = base.record, at.model
+    ratio = chain_of(record, moved) / chain_of(record, at.rig) - 1
+    explained = record.delivered - model.residual[: len(record.sensors)] * model.spread
+    left, force = model.projection.of(ratio * explained)
+    less_eta = at_contacts(record, model, ratio * record.displaced / model.chain)
+    contacts = _by_motion(record, at, record.in_time(force), less_eta)
+    return counted(record, left), contacts
+
+
+def _by_motion(
+    record: Record,
+    at: Residual,
+    less_force_n: Float[np.ndarray, "contacts times"],
+    less_eta_m: Complex[np.ndarray, "contacts lines"],
+) -> list[Float[np.ndarray, " _"]]:
+    """What smaller contact forces and relative displacements take off the contact residuals, by the laws' slopes."""
+    fine_m = record.finely(less_eta_m, beyond=False) if np.any(less_eta_m) else None
+    found = []
+    for j, contact in enumerate(at.contacts):
+        less_n = less_force_n[j]
+        if fine_m is not None:
+            less_n = less_n - decimated(contact.tangent_n_per_m * fine_m[j], contact.laid.finer)
+        column = np.zeros(contact.residual.size)
+        column[: less_n.size] = contact.seen.weights * less_n
+        found.append(column)
+    return found
+
+
+@dataclass(frozen=True)
+class Eliminated:
+    """One contact's own unknowns, eliminated from the normal equations of the nuisance parameters.
+
+    rows are the contact residual's derivatives by the nuisance parameters, coupled the products with those by the
+    unknowns, solved their solution and that of the gradient, free.
+    """
+
+    solver: SuperLU
+    rows: Float[np.ndarray, "_ nuisances"]
+    coupled: Float[np.ndarray, "unknowns nuisances"]
+    solved: Float[np.ndarray, "unknowns nuisances"]
+    free: Float[np.ndarray, " unknowns"]
+    solved_free: Float[np.ndarray, " unknowns"]
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """Normal equations of the nuisance parameters at a residual; columns join them.
+
+    The contacts' own unknowns are eliminated.
+    """
+
+    base: Base
+    at: Residual
+    matrix: Float[np.ndarray, "nuisances nuisances"]
+    gradient: Float[np.ndarray, " nuisances"]
+    contacts: tuple[Eliminated, ...]
+
+    def with_lines(self) -> "Reduced":
+        """Those in which the lines that stand out count too, for what may explain them."""
+        at = replace(self.at, quiet=self.at.linear)
+        more = self.base.columns.products((at.quiet - self.at.quiet).ravel())
+        return replace(self, at=at, gradient=self.gradient + more)
+
+    def joined(self, columns: list[Column]) -> Normal:
+        """Over the nuisance parameters, then the columns."""
+        count, size = len(self.gradient), len(self.gradient) + len(columns)
+        matrix, gradient = np.zeros((size, size)), np.zeros(size)
+        matrix[:count, :count], gradient[:count] = self.matrix, self.gradient
+        own = np.array([c[0].ravel() for c in columns]).reshape(len(columns), self.at.linear.size)
+        matrix[:count, count:] = self.base.columns.products(own)
+        matrix[count:, count:] = own @ own.T
+        gradient[count:] = own @ self.at.quiet.ravel()
+        back = []
+        for j, (contact, eliminated) in enumerate(zip(self.at.contacts, self.contacts, strict=True)):
+            mine = np.array([c[1][j] for c in columns]).reshape(len(columns), contact.residual.size).T
+            coupled = contact.columns.T @ mine
+            solved = eliminated.solver.solve(coupled)
+            matrix[:count, count:] += eliminated.rows.T @ mine - eliminated.coupled.T @ solved
+            matrix[count:, count:] += mine.T @ mine - coupled.T @ solved
+            gradient[count:] += mine.T @ contact.residual - solved.T @ eliminated.free
+            back.append((eliminated.solved_free, np.concatenate([eliminated.solved, solved], axis=1)))
+        matrix[count:, :count] = matrix[:count, count:].T
+        without = float(sum(e.free @ e.solved_free for e in self.contacts))
+        return Normal(matrix, gradient, tuple(back), without)
+
+
+def reduced(base: Base, at: Residual) -> Reduced:
+    """The nuisance parameters' part of the normal equations."""
+    count = len(base.columns.parameters)
+    matrix = base.gram + base.record.strictness * np.eye(count)
+    gradient = base.columns.products(at.quiet.ravel()) - base.record.strictness * at.nuisance
+    found = []
+    for j, contact in enumerate(at.contacts):
+        solver, rows = contact.solver(), by_nuisance(base, at, j)
+        free, coupled = contact.columns.T @ contact.residual, contact.columns.T @ rows
+        solved = solver.solve(coupled)
+        matrix = matrix + rows.T @ rows - coupled.T @ solved
+        gradient = gradient + rows.T @ contact.residual - solved.T @ free
+        found.append(Eliminated(solver, rows, coupled, solved, free, solver.solve(free)))
+    return Reduced(base, at, matrix, gradient, tuple(found))
+
+
+def by_nuisance(base: Base, at: Residual, contact: int) -> Float[np.ndarray, "_ nuisances"]:
+    """By how much a contact's residual falls with each nuisance parameter."""
+    weights, one = base.seen[contact].weights, at.contacts[contact]
+    forces, eta = base.columns.contact_n[:, contact].T, base.columns.eta_m[:, contact].T
+    rows = np.zeros((one.residual.size, len(base.columns.parameters)))
+    rows[: weights.size] = weights[:, None] * forces - (weights * one.by_eta)[:, None] * eta
+    return rows
+
+
+def fit(
+    base: Base,
+    build: Build,
+    values: Values,
+    steps: Values,
+    bounds: tuple[Values, Values],
+    start: Residual | None = None,
+    most: int = STEPS,
+) -> Fit:
+    """Descends from `values`, each parameter within its bounds; `steps` are small changes of each for derivatives.
+
+    `start` gives nuisance parameters and contact unknowns to begin at.
+    """
+    at = residual_of(base, build(values), *(_state(start) if start else (None, None)))
+    count, sizes = len(base.columns.parameters), np.eye(values.size)
+    slow = 0
+    for _ in range(most):
+        inside = FINE * np.where(values + steps > bounds[1], -steps, steps)
+        normal = reduced(base, at).joined([derivative(base, build(values + s), at) for s in sizes * inside])
+        scaled = np.concatenate([np.ones(count), inside])
+        held = normal.matrix + np.diag(np.r_[np.zeros(count), 1e-9 * np.diag(normal.matrix)[count:] + 1e-300])
+        ends = [
+            np.concatenate([sign * LIMIT - at.nuisance, np.sort((np.stack(bounds) - values) / inside, axis=0)[k]])
+            for k, sign in enumerate((-1.0, 1.0))
+        ]
+        step = bounded(held, normal.gradient, ends[0], ends[1])
+        promised, share = normal.promised(step), 1.0
+        settled = max(SETTLED * at.cost, UNFIT * (at.cost - at.rows))
+        for _ in range(TRIES):
+            part = share * step
+            moved = np.clip(values + (part * scaled)[count:], *bounds)
+            part[count:] = (moved - values) / inside
+            along = [share * u for u in normal.unknowns(part / share)]
+            cost = np.inf
+            with suppress(RigError):  # no such rig
+                there = residual_of(
+                    base,
+                    build(moved),
+                    at.nuisance + part[:count],
+                    tuple(c.unknowns + u for c, u in zip(at.contacts, along, strict=True)),
+                    like=at,
+                )
+                cost = there.cost
+            if cost < at.cost or promised < settled:
+                break
+            # the least of the parabola through both costs with the slope here, which is -2 promised
+            share *= np.clip(promised * share / (cost - at.cost + 2 * promised * share), 0.1, 0.5)
+        fell = at.cost - cost
+        if not fell > 0:
+            break
+        values, at = moved, there
+        slow = slow + 1 if fell < settled else 0
+        if slow and (share == 1 or slow == 2):
+            break
+    covariance = base.record.strictness * np.linalg.pinv(normal.matrix)[count:, count:] * np.outer(inside, inside)
+    return Fit(values, covariance, at)
+
+
+def bounded(
+    matrix: Float[np.ndarray, "n n"],
+    gradient: Float[np.ndarray, " n"],
+    low: Float[np.ndarray, " n"],
+    high: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, " n"]:
+    """The x within bounds at which x'Mx/2 - g'x is least."""
+    try:
+        factor = np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError as error:
+        raise RigError(
+            "the recording does not tell contact forces and tolerances of this rig apart; measure more stations, or "
+            "describe fewer contacts in rig.json"
+        ) from error
+    wanted = solve_triangular(factor, gradient, lower=True)
+    low = np.minimum(low, 0.0) - ROUNDING
+    return np.asarray(lsq_linear(factor.T, wanted, (low, np.maximum(high, 0.0) + ROUNDING), "bvls").x)
+
+
+def _state(start: Residual) -> tuple[Float[np.ndarray, " nuisances"], tuple[Float[np.ndarray, " _"], ...]]:
+    return start.nuisance, tuple(c.unknowns for c in start.contacts)

@@ -1,0 +1,292 @@
+"""Each separated contact force against the law that the rig has at its relative displacement: the contact residual."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+from msgspec.structs import replace as changed
+from scipy.sparse import block_diag, csc_matrix, csr_matrix, vstack
+from scipy.sparse.linalg import SuperLU, splu
+
+from identify.contacts.joint import Observed, regressed
+from identify.gaps.residual.linear import Linear
+from identify.gaps.residual.nuisance import LIMIT
+from identify.gaps.residual.spectra import Record
+from identify.signals.drift import Spline, spline
+from identify.signals.spectra import decimated
+from rig.errors import RigError
+from rig.model.contact_law import DeadZone, damping_share
+
+WALL = 100.0
+"""Beyond `LIMIT` standard deviations these weigh so many times more: something else is wrong."""
+CLOSED = 5.0
+"""A contact force is more than noise where it exceeds this many standard deviations; ..."""
+STRUCK = 0.1
+"""... where it also exceeds this share of its root mean square, which no open contact's error does, it is closed."""
+
+DEEP, DEPTHS = 3.0, 2000
+"""Penetrations at which a law is inverted: up to so many times that of a linear stop, and how many."""
+EDGE = 8
+"""A contact force so few samples before a record ends rings on: the low-pass of its law lacks what follows."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a record says of one contact, whatever its law: how exactly its force is known, and its slow drift.
+
+    trusted are the standard deviations of clearance and stiffness (relative) and of damping over stiffness (s).
+    """
+
+    weights: Float[np.ndarray, " times"]
+    closed: Float[np.ndarray, " times"]
+    curve: Spline
+    strictness: float
+    trusted: tuple[float, float, float]
+
+    @property
+    def firm(self) -> float:
+        """The weight of a tolerance's standard deviation."""
+        return float(self.strictness**0.5)
+
+
+def seen_contacts(record: Record, model: Linear, levels: Sequence[float]) -> tuple[Seen, ...]:
+    """What the record says of its contacts, by the linear model of the rig that is believed.
+
+    levels are the variances of the contact residuals, in units of what noise and unmodelled share make of them.
+    """
+    forces, spreads = record.in_time(model.contact_n), model.open_n(record)
+    found = []
+    believed = record.tolerances
+    trusted = believed.clearance, believed.stiffness, believed.contact_damping_s
+    for force, open_n, contact, drift, level in zip(
+        forces, spreads, model.rig.contacts, record.drifts, levels, strict=True
+    ):
+        loud = np.abs(force) > CLOSED * open_n
+        closed = loud & (np.abs(force) > STRUCK * np.sqrt(np.mean(force**2)))
+        fast_m = 0.0 if drift is None else drift.unfollowed_m
+        stiffness = contact.law.stiffness_n_per_m
+        moving = record.time_s > record.excited_s  # at rest nothing tells on which side of a stop it rests
+        weights = (
+            moving
+            / np.sqrt(level)
+            / np.sqrt(
+                open_n**2
+                + (stiffness * fast_m * loud) ** 2
+                + (believed.unmodelled_contact * force) ** 2
+                + _ringing(record, force) ** 2
+            )
+        )
+        slow = drift
+        if drift is not None:
+            at = np.arange(record.taken.start, record.taken.stop) * record.factor
+            slow = replace(drift, acceleration_m_per_s2=drift.acceleration_m_per_s2[at])
+        found.append(
+            Seen(weights, closed.astype(float), spline(force.size, record.rate_hz, slow), record.strictness, trusted)
+        )
+    return tuple(found)
+
+
+def _ringing(record: Record, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
+    """What an ideal low-pass makes, F / (pi n) after n samples, of a force that is cut off at either end."""
+    after = np.arange(force_n.size) + 1.0
+    rings = np.max(np.abs(force_n[-EDGE:])) / (np.pi * after[::-1])
+    if record.taken.start > 0:
+        rings = np.hypot(rings, np.max(np.abs(force_n[:EDGE])) / (np.pi * after))
+    return np.asarray(rings)
+
+
+@dataclass(frozen=True)
+class Laid:
+    """Force (N) and fine relative displacement and velocity of one contact, as a linear model has them."""
+
+    force_n: Float[np.ndarray, " times"]
+    eta_m: Float[np.ndarray, " fine"]
+    rate_m_per_s: Float[np.ndarray, " fine"]
+    time_s: Float[np.ndarray, " fine"]
+    finer: int
+    spring_n_per_m: float
+
+
+def laid_out(record: Record, model: Linear) -> tuple[Laid, ...]:
+    """What every contact's law is to be laid against."""
+    finer = record.factor * record.finer
+    eta, rate = record.finely(model.eta_m), record.finely(model.eta_m, 1)
+    time_s = record.taken.start / record.rate_hz + np.arange(eta.shape[1]) / (record.rate_hz * finer)
+    forces = record.in_time(model.contact_n) + model.holding_n[:, None]
+    return tuple(
+        Laid(f, e, r, time_s, finer, s)
+        for f, e, r, s in zip(forces, eta, rate, np.diag(model.slow_n_per_m), strict=True)
+    )
+
+
+def start_of(laid: Laid, seen: Seen, law: DeadZone, rate_hz: float) -> Float[np.ndarray, " unknowns"]:
+    """The drift by the samples at which the contact is clearly closed; zero where they do not tell it.
+
+    Clearance and stiffness are regressed along with it; the law gives its other terms.
+    """
+    start = np.zeros(seen.curve.knots + 3)
+    eta, rate, time_s = (x[:: laid.finer] for x in (laid.eta_m, laid.rate_m_per_s, laid.time_s))
+    force = laid.force_n - law.force_n(np.zeros_like(eta), rate)  # what acts in the gap too
+    shifted = (law.upper_clearance_m - law.lower_clearance_m) / 2 + np.sign(force) * law.wear_m_per_s * time_s
+    observed = Observed(
+        eta_m=eta - shifted,
+        velocity_m_per_s=rate,
+        sample_rate_hz=rate_hz,
+        force_n=law.stiffness_n_per_m * _depth_m(law, force),
+        factor=1,
+        quiet_n=0.0,
+        drift=None,
+    )
+    if seen.curve.knots:
+        with suppress(RigError):
+            start[:-3] = regressed(observed, seen.curve)[1]
+    return start
+
+
+def _depth_m(law: DeadZone, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
+    """The penetration at which the law's elastic force is as large; zero for a law without stiffness."""
+    stiffness = max(law.stiffness_n_per_m, law.lower_stiffness_n_per_m)
+    found = np.zeros_like(force_n)
+    if stiffness:
+        depth = np.linspace(0.0, DEEP * np.max(np.abs(force_n)) / stiffness, DEPTHS)
+        for sign in (-1, 1):
+            elastic = np.maximum.accumulate(sign * law.elastic_n(sign * depth))
+            found += sign * np.interp(np.maximum(sign * force_n, 0.0), elastic, depth)
+    return found
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A contact's law laid against its separated force, with its drift and the law's own tolerances as unknowns.
+
+    unknowns are the drift's knots (m), then clearance, stiffness and damping in their tolerances. within is the law
+    with those, at a fine depth and velocity. residual is force less law, in standard deviations, above the residuals of
+    the prior.
+    """
+
+    seen: Seen
+    laid: Laid
+    law: DeadZone
+    within: DeadZone
+    unknowns: Float[np.ndarray, " unknowns"]
+    depth_m: Float[np.ndarray, " fine"]
+    damped_n: Float[np.ndarray, " fine"]
+    residual: Float[np.ndarray, " rows"]
+
+    @property
+    def cost(self) -> float:
+        return float(self.residual @ self.residual)
+
+    @property
+    def tangent_n_per_m(self) -> Float[np.ndarray, " fine"]:
+        return self.within.tangent_n_per_m(self.depth_m)
+
+    @property
+    def fitted(self) -> DeadZone:
+        """The law with clearance, stiffness and damping as they were fitted within their tolerances."""
+        more = self.unknowns[-1] * self.seen.trusted[2] * self.law.stiffness_n_per_m
+        return changed(self.within, damping_n_s_per_m=max(0.0, float(self.law.damping_n_s_per_m + more)))
+
+    @property
+    def slow_m(self) -> Float[np.ndarray, " times"]:
+        return np.asarray(self.seen.curve.value @ self.unknowns[: self.seen.curve.knots])
+
+    @cached_property
+    def by_eta(self) -> Float[np.ndarray, " times"]:
+        """The law's derivative by slow changes of the relative displacement, N/m."""
+        return decimated(self.tangent_n_per_m, self.laid.finer) + self.laid.spring_n_per_m
+
+    @cached_property
+    def columns(self) -> csr_matrix:
+        """By how much the residual falls with each unknown."""
+        weights, curve = self.seen.weights, self.seen.curve
+        by_clearance, by_stiffness, _ = self.seen.trusted
+        fine = [
+            -self.tangent_n_per_m * np.sign(self.depth_m) * by_clearance * self.law.clearance_m,
+            by_stiffness * self.law.spring_n(self.depth_m),
+            self.damped_n,
+        ]
+        by_law = decimated(np.stack(fine), self.laid.finer).T
+        rows = _beside(curve.value, weights * self.by_eta, weights[:, None] * by_law)
+        firm = self.seen.firm * (1 + WALL * (_beyond(self.unknowns) != 0))
+        return vstack([rows, block_diag([curve.curvature, np.diag(firm)], "csr")], "csr")
+
+    def solver(self) -> SuperLU:
+        return splu(csc_matrix(self.columns.T @ self.columns))
+
+    @cached_property
+    def drift_columns(self) -> csr_matrix:
+        """The columns of the slow motion alone."""
+        return self.columns[:, : self.seen.curve.knots]
+
+    @cached_property
+    def drift_solver(self) -> SuperLU:
+        return splu(csc_matrix(self.drift_columns.T @ self.drift_columns))
+
+
+def contact_residual(
+    laid: Laid,
+    seen: Seen,
+    law: DeadZone,
+    unknowns: Float[np.ndarray, " unknowns"],
+    more_n: float | Float[np.ndarray, " times"] = 0.0,
+    more_m: float | Float[np.ndarray, " times"] = 0.0,
+) -> Contact:
+    """The residual at some drift and tolerances; more_n and more_m come on top of force and relative displacement.
+
+    The law is evaluated finely and low-passed to the band of the force, so that its kinks do not alias.
+    """
+    curve, knots = seen.curve, unknowns[: seen.curve.knots]
+    slow, slow_rate = curve.value @ knots + more_m, curve.rate @ knots
+    eta = laid.eta_m + _finely(np.broadcast_to(slow, laid.force_n.shape), laid.finer)
+    rate = laid.rate_m_per_s + _finely(slow_rate, laid.finer)
+    clearance, stiffness, _ = (unknowns[curve.knots :] * seen.trusted).tolist()
+    within = changed(
+        law,
+        lower_clearance_m=law.lower_clearance_m * max(0.0, 1 + clearance),
+        upper_clearance_m=law.upper_clearance_m * max(0.0, 1 + clearance),
+        stiffness_n_per_m=law.stiffness_n_per_m * max(0.01, 1 + stiffness),
+    )
+    time_s = laid.time_s if law.wear_m_per_s else 0.0  # without wear two numbers are the stops, not two courses
+    depth = within.penetration_m(eta, time_s)
+    damped = seen.trusted[2] * law.stiffness_n_per_m * rate * damping_share(depth)
+    force = within.force_n(eta, rate, time_s) + unknowns[-1] * damped
+    residual = laid.force_n + more_n - decimated(force, laid.finer) - laid.spring_n_per_m * slow
+    held = -seen.firm * (unknowns[curve.knots :] + WALL * _beyond(unknowns))
+    return Contact(
+        seen=seen,
+        laid=laid,
+        law=law,
+        within=within,
+        unknowns=unknowns,
+        depth_m=depth,
+        damped_n=damped,
+        residual=np.concatenate([seen.weights * residual, curve.target - curve.curvature @ knots, held]),
+    )
+
+
+def _beside(
+    sparse: csr_matrix, weights: Float[np.ndarray, " rows"], dense: Float[np.ndarray, "rows columns"]
+) -> csr_matrix:
+    """Weighted rows of a spline, each with as many values as any other, with dense columns behind: `hstack`, faster."""
+    (rows, knots), columns = sparse.shape, dense.shape[1]
+    each = sparse.nnz // rows
+    values = np.concatenate([sparse.data.reshape(rows, each) * weights[:, None], dense], axis=1)
+    behind = np.broadcast_to(knots + np.arange(columns), (rows, columns))
+    places = np.concatenate([sparse.indices.reshape(rows, each), behind], axis=1)
+    ends = (each + columns) * np.arange(rows + 1)
+    return csr_matrix((values.ravel(), places.ravel(), ends), shape=(rows, knots + columns))
+
+
+def _beyond(unknowns: Float[np.ndarray, " unknowns"]) -> Float[np.ndarray, "3"]:
+    """How far the law's tolerances are beyond their limits."""
+    return np.asarray(unknowns[-3:] - np.clip(unknowns[-3:], -LIMIT, LIMIT))
+
+
+def _finely(values: Float[np.ndarray, " times"], finer: int) -> Float[np.ndarray, " fine"]:
+    """Linear between samples, which slow motion is."""
+    between = values[:-1, None] + np.diff(values)[:, None] * (np.arange(finer) / finer)
+    return np.append(between, values[-1])

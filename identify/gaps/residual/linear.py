@@ -1,0 +1,358 @@
+"""The linear part of a rig against a record: what no contact force explains, and the contact forces that explain most.
+
+At every line the accelerations of all sensors are, by the rig's description,
+
+    A = G_F F + G_T T - G_K (k3 w^3 + c v + F_c tanh(v / v0)) - G_C f + G_B a_base + error
+
+with the accelerances G at the sensors of the force F, of tones T, of cubic springs and dampers to the ground (by the
+measured motion w, v at their places), of contact forces f, and of a base that shakes unmeasured. Static loads
+accelerate nothing: the contacts hold them. The f are found by least squares, without a contact
+law; so is a_base, held by its spectrum. What they leave, in standard deviations of the error, is the linear residual:
+sensors less contacts tell it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from identify.gaps.residual.grounded import ground_force_changes, ground_forces, pushed_by_motion
+from identify.gaps.residual.response import Response, dynamics_of, times, weights_of
+from identify.gaps.residual.spectra import Record
+from rig.model.description import Body, Rig, Station
+from rig.model.modes import modes_of, participation
+
+FREE = 1e-3
+"""What floats is held by so little (s^-2) that its compliance has an inverse: as at 0.005 Hz."""
+
+
+@dataclass(frozen=True)
+class Projection:
+    """What the unknown inputs explain best of accelerations, line by line: `to_inputs` gives them from accelerations in
+    standard deviations, `by_input` the accelerations that they make; the first are the contact forces."""
+
+    by_input: Complex[np.ndarray, "inputs sensors lines"]
+    to_inputs: Complex[np.ndarray, "inputs sensors lines"]
+    spread: Float[np.ndarray, "sensors lines"]
+    contacts: int
+
+    def of(
+        self, change: Complex[np.ndarray, "some lines"], sensors: list[int] | slice = slice(None)
+    ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
+        """The residual and the contact forces that something makes which some sensors deliver beside what is known."""
+        weighted = (change / self.spread[sensors]).astype(self.by_input.dtype, copy=False)
+        inputs = np.einsum("isl,sl->il", self.to_inputs[:, sensors], weighted)
+        left = _left(self.by_input, inputs, weighted, sensors)
+        return np.concatenate([left, inputs[self.contacts :]]), inputs[: self.contacts]
+
+    def single(self) -> "Projection":
+        """In single precision, half as large and twice as fast: enough for derivatives."""
+        return replace(self, by_input=self.by_input.astype(np.complex64), to_inputs=self.to_inputs.astype(np.complex64))
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """A rig's linear model laid against a record.
+
+    chain is what each sensor makes of an acceleration. by_input are the accelerations, in standard deviations, that
+    each unknown input makes: the contact forces, then a base that shakes, then the noise of the measured force.
+    residual is in standard deviations; where the base shakes, a last row holds its acceleration in those of its own
+    spectrum, and log_determinant is what that freedom costs. by_force are the accelerations that the measured force
+    alone makes at the sensors, pushes all known forces with their places.
+    """
+
+    record: Record
+    rig: Rig
+    responses: tuple[Response, ...]
+    chain: Complex[np.ndarray, "sensors lines"]
+    spread: Float[np.ndarray, "sensors lines"]
+    by_input: Complex[np.ndarray, "inputs sensors lines"]
+    residual: Complex[np.ndarray, "rows lines"]
+    contact_n: Complex[np.ndarray, "contacts lines"]
+    by_force: Complex[np.ndarray, "sensors lines"]
+    pushes: tuple[tuple[Station, Complex[np.ndarray, " lines"]], ...]
+    log_determinant: float
+
+    @property
+    def unknown(self) -> Complex[np.ndarray, "lines sensors inputs"]:
+        """`by_input`, line by line."""
+        return self.by_input.transpose(2, 1, 0)
+
+    @property
+    def solve(self) -> Complex[np.ndarray, "lines inputs sensors"]:
+        """The inputs from the accelerations in standard deviations, line by line."""
+        return self.projection.to_inputs.transpose(2, 0, 1)
+
+    @cached_property
+    def projection(self) -> Projection:
+        """Of what the sensors deliver."""
+        contacts = len(self.rig.contacts)
+        to_inputs = _least_squares(self.by_input, self.by_input.conj(), contacts)[0]
+        return Projection(self.by_input, to_inputs, self.spread, contacts)
+
+    @property
+    def modal(self) -> tuple[Complex[np.ndarray, "modes lines"], ...]:
+        """The accelerations of each body's modes."""
+        forces = np.stack([*(force_n for _, force_n in self.pushes), *self.contact_n])
+        pushed = [station for station, _ in self.pushes]
+        return tuple(r.accelerance * times(self._into(r, pushed).T, forces) for r in self.responses)
+
+    @cached_property
+    def eta_m(self) -> Complex[np.ndarray, "contacts lines"]:
+        """The relative displacements, without the slow part that integration loses."""
+        record, places = self.record, places_of(self.record, self.rig)
+        displacements = record.displaced / self.chain
+        eta = self.unseen_m(self.pushes, self.contact_n)
+        for response in self.responses:
+            eta += times(_across_weights(self.rig, response, places), displacements)
+        return eta
+
+    def unseen_m(
+        self,
+        pushes: Sequence[tuple[Station, Complex[np.ndarray, " lines"]]],
+        contact_n: Complex[np.ndarray, "contacts lines"],
+    ) -> Complex[np.ndarray, "contacts lines"]:
+        """The relative displacements that forces make in the modes which the sensors do not tell."""
+        places, forces = places_of(self.record, self.rig), np.stack([*(force_n for _, force_n in pushes), *contact_n])
+        moved = np.zeros((len(self.rig.contacts), forces.shape[1]), dtype=complex)
+        for response in self.responses:
+            into, over = self._into(response, [station for station, _ in pushes]), across(self.rig, response)
+            missed = over - _across_weights(self.rig, response, places) @ response.shapes(places)
+            moved += np.einsum("icl,il->cl", response.transfer(missed, into), forces)
+        return moved * self.record.twice_integrated
+
+    @cached_property
+    def holding_n(self) -> Float[np.ndarray, " contacts"]:
+        """The constant contact forces under static loads."""
+        return _holding(self.rig, self.responses)
+
+    @cached_property
+    def slow_n_per_m(self) -> Float[np.ndarray, "contacts contacts"]:
+        """The contact forces that slow relative displacements take, where springs act on the high-passed ones alone.
+
+        The inverse of the static compliance of the modes that the springs hold.
+        """
+        held = np.concatenate(
+            [(2 * np.pi * r.dynamics.natural_hz[: r.dynamics.high_passed]) ** 2 for r in self.responses]
+        )
+        over = np.concatenate([across(self.rig, r)[:, : r.dynamics.high_passed] for r in self.responses], axis=1)
+        if not np.any(held):
+            return np.zeros((len(over), len(over)))
+        return np.asarray(np.linalg.pinv(over / np.maximum(held, FREE) @ over.T, rcond=1e-12, hermitian=True))
+
+    def _into(self, response: Response, pushed: list[Station]) -> Float[np.ndarray, "inputs modes"]:
+        """How forces at some places, and contact forces, drive a body's modes."""
+        return np.concatenate([response.shapes(pushed), -across(self.rig, response)])
+
+    def open_n(self, record: Record) -> Float[np.ndarray, " contacts"]:
+        """Standard deviation over time of each contact force, by the errors of the accelerations."""
+        variance = np.sum(np.abs(self.projection.to_inputs[: len(self.rig.contacts)]) ** 2, axis=(1, 2))
+        return np.asarray(np.sqrt(2 * variance / (record.length * record.samples)))
+
+
+def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray, "sensors lines"]) -> Linear:
+    """The linear residual of a rig that has the record's sensors and contacts, whatever else it has.
+
+    model_error is the share of each acceleration that no model of this kind explains. The noise of the measured force
+    is a further unknown input, with a prior of its own size.
+    """
+    chain = chain_of(record, rig)
+    responses = tuple(_response(record, rig, body) for body in rig.bodies)
+    places = places_of(record, rig)
+    pushes = _pushes(record, rig, responses, places, chain)
+    contacts = len(rig.contacts)
+    made = _accelerations(rig, responses, places, [at for at, _ in pushes], record.omega.size)
+    by_contacts, per_newton = made[len(pushes) :], made[0]
+    by_force = per_newton * pushes[0][1]
+    known = by_force
+    for by_push, (_, force_n) in zip(made[1 : len(pushes)], pushes[1:], strict=True):
+        known = known + by_push * force_n
+    spread = np.sqrt(record.noise + model_error**2 * record.power)
+    spread = np.maximum(spread, 1e-9 * spread.max())
+    sensed = chain / spread
+    unknown = [-by_contacts]
+    if rig.base_motion is not None:
+        unknown.append(_base(record, rig, responses, places)[None])
+    if record.force_noise:
+        unknown.append((np.sqrt(record.force_noise) / rig.force_sensor.gain * per_newton)[None])
+    by_input = np.concatenate(unknown) * sensed
+    weighted = record.delivered / spread - known * sensed
+    adjoint = np.einsum("isl,sl->il", by_input.conj(), weighted)
+    inputs, log_determinant = _least_squares(by_input, adjoint[:, None], contacts)
+    left = _left(by_input, inputs[:, 0], weighted)
+    return Linear(
+        record=record,
+        rig=rig,
+        responses=responses,
+        chain=chain,
+        spread=spread,
+        by_input=by_input,
+        residual=np.concatenate([left, inputs[contacts:, 0]]),
+        contact_n=inputs[:contacts, 0],
+        by_force=by_force,
+        pushes=pushes,
+        log_determinant=log_determinant,
+    )
+
+
+def chain_of(record: Record, rig: Rig) -> Complex[np.ndarray, "sensors lines"]:
+    """What each sensor makes of an acceleration: its gain and delay."""
+    named, omega = {s.name: s for s in rig.sensors}, record.omega
+    found = np.empty((len(record.sensors), omega.size), dtype=complex)
+    for row, sensor in zip(found, record.sensors, strict=True):
+        own = named[sensor.name]
+        row[:] = own.gain * (np.exp(-1j * omega * own.delay_s) if own.delay_s else 1.0)
+    return found
+
+
+def across(rig: Rig, response: Response) -> Float[np.ndarray, "contacts modes"]:
+    """How a body's modes enter the relative displacements."""
+    return response.shapes([c.at for c in rig.contacts]) - response.shapes([c.against for c in rig.contacts])
+
+
+def places_of(record: Record, rig: Rig) -> list[Station | None]:
+    """Where the rig has the record's sensors."""
+    named = {s.name: s for s in rig.sensors}
+    return [named[s.name].station for s in record.sensors]
+
+
+def _across_weights(
+    rig: Rig, response: Response, places: list[Station | None]
+) -> Float[np.ndarray, "contacts sensors"]:
+    """Relative displacements from the body's sensors."""
+    ends = weights_of(response, places, [*(c.at for c in rig.contacts), *(c.against for c in rig.contacts)])
+    return ends[: len(rig.contacts)] - ends[len(rig.contacts) :]
+
+
+def _pushes(
+    record: Record,
+    rig: Rig,
+    responses: tuple[Response, ...],
+    places: list[Station | None],
+    chain: Complex[np.ndarray, "sensors lines"],
+) -> tuple[tuple[Station, Complex[np.ndarray, " lines"]], ...]:
+    """The known forces: the measured one, tones, and springs and dampers to the ground by the measured motion."""
+    lagged = record.force * np.exp(-1j * record.omega * rig.force_sensor.lag_s) / rig.force_sensor.gain
+    tones = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in rig.tones]
+    held = []
+    if pushed_by_motion(rig):
+        held = ground_forces(record, rig, responses, places, record.displaced / chain)
+    return ((rig.force_at, lagged), *tones, *held)
+
+
+def _response(record: Record, rig: Rig, body: Body) -> Response:
+    """With accelerometers alone, springs under a mass or a floating body act on its high-passed displacement only."""
+    modes, count = modes_of(rig, body), body.most_modes
+    natural_hz, zeta = modes.frequencies_hz(count), modes.damping_ratios(count)
+    loose = 1 if body.is_mass else body.rigid_modes
+    high_passed = 0 if record.zero_known else loose
+    dynamics = dynamics_of(natural_hz.tobytes(), zeta.tobytes(), record.omega.tobytes(), high_passed)
+    return Response(body, modes, count, dynamics)
+
+
+def _accelerations(
+    rig: Rig, responses: tuple[Response, ...], places: list[Station | None], pushed: list[Station], lines: int
+) -> Complex[np.ndarray, "inputs sensors lines"]:
+    """At the sensors per newton, of forces at some places and then across the contacts."""
+    found = np.zeros((len(pushed) + len(rig.contacts), len(places), lines), dtype=complex)
+    for response in responses:
+        own = [i for i, place in enumerate(places) if place is not None and place.body == response.body.name]
+        into = np.concatenate([response.shapes(pushed), across(rig, response)])
+        driven = np.flatnonzero(np.any(into, axis=1))
+        if own and driven.size:
+            outputs = response.shapes([places[i] for i in own])
+            found[driven[:, None], own] = response.transfer(outputs, into[driven])
+    return found
+
+
+def _holding(rig: Rig, responses: tuple[Response, ...]) -> Float[np.ndarray, " contacts"]:
+    """The constant contact forces that hold static loads: of what floats by its balance, of a single mass the load."""
+    held = np.zeros(len(rig.contacts))
+    for response in responses if rig.loads else ():
+        free = response.modes.frequencies_hz(response.count) == 0
+        if response.body.is_mass:
+            free[:] = True
+        push = np.array([x.force_n for x in rig.loads]) @ response.shapes([x.station for x in rig.loads])
+        if np.any(push[free]):
+            held += np.linalg.lstsq(across(rig, response)[:, free].T, push[free], rcond=None)[0]
+    return held
+
+
+def bent(
+    record: Record, model: Linear, displaced: Complex[np.ndarray, "sensors lines"]
+) -> Complex[np.ndarray, "sensors lines"]:
+    """What the sensors give beside, as springs and dampers to the ground are displaced less than the sensors say."""
+    places: list[Station | None] = [s.station for s in record.sensors]
+    less = ground_force_changes(record, model.rig, model.responses, places, record.displaced / model.chain, displaced)
+    return -delivered_by(model, places, less)
+
+
+def delivered_by(
+    model: Linear, places: list[Station | None], forces: Sequence[tuple[Station, Complex[np.ndarray, " lines"]]]
+) -> Complex[np.ndarray, "sensors lines"]:
+    """What sensors at some places deliver of forces at others."""
+    found = np.zeros(model.chain.shape, dtype=complex)
+    for station, force_n in forces:
+        for r in model.responses:
+            found += model.chain * (r.transfer(r.shapes(places), r.shapes([station]))[0] * force_n)
+    return found
+
+
+def _base(
+    record: Record, rig: Rig, responses: tuple[Response, ...], places: list[Station | None]
+) -> Complex[np.ndarray, "sensors lines"]:
+    """Accelerations by a base motion of one standard deviation a line: a mode feels the base as an inertial load."""
+    base = rig.base_motion
+    assert base is not None
+    follows = np.ones((len(places), record.omega.size), dtype=complex)
+    for response in responses:
+        load = participation(rig, response.body, response.modes, response.count)
+        follows -= response.transfer(response.shapes(places), load[None])[0]
+    hz = record.omega / (2 * np.pi)
+    density = base.acceleration_rms_m_per_s2**2 / (base.high_hz - base.low_hz)
+    size = np.sqrt(density * record.samples * record.sample_rate_hz / 2)
+    return np.asarray(follows * size * ((hz >= base.low_hz) & (hz <= base.high_hz)))
+
+
+def _least_squares(
+    by_input: Complex[np.ndarray, "inputs sensors lines"],
+    right: Complex[np.ndarray, "inputs many lines"],
+    contacts: int,
+) -> tuple[Complex[np.ndarray, "inputs many lines"], float]:
+    """The solution of the normal equations of the inputs, line by line; those behind the contacts have a prior of one.
+
+    By elimination: the matrix is Hermitian and positive. The logarithm is that of the determinant by which the inputs
+    with a prior widen the residual's distribution: of their pivots.
+    """
+    inputs = len(by_input)
+    normal = np.empty((inputs, *by_input.shape[::2]), dtype=complex)
+    for i, column in enumerate(by_input.conj()):
+        normal[i, i:] = np.einsum("sl,jsl->jl", column, by_input[i:])
+        normal[i, i] += 1e-10 * normal[i, i].real + 1e-300 + (i >= contacts)
+    found, log_determinant = right.copy(), 0.0
+    for i in range(inputs):
+        for j in range(i + 1, inputs):
+            ratio = normal[i, j].conj() / normal[i, i]
+            normal[j, j:] -= ratio * normal[i, j:]
+            found[j] -= ratio * found[i]
+    for i in reversed(range(inputs)):
+        for j in range(i + 1, inputs):
+            found[i] -= normal[i, j] * found[j]
+        found[i] /= normal[i, i]
+        if i >= contacts:
+            log_determinant += float(np.sum(np.log(normal[i, i].real)))
+    return found, log_determinant
+
+
+def _left(
+    by_input: Complex[np.ndarray, "inputs sensors lines"],
+    inputs: Complex[np.ndarray, "inputs lines"],
+    weighted: Complex[np.ndarray, "some lines"],
+    sensors: list[int] | slice = slice(None),
+) -> Complex[np.ndarray, "sensors lines"]:
+    """What some weighted accelerations are without that of the inputs."""
+    left = -np.einsum("isl,il->sl", by_input, inputs)
+    left[sensors] += weighted
+    return left

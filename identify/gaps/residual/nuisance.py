@@ -1,0 +1,276 @@
+"""Nuisance parameters: what a laboratory never knows exactly, as columns of the residual with a prior of one."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Complex, Float
+from msgspec.structs import replace
+
+from identify.gaps.residual.grounded import pushed_by_motion
+from identify.gaps.residual.linear import Linear, Projection, bent
+from identify.gaps.residual.response import Response, times
+from identify.gaps.residual.spectra import Record
+from identify.structure.modal import receptance
+from rig.model.description import Body, Rig, Sensor
+from rig.model.modes import modes_of
+from rig.model.tolerances import Tolerances
+
+LIMIT = 6.0
+"""No nuisance parameter goes further than so many standard deviations: beyond, something else is wrong."""
+BEYOND = 1.3
+"""Modes up to this multiple of the highest frequency have parameters of their own."""
+
+THE_FORCE = "the force"
+
+Kind = Literal["gain", "position", "delay", "high-pass", "force gain", "mass", "frequency", "damping"]
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """One nuisance parameter: of a sensor, a body or (mode counts from 1) a mode of a body, or of the force."""
+
+    kind: Kind
+    of: str
+    mode: int | None = None
+
+    @property
+    def name(self) -> str:
+        return f"{self.kind} of {self.of}" + ("" if self.mode is None else f" {self.mode}")
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Derivatives of the linear residual, the contact forces and the relative displacements, each by one nuisance
+    parameter in its standard deviations; in single precision."""
+
+    parameters: tuple[Nuisance, ...]
+    residual: Float[np.ndarray, "nuisances rows times"]
+    contact_n: Float[np.ndarray, "nuisances contacts times"]
+    eta_m: Float[np.ndarray, "nuisances contacts times"]
+
+    @property
+    def flat(self) -> Float[np.ndarray, "nuisances all"]:
+        """Those of the residual, row after row."""
+        return self.residual.reshape(len(self.parameters), -1)
+
+    def along(self, nuisance: Float[np.ndarray, " nuisances"]) -> Float[np.ndarray, "rows times"]:
+        """What nuisance parameters take off the linear residual."""
+        return (nuisance.astype(np.float32) @ self.flat).reshape(self.residual.shape[1:])
+
+    def products(self, residuals: Float[np.ndarray, "*some all"]) -> Float[np.ndarray, "nuisances *some"]:
+        """With residuals, each row after row."""
+        return (self.flat @ residuals.T.astype(np.float32, copy=False)).astype(float)
+
+
+@dataclass(frozen=True)
+class _Change:
+    """What one standard deviation of a parameter adds to what some sensors deliver, and to the displacements there."""
+
+    parameter: Nuisance
+    sensors: list[int]
+    delivered: Complex[np.ndarray, "some lines"]
+    displaced: Complex[np.ndarray, "some lines"] | None = None
+
+
+def columns_of(record: Record, model: Linear) -> Columns:
+    """The columns of all tolerances above zero.
+
+    With D = omega_m^2 - omega^2 + 2 i zeta omega_m omega of a mode, an error dD of it changes its acceleration by
+    -H dD q exactly, if q is the true motion: so the measured modal accelerations stand in these columns.
+    """
+    changes = [*_of_sensors(record, model), *_of_force(record, model)]
+    for response, motion in zip(model.responses, _measured(record, model), strict=True):
+        changes += [*_of_positions(record, model, response, motion), *_of_modes(record, model, response, motion)]
+    count, contacts, samples = len(changes), len(model.rig.contacts), record.taken.stop - record.taken.start
+    residual = np.empty((count, len(model.residual), samples), np.float32)
+    forces, eta = (np.zeros((count, contacts, samples), np.float32) for _ in range(2))
+    projection = model.projection.single()
+    for i, change in enumerate(changes):
+        left, force = _projected(record, model, projection, change)
+        residual[i] = counted(record, left)
+        forces[i] = record.in_time(force)
+        if change.displaced is not None:
+            moved = at_contacts(record, model, change.displaced, change.sensors)
+            eta[i] = record.in_time(moved.astype(np.complex64))
+    return Columns(tuple(c.parameter for c in changes), residual, forces, eta)
+
+
+def _projected(
+    record: Record, model: Linear, projection: Projection, change: _Change
+) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
+    """With what the springs do whose displacement is not the measured one."""
+    if change.displaced is None or not pushed_by_motion(model.rig):
+        return projection.of(change.delivered, change.sensors)
+    displaced, delivered = np.zeros_like(model.chain), np.zeros_like(model.chain)
+    displaced[change.sensors], delivered[change.sensors] = change.displaced, change.delivered
+    return projection.of(delivered + bent(record, model, displaced))
+
+
+def _of_sensors(record: Record, model: Linear) -> Iterator[_Change]:
+    """Gain g, delay tau and the corner w of a first-order high-pass i omega / (i omega + w) of each sensor."""
+    explained = record.delivered - model.residual[: len(record.sensors)] * model.spread
+    displaced = record.displaced / model.chain
+    turning = 1j * record.omega
+    for i, sensor in enumerate(record.sensors):
+        own = record.tolerances.of_sensor(sensor.name)
+        corner = 2 * np.pi * own.high_pass_hz if sensor.quantity == "acceleration" else 0.0
+        factors: dict[Kind, Complex[np.ndarray, " lines"]] = {
+            "gain": np.full(turning.size, own.gain, dtype=complex),
+            "delay": -own.delay_s * turning,
+            "high-pass": -corner / (turning + corner) if corner else np.zeros_like(turning),
+        }
+        for kind, factor in factors.items():
+            if np.any(factor):
+                yield _Change(Nuisance(kind, sensor.name), [i], factor * explained[[i]], factor * displaced[[i]])
+
+
+def _of_force(record: Record, model: Linear) -> Iterator[_Change]:
+    """The measured force is gain times the true one."""
+    if record.tolerances.force_gain:
+        change = -record.tolerances.force_gain * model.chain * model.by_force
+        yield _Change(Nuisance("force gain", THE_FORCE), list(range(len(change))), change)
+
+
+def _measured(record: Record, model: Linear) -> list[Complex[np.ndarray, "modes lines"]]:
+    """The modal accelerations of each body: as modelled, plus what the sensors show beyond that."""
+    beyond = model.residual[: len(record.sensors)] * model.spread / model.chain
+    found = []
+    for response, motion in zip(model.responses, model.modal, strict=True):
+        rows = [i for i, s in enumerate(record.sensors) if s.station.body == response.body.name]
+        if rows:
+            count = min(len(rows), response.count)
+            shapes = response.shapes([record.sensors[i].station for i in rows])[:, :count]
+            motion[:count] += np.linalg.pinv(shapes) @ beyond[rows]
+        found.append(motion)
+    return found
+
+
+def _of_positions(
+    record: Record, model: Linear, response: Response, motion: Complex[np.ndarray, "modes lines"]
+) -> Iterator[_Change]:
+    body = response.body
+    rows = [i for i, s in enumerate(record.sensors) if s.station.body == body.name]
+    if not (body.length_m and rows):
+        return
+    places = np.array([record.sensors[i].station.position_m for i in rows])
+    step = 1e-4 * body.length_m
+    right, left = np.minimum(places + step, body.length_m), np.maximum(places - step, 0.0)
+    beside = [response.modes.shapes(at, response.count) for at in (right, left)]
+    slopes = (beside[0] - beside[1]) / (right - left)[:, None]
+    for i, slope in zip(rows, slopes @ motion, strict=True):
+        tolerance = record.tolerances.of_sensor(record.sensors[i].name).position_m
+        if tolerance:
+            change = tolerance * slope[None]
+            moved = record.twice_integrated * change
+            yield _Change(Nuisance("position", record.sensors[i].name), [i], model.chain[i] * change, moved)
+
+
+def _of_modes(
+    record: Record, model: Linear, response: Response, motion: Complex[np.ndarray, "modes lines"]
+) -> Iterator[_Change]:
+    """The mass of a body; its frequencies and its damping together, and of each mode by itself."""
+    body, omega, believed = response.body, record.omega, record.tolerances
+    rows = [i for i, s in enumerate(record.sensors) if s.station.body == body.name]
+    shapes, chain = response.shapes([record.sensors[i].station for i in rows]), model.chain[rows]
+    if believed.mass:
+        yield _Change(Nuisance("mass", body.name), rows, -believed.mass * chain * times(shapes, motion))
+    natural_hz, zeta = response.modes.frequencies_hz(response.count), response.modes.damping_ratios(response.count)
+    flexible = receptance(natural_hz, zeta, omega / (2 * np.pi)) * motion
+    natural = 2 * np.pi * natural_hz[:, None]
+    loss = 1j * zeta[:, None] * natural * omega
+    per_unit: dict[Kind, Complex[np.ndarray, "modes lines"]] = {
+        "frequency": -2 * (natural**2 + loss) * flexible,
+        "damping": -2 * loss * flexible,
+    }
+    flexing = np.arange(response.count) >= body.rigid_modes  # no matter which springs hold the body
+    by_belief = modes_of(record.rig, record.rig.body(body.name))  # so that all rigs have the same parameters
+    near = by_belief.frequencies_hz(response.count) < BEYOND * omega[-1] / (2 * np.pi)
+    elastic = np.flatnonzero(flexing & near)
+    for kind, change in per_unit.items():
+        if common := float(getattr(believed, kind)):
+            yield _Change(Nuisance(kind, body.name), rows, common * chain * times(shapes, change))
+        for m in elastic if not body.is_mass else []:
+            if own := float(getattr(believed.of_mode(body.name, int(m) + 1), kind)):
+                moved = own * chain * (shapes[:, m, None] * change[m])
+                yield _Change(Nuisance(kind, body.name, int(m) + 1), rows, moved)
+
+
+def apply_nuisance(
+    rig: Rig,
+    parameters: tuple[Nuisance, ...],
+    values: Float[np.ndarray, " nuisances"],
+    tolerances: Tolerances,
+) -> tuple[Rig, Float[np.ndarray, " nuisances"]]:
+    """The rig with the values of its single masses and their sensors put into it, and those values, the others zero.
+
+    Those alone bend the residual: a single mass may have been believed from a record of another level, and a resonance
+    that lies off by a part of its width is no linear matter. The modes of other bodies are not moved one by one.
+    """
+    single = {b.name for b in rig.bodies if b.is_mass}
+    bends = {Nuisance(kind, name) for name in single for kind in ("frequency", "damping")}
+    bends |= {Nuisance("gain", s.name) for s in rig.sensors if s.station.body in single}
+    put = np.where([p in bends for p in parameters], values, 0.0)
+    return with_nuisance(rig, parameters, put, tolerances), put
+
+
+def with_nuisance(
+    rig: Rig,
+    parameters: tuple[Nuisance, ...],
+    values: Float[np.ndarray, " nuisances"],
+    tolerances: Tolerances,
+) -> Rig:
+    """The rig with mass, frequencies and damping of its bodies, gains and delays of its channels as they were fitted.
+
+    Stations stay, as a contact knows its sensors by them; so does what belongs to one mode or to a high-pass.
+    """
+    fitted = dict(zip(parameters, values.tolist(), strict=True))
+
+    def factor(kind: Kind, of: str, tolerance: float) -> float:
+        return float(max(0.1, 1 + tolerance * fitted.get(Nuisance(kind, of), 0.0)))
+
+    def body(one: Body) -> Body:
+        heavier = one.weighed(factor("mass", one.name, tolerances.mass))
+        tuned = heavier.tuned(factor("frequency", one.name, tolerances.frequency))
+        return tuned.damped(factor("damping", one.name, tolerances.damping))
+
+    def sensor(one: Sensor) -> Sensor:
+        own = tolerances.of_sensor(one.name)
+        later_s = own.delay_s * fitted.get(Nuisance("delay", one.name), 0.0)
+        return replace(one, gain=one.gain * factor("gain", one.name, own.gain), delay_s=one.delay_s + later_s)
+
+    force_gain = rig.force_sensor.gain * factor("force gain", THE_FORCE, tolerances.force_gain)
+    return replace(
+        rig,
+        bodies=tuple(body(b) for b in rig.bodies),
+        sensors=tuple(sensor(s) for s in rig.sensors),
+        force_sensor=replace(rig.force_sensor, gain=force_gain),
+    )
+
+
+def counted(record: Record, residual: Complex[np.ndarray, "rows lines"]) -> Float[np.ndarray, "rows times"]:
+    """Over time, with a variance of one where that of the lines is one.
+
+    A quiet start counts for nothing: what was switched on before the record rings out there.
+    """
+    found = residual_scale(record) * record.in_time(residual)
+    found[:, record.time_s < record.excited_s] = 0.0
+    return found
+
+
+def residual_scale(record: Record) -> float:
+    """Makes the residual over time, of lines with a variance of one, have a variance of one."""
+    return float(np.sqrt(record.length * record.samples / (2 * record.omega.size)))
+
+
+def at_contacts(
+    record: Record,
+    model: Linear,
+    displaced: Complex[np.ndarray, "some lines"],
+    sensors: list[int] | slice = slice(None),
+) -> Complex[np.ndarray, "contacts lines"]:
+    """Relative displacements from the sensors at the contacts, of which some are displaced."""
+    stations = [s.station for s in record.sensors]
+    signs = np.array([[(s == c.at) * 1.0 - (s == c.against) * 1.0 for s in stations] for c in model.rig.contacts])
+    return times(signs.reshape(-1, len(stations))[:, sensors], displaced)

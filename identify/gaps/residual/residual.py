@@ -1,0 +1,210 @@
+"""The one residual of the diagnosis: a rig's model against a record, with the nuisance parameters free.
+
+cost = |linear residual|^2 + sum over contacts |contact residual|^2 + strictness |nuisance|^2 + log determinant
+"""
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from jaxtyping import Float
+from msgspec.structs import replace
+
+from identify.gaps.residual.grounded import pushed_by_motion
+from identify.gaps.residual.law import Contact, Laid, Seen, contact_residual, laid_out, seen_contacts, start_of
+from identify.gaps.residual.linear import Linear, linear_model
+from identify.gaps.residual.lines import standing_out, without_lines
+from identify.gaps.residual.nuisance import Columns, Nuisance, apply_nuisance, columns_of, counted, with_nuisance
+from identify.gaps.residual.scales import Scales, estimated_scales, prior_scales
+from identify.gaps.residual.spectra import Record
+from rig.model.description import Rig
+
+
+@dataclass(frozen=True)
+class Base:
+    """A record and the rig about which it is linearised: what every residual of the record shares.
+
+    put are the nuisance parameters that are in the rig already where it is linearised; None: all zero.
+    """
+
+    record: Record
+    rig: Rig
+    scales: Scales
+    model: Linear
+    seen: tuple[Seen, ...]
+    put: Float[np.ndarray, " nuisances"] | None
+
+    @cached_property
+    def about(self) -> Float[np.ndarray, " nuisances"]:
+        """The nuisance parameters that are in the rig already where it is linearised."""
+        return np.zeros(len(self.columns.parameters)) if self.put is None else self.put
+
+    @cached_property
+    def gram(self) -> Float[np.ndarray, "nuisances nuisances"]:
+        """The products of the linear residual's columns."""
+        return self.columns.products(self.columns.flat)
+
+    @cached_property
+    def lines(self) -> tuple[float, ...]:
+        """The frequencies, per sample, of the lines that stand out of its own rig's residual."""
+        sensors = len(self.record.sensors)
+        return standing_out(counted(self.record, self.model.residual[:sensors]))
+
+    @property
+    def columns(self) -> Columns:
+        """Kept for the bases that were used last, as they are large: those of others are computed again."""
+        return _columns(self.model)
+
+
+@dataclass(frozen=True)
+class Residual:
+    """A rig against a record. linear is in standard deviations, over time, with the nuisance parameters taken in.
+
+    quiet is what of it is fitted, and tells the scale of the unmodelled: of a rig without tones, linear without the
+    lines that stand out. They are no error of a model, so nothing else is to follow them.
+    """
+
+    rig: Rig
+    model: Linear
+    laid: tuple[Laid, ...]
+    bare: Float[np.ndarray, "rows times"]
+    linear: Float[np.ndarray, "rows times"]
+    quiet: Float[np.ndarray, "rows times"]
+    contacts: tuple[Contact, ...]
+    nuisance: Float[np.ndarray, " nuisances"]
+    parameters: tuple[Nuisance, ...]
+    strictness: float
+
+    @property
+    def rows(self) -> int:
+        """The cost of noise alone."""
+        return int(self.linear.size + sum(c.residual.size for c in self.contacts))
+
+    @property
+    def pulls(self) -> Float[np.ndarray, " pulls"]:
+        """Of the nuisance parameters and the contacts' own: (estimate - prior mean) / prior standard deviation."""
+        return np.concatenate([self.nuisance, *(c.unknowns[-3:] for c in self.contacts)])
+
+    @property
+    def fitted_rig(self) -> Rig:
+        """The rig with what was fitted beside it: nuisance parameters and the contacts' tolerances."""
+        found = with_nuisance(self.rig, self.parameters, self.nuisance, self.model.record.tolerances)
+        laws = [c.fitted for c in self.contacts]
+        return replace(found, contacts=tuple(replace(c, law=x) for c, x in zip(found.contacts, laws, strict=True)))
+
+    @property
+    def contact_levels(self) -> tuple[float, ...]:
+        """Mean square of each contact's residual while the rig moves, in the variances that it was weighed by."""
+        found = []
+        for contact in self.contacts:
+            moving = contact.seen.weights > 0
+            own = contact.residual[: moving.size][moving]
+            found.append(float(np.mean(own**2)) if own.size else 0.0)
+        return tuple(found)
+
+    @property
+    def cost(self) -> float:
+        return (
+            float(np.sum(self.quiet**2) + self.strictness * self.nuisance @ self.nuisance)
+            + sum(c.cost for c in self.contacts)
+            + self.model.log_determinant * self.linear.shape[1] / self.model.spread.shape[1]
+        )
+
+
+def base_of(
+    record: Record,
+    rig: Rig,
+    about: Residual | None = None,
+    scales: Scales | None = None,
+    seen: tuple[Seen, ...] | None = None,
+) -> Base:
+    """The linearisation about a rig, with the nuisance parameters of a residual of the record in it, if one is given.
+
+    `scales` and `seen` of another base of the record keep their costs comparable.
+    """
+    scales = scales or prior_scales(record)
+    there, put = apply_nuisance(rig, about.parameters, about.nuisance, record.tolerances) if about else (rig, None)
+    model = linear_model(record, there, scales.discrepancy)
+    seen = seen or seen_contacts(record, model, scales.contacts)
+    return Base(record, rig, scales, model, seen, put)
+
+
+@lru_cache(maxsize=2)
+def _columns(model: Linear) -> Columns:
+    return columns_of(model.record, model)
+
+
+def rescaled(base: Base, at: Residual) -> Base:
+    """The base with the scales that a residual of it shows."""
+    return base_of(base.record, base.rig, at, scales_at(base, at))
+
+
+def scales_at(base: Base, at: Residual) -> Scales:
+    """Of what no model explains, as a residual shows them."""
+    return estimated_scales(base.record, base.scales, at.quiet, at.contact_levels)
+
+
+def linear_of(base: Base, rig: Rig) -> Linear:
+    """The linear model of a rig, with the nuisance parameters in it that the base has in its own."""
+    record = base.record
+    if base.about.any():
+        rig, _ = apply_nuisance(rig, base.columns.parameters, base.about, record.tolerances)
+    return linear_model(record, rig, base.scales.discrepancy)
+
+
+def residual_of(
+    base: Base,
+    rig: Rig,
+    nuisance: Float[np.ndarray, " nuisances"] | None = None,
+    unknowns: tuple[Float[np.ndarray, " _"], ...] | None = None,
+    like: Residual | None = None,
+) -> Residual:
+    """The residual of a rig at some nuisance parameters and contact unknowns (none of either: zero), without any fit.
+
+    `like` is a residual of the same base, of which nothing is computed again that is the same.
+    """
+    record, parameters = base.record, base.columns.parameters
+    nuisance = np.zeros(len(parameters)) if nuisance is None else nuisance
+    if like is not None and same_but_laws(like.rig, rig):
+        model, laid, bare = like.model, like.laid, like.bare
+    else:
+        model = base.model if same_but_laws(base.rig, rig) else linear_of(base, rig)
+        laid = laid_out(record, model)
+        bare = counted(record, model.residual)
+    if unknowns is None:
+        unknowns = tuple(
+            start_of(at, s, c.law, record.rate_hz) for at, s, c in zip(laid, base.seen, rig.contacts, strict=True)
+        )
+    beside = nuisance - base.about
+    same = like if like is not None and model is like.model and nuisance is like.nuisance else None
+    linear = same.linear if same else bare
+    if beside.any() and not same:
+        linear = bare - base.columns.along(beside)
+    quiet = same.quiet if same else linear if rig.tones else without_lines(linear, base.lines)
+
+    slow_m = [s.curve.value @ u[: s.curve.knots] for s, u in zip(base.seen, unknowns, strict=True)]
+    others = model.slow_n_per_m - np.diag(np.diag(model.slow_n_per_m))
+
+    def contact(j: int) -> Contact:
+        law, told_by = rig.contacts[j].law, {j, *np.flatnonzero(others[j])}
+        if same and same.contacts[j].law == law and all(same.contacts[i].unknowns is unknowns[i] for i in told_by):
+            return same.contacts[j]
+        more_n, more_m = (-beside @ c[:, j] for c in (base.columns.contact_n, base.columns.eta_m))
+        more_n -= sum(others[j, i] * slow_m[i] for i in told_by)
+        return contact_residual(laid[j], base.seen[j], law, unknowns[j], more_n, more_m)
+
+    contacts = tuple(contact(j) for j in range(len(rig.contacts)))
+    return Residual(rig, model, laid, bare, linear, quiet, contacts, nuisance, parameters, record.strictness)
+
+
+def same_but_sensors(one: Rig, other: Rig) -> bool:
+    """Whether two rigs differ in their sensors' gains and delays at most, and no force is had from what they show."""
+    return replace(one, sensors=other.sensors) == other and not pushed_by_motion(one)
+
+
+def same_but_laws(one: Rig, other: Rig) -> bool:
+    """Whether two rigs differ in their contact laws at most."""
+    if one is other:
+        return True
+    laws = tuple(c.law for c in other.contacts)
+    return replace(one, contacts=tuple(replace(c, law=law) for c, law in zip(one.contacts, laws, strict=True))) == other

@@ -1,0 +1,242 @@
+"""A recording as the diagnosis reads it: the spectra of force and accelerations, and how far noise explains them."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Complex, Float
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import periodogram
+
+from identify.contacts.estimates import drift_of
+from identify.signals.drift import Drift
+from identify.signals.kinematics import (
+    CORNER_HZ,
+    QUIET_S,
+    Kinematics,
+    acceleration_noise,
+    integrated,
+    kinematics,
+    taper,
+)
+from identify.signals.spectra import force_band
+from rig.errors import RigError
+from rig.model.description import Quantity, Rig, Sensor
+from rig.model.sensing import PASSBAND, sensors_of
+from rig.model.tolerances import LABORATORY, Tolerances
+from rig.recording import Recording
+
+TAPER_S = 0.5
+RING_S = 12.0
+"""Silence behind the record in which the beams ring down before the transform wraps round."""
+LEFT_OUT_S = 4.5
+"""At the record's end, where the taper, and integration, falsify every residual."""
+REACH = 1.6
+"""The diagnosis looks up to this multiple of the force's highest frequency."""
+SHORTEST_S = 10.0
+SMOOTHED_HZ = 1.0
+FINE_HZ = 8000.0
+"""Contact laws are evaluated at no less; at twice that nothing changes."""
+COUNTED_HZ = 20.0
+"""So many samples a second count as independent, of all channels together."""
+ORDER: dict[Quantity, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
+
+
+@dataclass(frozen=True)
+class Record:
+    """Spectra of one recording, on the lines 0 to `high_hz`; `taken` are the samples in time that count.
+
+    delivered is what each sensor gave, turned into an acceleration by powers of i omega, its believed gain and delay
+    still in it; displaced the same as a displacement, high-passed where it had to be integrated. noise is the variance
+    of each of its lines by the sensor's noise alone, power its smoothed size; force_noise the variance of the force's
+    lines by its channel's noise. eta_beyond is each relative displacement as measured on the lines from `high_hz` on,
+    drifts what is known of its slow part (None where nothing is lost; the linear model has the springs). window is
+    what samples were multiplied by, excited_s when the force begins, tolerances how exactly the rig is believed.
+    """
+
+    rig: Rig
+    sensors: tuple[Sensor, ...]
+    zero_known: bool
+    sample_rate_hz: float
+    length: int
+    samples: int
+    factor: int
+    window: Float[np.ndarray, " samples"]
+    omega: Float[np.ndarray, " lines"]
+    force: Complex[np.ndarray, " lines"]
+    delivered: Complex[np.ndarray, "sensors lines"]
+    displaced: Complex[np.ndarray, "sensors lines"]
+    noise: Float[np.ndarray, "sensors lines"]
+    force_noise: float
+    power: Float[np.ndarray, "sensors lines"]
+    eta_beyond: Complex[np.ndarray, "contacts morelines"]
+    drifts: tuple[Drift | None, ...]
+    taken: slice
+    excited_s: float
+    tolerances: Tolerances
+
+    @property
+    def rate_hz(self) -> float:
+        """Of the residuals over time."""
+        return self.sample_rate_hz / self.factor
+
+    @property
+    def time_s(self) -> Float[np.ndarray, " times"]:
+        """Of the residuals' samples."""
+        return np.arange(self.taken.start, self.taken.stop) / self.rate_hz
+
+    @property
+    def sample_times_s(self) -> Float[np.ndarray, " samples"]:
+        """Of the recording's samples, from its beginning."""
+        return np.arange(self.samples) / self.sample_rate_hz
+
+    def spectrum(self, course: Float[np.ndarray, " samples"]) -> Complex[np.ndarray, " lines"]:
+        """Of a course over the recording's samples, windowed as they were."""
+        lines = np.round(self.omega * self.length / (2 * np.pi * self.sample_rate_hz)).astype(int)
+        return np.asarray(rfft(course * self.window, self.length)[lines])
+
+    def finely(
+        self, eta: Complex[np.ndarray, "contacts lines"], derivative: int = 0, beyond: bool = True
+    ) -> Float[np.ndarray, "contacts fine"]:
+        """Relative displacements, or velocities, at `FINE_HZ` or more, within the samples that count.
+
+        With what was measured beyond the lines; a change of a model has nothing there.
+        """
+        fine = self.factor * self.finer
+        whole = np.concatenate([eta[:, :-1], self.eta_beyond if beyond else np.zeros_like(self.eta_beyond)], axis=1)
+        if derivative:
+            whole = whole * (2j * np.pi * self.sample_rate_hz / self.length * np.arange(whole.shape[1]))
+        moved = self.finer * irfft(whole, self.length * self.finer)
+        return moved[:, self.taken.start * fine : (self.taken.stop - 1) * fine + 1].copy()
+
+    @cached_property
+    def twice_integrated(self) -> Complex[np.ndarray, " lines"]:
+        """What makes a displacement of an acceleration, high-passed."""
+        return integrated(self.omega, -2, CORNER_HZ)
+
+    @property
+    def strictness(self) -> float:
+        """How much more the tolerances weigh than samples do, as model errors last: samples for each that counts."""
+        return max(1.0, len(self.sensors) * self.rate_hz / COUNTED_HZ)
+
+    @property
+    def finer(self) -> int:
+        return max(1, round(FINE_HZ / self.sample_rate_hz))
+
+    def in_time(self, spectra: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows times"]:
+        """Back to time, at `rate_hz`, the samples that count."""
+        whole = irfft(spectra, self.length // self.factor) / self.factor
+        return np.asarray(whole[..., self.taken])
+
+
+def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Tolerances | None = None) -> Record:
+    """The spectra of a recording's accelerometers; without any, of its velocity or else its displacement sensors.
+
+    Raises RigError if it is too short, or has no force or no sensors.
+    """
+    rig, rate = recording.rig, recording.rig.sample_rate_hz
+    tolerances = tolerances or rig.tolerances or LABORATORY
+    if recording.duration_s < SHORTEST_S:
+        raise RigError(
+            f"the record lasts {recording.duration_s:.3g} s; the diagnosis needs {SHORTEST_S:g} s, better 30 s or more"
+        )
+    if not np.any(recording.force_n):
+        raise RigError("the measured force is zero throughout; the diagnosis needs an excited record")
+    quantity: Quantity = max((s.quantity for s in rig.sensors), key=ORDER.__getitem__)
+    sensors = sensors_of(rig, quantity)
+    motion = kinematics(recording, quantity)
+    high_hz = min(REACH * force_band(recording.force_n, rate)[1], motion.trusted_hz[1])
+    factor = max(1, int(rate / (2 * high_hz)))
+    samples = recording.samples
+    length = factor * next_fast_len(-(-(samples + round(RING_S * rate)) // factor), real=True)
+    lines = length // factor // 2 + 1
+    omega = 2 * np.pi * np.arange(lines) * rate / length
+    omega[0] = 0.01 * omega[1]  # stands for the mean, which powers of omega would lose
+    quiet = motion.excited_from > QUIET_S * rate
+    shape = taper(samples, round(TAPER_S * rate))
+    if not quiet:
+        shape = shape * shape[::-1]
+
+    def spectrum(signals: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows all"]:
+        return np.asarray(rfft(signals * shape, length))
+
+    measured = spectrum(np.stack([_row(recording, s) for s in sensors]))
+    beyond_rad = 2 * np.pi * rate / length * np.arange(lines - 1, measured.shape[1])
+    turned, twice_less = (
+        np.stack([integrated(omega, order - ORDER[s.quantity], low_hz) for s in sensors]) for order in (2, 0)
+    )
+    smooth = uniform_filter1d(np.abs(measured[:, :lines]) ** 2, max(1, round(SMOOTHED_HZ * length / rate)), axis=1)
+    noise = acceleration_noise(motion, rig)
+    densities = _densities(sensors, motion)
+    size = np.stack([omega ** (2 - ORDER[s.quantity]) for s in sensors])
+    return Record(
+        rig=rig,
+        sensors=sensors,
+        zero_known=motion.zero_known,
+        sample_rate_hz=rate,
+        length=length,
+        samples=samples,
+        factor=factor,
+        window=shape,
+        omega=omega,
+        force=spectrum(recording.force_n)[:lines],
+        delivered=measured[:, :lines] * turned,
+        displaced=measured[:, :lines] * twice_less,
+        force_noise=samples * _force_noise_n(recording, motion, tolerances) ** 2,
+        noise=samples * (densities[:, None] * size) ** 2 * rate / 2,
+        power=smooth * np.abs(turned) ** 2,
+        eta_beyond=_eta_beyond(rig, sensors, measured[:, lines - 1 :], beyond_rad),
+        drifts=tuple(drift_of(rig, motion, j, noise, tolerances, 0.0, samples) for j in range(len(rig.contacts))),
+        excited_s=motion.excited_from / rate,
+        tolerances=tolerances,
+        taken=slice(
+            0 if quiet else round(LEFT_OUT_S * rate / factor), int((samples - round(LEFT_OUT_S * rate)) / factor)
+        ),
+    )
+
+
+def _eta_beyond(
+    rig: Rig,
+    sensors: tuple[Sensor, ...],
+    measured: Complex[np.ndarray, "sensors lines"],
+    omega: Float[np.ndarray, " lines"],
+) -> Complex[np.ndarray, "contacts lines"]:
+    """Above the band of the diagnosis: from the sensors at the contacts; zero where there are none."""
+    found = np.zeros((len(rig.contacts), omega.size), dtype=complex)
+    heard = omega <= 2 * np.pi * PASSBAND * rig.sample_rate_hz
+    for j, contact in enumerate(rig.contacts):
+        for station, sign in ((contact.at, 1.0), (contact.against, -1.0)):
+            for i, sensor in enumerate(sensors):
+                if sensor.station == station:
+                    found[j] += sign * heard * measured[i] * integrated(omega, -ORDER[sensor.quantity], CORNER_HZ)
+    return found
+
+
+def _row(recording: Recording, sensor: Sensor) -> Float[np.ndarray, " samples"]:
+    signals = recording.signals[sensor.quantity]
+    return signals.values[signals.channels.names.index(sensor.name)]
+
+
+def _force_noise_n(recording: Recording, motion: Kinematics, tolerances: Tolerances) -> float:
+    """Standard deviation of the force channel's noise: heard in the quiet start, else as the tolerances state it."""
+    if motion.quiet_samples:
+        return float(np.std(recording.force_n[: motion.quiet_samples]))
+    return float(tolerances.force_noise_density * np.sqrt(motion.sample_rate_hz / 2))
+
+
+def _densities(sensors: tuple[Sensor, ...], motion: Kinematics) -> Float[np.ndarray, " sensors"]:
+    """One-sided noise of each sensor in its own unit per sqrt(Hz): heard in the quiet start, else as described.
+
+    The median over the frequencies tells it: a motor that runs, or a floor that shakes, raises some of them only. That
+    of powers which are distributed exponentially is ln 2 of their mean.
+    """
+    heard = {}
+    if motion.quiet_samples:
+        rate = motion.sample_rate_hz
+        hz, power = periodogram(motion.acceleration_m_per_s2[:, : motion.quiet_samples], rate, "hann")
+        inner = (hz > 0) & (hz < PASSBAND * rate)
+        heard = dict(zip(motion.stations, np.sqrt(np.median(power[:, inner], axis=1) / np.log(2)), strict=True))
+    return np.array(
+        [heard.get(s.station, s.noise_density) if s.quantity == "acceleration" else s.noise_density for s in sensors]
+    )

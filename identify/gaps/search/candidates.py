@@ -1,0 +1,141 @@
+"""What might cause a gap: every effect of the library, at every place of the rig where it could act."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+
+from identify.gaps.residual.spectra import Record
+from rig.effects import effects
+from rig.effects.base import Effect, Parameter, Place, Scale
+from rig.errors import RigError
+from rig.model.description import Rig
+
+PLACES = 9
+"""A parameter that says where, rather than how much, is tried at so many values of its range."""
+WHOLE = 8
+"""A ratio is tried at so many values over its whole range."""
+SMALL = 0.05
+"""Steps for derivatives, as a share of what the typical effect adds."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect at one place: `typical` there, with the ranges of its parameters, the strength first.
+
+    Where all parameters that have a neutral value are at it, the effect is nothing. The others say where or at which
+    frequency; `starts` are the values of theirs that are tried.
+    """
+
+    kind: type[Effect]
+    place: Place
+    parameters: Mapping[str, Parameter]
+    typical: Effect
+
+    @property
+    def name(self) -> str:
+        return ":".join([self.kind.name, *(target or "all" for target in self.place.values())])
+
+    @property
+    def neutral(self) -> float:
+        """What the strength is without the effect."""
+        return next(p.neutral for p in self.parameters.values() if p.neutral is not None)
+
+    @property
+    def default(self) -> Float[np.ndarray, " parameters"]:
+        """The parameters of the typical effect."""
+        return np.array([getattr(self.typical, p) for p in self.parameters])
+
+    @property
+    def bounds(self) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, " parameters"]]:
+        low, high = np.array([[p.low, p.high] for p in self.parameters.values()]).T
+        return low, high
+
+    @property
+    def steps(self) -> Float[np.ndarray, " parameters"]:
+        """Small changes: of a strength a share of the typical effect's, of the others of their range.
+
+        Of a sharp frequency, of the lowest one, which is that of two periods in the record.
+        """
+        adds = [
+            self.default[i] - p.neutral
+            if p.neutral is not None
+            else p.low
+            if name == self.kind.scanned
+            else p.high - p.low
+            for i, (name, p) in enumerate(self.parameters.items())
+        ]
+        adds = [a or self.default[0] - self.neutral for a in adds]
+        return SMALL * np.array(adds)
+
+    @property
+    def strong(self) -> list[int]:
+        """Which parameters say how much: they have a neutral value."""
+        return [i for i, p in enumerate(self.parameters.values()) if p.neutral is not None]
+
+    def starts(self, scanned: Sequence[float] = ()) -> list[Float[np.ndarray, " parameters"]]:
+        """The neutral strength at every place that is tried; `scanned` are the values of a scanned parameter."""
+        grids = []
+        for name, parameter in self.parameters.items():
+            ends = (parameter.low, parameter.high)
+            if name == self.kind.scanned:
+                grids.append(np.array([v for v in scanned if ends[0] <= v <= ends[1]]))
+                continue
+            logarithmic = parameter.low > 0 and parameter.high > 20 * parameter.low
+            if parameter.neutral is not None:
+                grids.append(np.array([parameter.neutral]))
+            else:
+                grids.append(np.geomspace(*ends, PLACES + 2)[1:-1] if logarithmic else np.linspace(*ends, PLACES))
+        return [np.array(values) for values in product(*grids)]
+
+    def strengths(self, multiples: Sequence[float]) -> list[float]:
+        """Strengths to try: multiples of what the typical effect adds, of both signs, and of ratios the whole range."""
+        low, high = (float(ends[0]) for ends in self.bounds)
+        adds = float(self.default[0]) - self.neutral
+        tried = [self.neutral + sign * m * adds for sign in (1, -1) for m in multiples]
+        if self.neutral == 1 and low > 0 and high > 4 * low:
+            tried += list(np.geomspace(low, high, WHOLE))
+        return [float(t) for t in tried if low <= t <= high]
+
+    def effect(self, values: Float[np.ndarray, " parameters"]) -> Effect:
+        """The typical effect with other numbers."""
+        return msgspec.structs.replace(
+            self.typical, **{name: float(v) for name, v in zip(self.parameters, values, strict=True)}
+        )
+
+    def applied(self, rig: Rig, values: Float[np.ndarray, " parameters"]) -> Rig:
+        """The rig with the effect; the rig itself where the effect is nothing (some cannot be nothing exactly)."""
+        strengths = [(v, p.neutral) for v, p in zip(values, self.parameters.values(), strict=True)]
+        nothing = all(neutral is None or v == neutral for v, neutral in strengths)
+        return rig if nothing else self.effect(values).applied_to(rig)
+
+
+def scale_of(record: Record, rig: Rig) -> Scale:
+    """What the ranges of effects are stated in: the rig, and the record's force (root mean square) and duration."""
+    force_n = record.in_time(record.force)
+    return Scale(rig, float(np.sqrt(np.mean(force_n**2))), record.samples / record.sample_rate_hz)
+
+
+def candidates(scale: Scale, sensors: Sequence[str], zero_known: bool) -> list[Candidate]:
+    """Every effect that the rig can have, at every place and sensor that a record sees.
+
+    Effects that only the zero of a relative displacement shows are left out where it is not known, and those that
+    change nothing.
+    """
+    found = []
+    for kind in effects().values():
+        if kind.needs_zero and not zero_known:
+            continue
+        for place in kind.placements(scale.rig, sensors):
+            there = scale.at(place)
+            candidate = Candidate(kind, place, kind.parameters(there), kind.typical(there))
+            try:
+                changed = candidate.applied(scale.rig, candidate.default)
+            except RigError:
+                continue  # it makes no sense here
+            if changed != scale.rig:
+                found.append(candidate)
+    return found

@@ -1,0 +1,201 @@
+"""Effects in a rig as a hypothesis on a record: how they are fitted, and what they leave."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from jaxtyping import Float
+
+from identify.gaps.residual.fit import fit
+from identify.gaps.residual.likelihood import Misfit, Reference, misfit
+from identify.gaps.residual.nuisance import LIMIT
+from identify.gaps.residual.residual import Base, Residual, base_of, rescaled, scales_at
+from identify.gaps.search.base_excitation import fit_base_excitation
+from identify.gaps.search.candidates import Candidate
+from identify.gaps.search.nominal import fitted, singly_bent
+from rig.errors import RigError
+from rig.model.description import Rig
+
+WORTH = 20.0
+"""An effect that gains less of -2 ln p is not fitted: a good third of what the priors of one among some 26, at some 4
+places, and the temperature of the comparison ask of it, 2 * 6 * ln(0.3 * 26 * 4 / 0.35) = 54."""
+SHORT, ROUNDS, SETTLED = 3, 4, 1.0
+"""Steps of a first fit; at most so many rounds to the end, until one gains less than this of -2 ln p."""
+FAR = 200.0
+"""Hypotheses whose -2 ln p is larger by so much than the best one's are not fitted to the end, nor compared on another
+record, where the odds of a single one are e^(200 / (2 * 6)) = 2e7."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Effects in the rig, with their parameters fitted on a record one after the other; none: the believed rig."""
+
+    parts: tuple[Candidate, ...]
+    values: Float[np.ndarray, " parameters"]
+    covariance: Float[np.ndarray, "parameters parameters"]
+    misfit: Misfit
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        return tuple(p.kind.name for p in self.parts)
+
+    @property
+    def key(self) -> frozenset[str]:
+        return frozenset(p.name for p in self.parts)
+
+    @property
+    def cost(self) -> float:
+        """On the record that it was fitted to."""
+        return self.misfit.minus_two_log
+
+    @property
+    def leaves_something(self) -> bool:
+        """Whether more is left above noise and tolerated shares than an effect must gain."""
+        return self.misfit.excess > WORTH
+
+    def split(self) -> list[Float[np.ndarray, " parameters"]]:
+        """The values of each part."""
+        ends = np.cumsum([len(p.parameters) for p in self.parts])
+        return np.split(self.values, ends[:-1])
+
+    def applied_to(self, rig: Rig) -> Rig:
+        return applied(rig, self.parts, self.values)
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A hypothesis while it is fitted: with the base and the residual, which take much memory."""
+
+    hypothesis: Hypothesis
+    base: Base
+    residual: Residual
+
+    @property
+    def cost(self) -> float:
+        return self.hypothesis.cost
+
+
+def applied(rig: Rig, parts: Sequence[Candidate], values: Float[np.ndarray, " parameters"]) -> Rig:
+    """The rig with several effects, whose parameters stand one after the other."""
+    at = 0
+    for part in parts:
+        count = len(part.parameters)
+        rig = part.applied(rig, values[at : at + count])
+        at += count
+    return rig
+
+
+@dataclass(frozen=True)
+class Search:
+    """What a search on one record shares: its base and residual under the believed rig, and the reference variances."""
+
+    reference: Reference
+    base: Base
+    at: Residual
+    known: tuple[Candidate, ...]
+
+    def nothing(self) -> Tried:
+        return _tried(self, (), np.zeros(0), np.zeros((0, 0)), self.base, self.at)
+
+
+def fit_effects(
+    begun: Search,
+    parts: tuple[Candidate, ...],
+    values: Float[np.ndarray, " parameters"],
+    start: Residual,
+    least: float = np.inf,
+) -> Tried:
+    """Effects fitted to the end from some values, and from the nuisance parameters and drifts of a residual."""
+    return refined(begun, fit_briefly(begun, parts, values, straightened(start)), least)
+
+
+def fit_briefly(
+    begun: Search,
+    parts: tuple[Candidate, ...],
+    values: Float[np.ndarray, " parameters"],
+    start: Residual | None,
+    about: Base | None = None,
+) -> Tried:
+    """Gauss-Newton for a few steps at the scales of a base (the believed rig's unless one is given).
+
+    Without a start, nothing was bent to do without the effects: then the linearisation is about their values.
+    """
+    about, build = about or begun.base, partial(applied, begun.base.rig, parts)
+    if start is None:
+        about = base_of(about.record, build(values), None, about.scales, about.seen)
+    done = fit(about, build, values, steps_of(parts), bounds_of(parts), start, SHORT)
+    return _tried(begun, parts, done.values, done.covariance, about, done.residual)
+
+
+def refined(begun: Search, one: Tried, least: float = np.inf) -> Tried:
+    """Fitted to the end, with scales and linearisation renewed about where the parameters have come to.
+
+    What is known by its spectrum alone keeps its values. It ends where the cost stays `FAR` above the least of others.
+    """
+    parts = one.hypothesis.parts
+    if any(p.kind.stochastic for p in parts):
+        return one
+    build = partial(applied, begun.base.rig, parts)
+    for _ in range(ROUNDS + singly_bent(begun.base.rig)):
+        values = one.hypothesis.values
+        about = base_of(one.base.record, build(values), one.residual, scales_at(one.base, one.residual))
+        done = fit(about, build, values, steps_of(parts), bounds_of(parts), one.residual)
+        better = _tried(begun, parts, done.values, done.covariance, about, done.residual)
+        gained = one.cost - better.cost
+        one = better if gained > 0 else one
+        if gained < SETTLED or one.cost > least + FAR:
+            break
+    return one
+
+
+def steps_of(parts: tuple[Candidate, ...]) -> Float[np.ndarray, " parameters"]:
+    return np.concatenate([p.steps for p in parts])
+
+
+def bounds_of(
+    parts: tuple[Candidate, ...],
+) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, " parameters"]]:
+    low, high = (np.concatenate(ends) for ends in zip(*(p.bounds for p in parts), strict=True))
+    return low, high
+
+
+def _tried(
+    begun: Search,
+    parts: tuple[Candidate, ...],
+    values: Float[np.ndarray, " parameters"],
+    covariance: Float[np.ndarray, "parameters parameters"],
+    base: Base,
+    at: Residual,
+) -> Tried:
+    left = misfit(base.record, begun.reference, at)
+    return Tried(Hypothesis(parts, values, covariance, left), base, at)
+
+
+def fit_spectrum(begun: Search, nothing: Tried, candidate: Candidate) -> Tried | None:
+    """An effect of which only the spectrum is known: its values are not fitted over time."""
+    if not nothing.hypothesis.leaves_something:
+        return None
+    found = fit_base_excitation(nothing.base, nothing.residual, candidate, WORTH)
+    if found is None:
+        return None
+    values, spread = found
+    try:
+        rig = candidate.applied(begun.base.rig, values)
+    except RigError:
+        return None
+    base = base_of(begun.base.record, rig, nothing.residual, nothing.base.scales)
+    base = rescaled(base, fitted(base, nothing.residual).residual)
+    at = fitted(base, nothing.residual).residual
+    return _tried(begun, (candidate,), values, np.diag(spread**2), base, at)
+
+
+def straightened(at: Residual) -> Residual:
+    """Where to start with an effect: nuisance parameters that were bent to do without it are straight again.
+
+    They stay as they are where none is at its limit.
+    """
+    if np.max(np.abs(at.pulls), initial=0.0) < LIMIT - 1e-6:
+        return at
+    straight = tuple(replace(c, unknowns=np.append(c.unknowns[:-3], np.zeros(3))) for c in at.contacts)
+    return replace(at, nuisance=np.zeros_like(at.nuisance), contacts=straight)

@@ -1,0 +1,203 @@
+"""The search over the library, jointly: single effects, and pairs that do not depend on which of the two came first."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from itertools import chain
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from identify.gaps.residual.residual import Base, Residual, base_of, residual_of
+from identify.gaps.search.candidates import Candidate
+from identify.gaps.search.hypothesis import (
+    FAR,
+    WORTH,
+    Hypothesis,
+    Search,
+    Tried,
+    fit_briefly,
+    fit_effects,
+    fit_spectrum,
+    refined,
+    straightened,
+)
+from identify.gaps.search.nominal import fitted
+from identify.gaps.search.screening import Screened, grid_screening, law_screening, of_laws, score_screening
+from rig.errors import RigError
+from rig.model.description import Rig
+
+BY_SCORE, BY_GRID, FRESH, BY_LAW = 5, 3, 3, 1
+"""So many candidates of each screening are fitted for a few steps."""
+KEPT, RIVAL = 3, 0.5
+"""So many of those are fitted to the end, if they gained this share of what the best one did."""
+FIRSTS, SECONDS = 3, 2
+"""So many effects at most are followed by a search for another, of which so many are fitted together with it."""
+SHOWN = 2
+"""So many hypotheses are compared on another record, however far they are."""
+
+
+def search(begun: Search, progress: Callable[[float], None]) -> list[Hypothesis]:
+    """The believed rig, and the single effects and pairs that explain most, the likeliest on this record first.
+
+    Every effect is screened, those that promise most are fitted for a few steps, the best of them to the end. Behind
+    the best the library is screened again, and a pair is fitted together. Each part of the best pair is in turn taken
+    first, so that a pair does not depend on which of the two was found first.
+    """
+    nothing = begun.nothing()
+    singles = _singles(begun, nothing)
+    progress(0.5)
+    pairs: dict[frozenset[str], Hypothesis] = {}
+    followed: set[frozenset[str]] = set()
+    queue = singles[:1]
+    while queue and len(followed) < FIRSTS:
+        first = queue.pop(0)
+        if first.hypothesis.key in followed or not first.hypothesis.leaves_something:
+            continue
+        followed.add(first.hypothesis.key)
+        for pair in _seconds(begun, first, min((p.cost for p in pairs.values()), default=np.inf)):
+            if pair.key not in pairs or pair.cost < pairs[pair.key].cost:
+                pairs[pair.key] = pair
+        progress(0.5 + 0.5 * len(followed) / FIRSTS)
+        best = min(pairs.values(), key=_cost, default=None)
+        if best and best.leaves_something and not queue:
+            known = {one.hypothesis.key: one for one in singles}
+            parts = _parts(begun, best, known)
+            singles += [one for one in parts if one.hypothesis.key not in known]
+            queue = _rivals([singles[0], *parts], nothing)
+    found = sorted([*(one.hypothesis for one in singles), *pairs.values()], key=_cost)
+    near = [one for i, one in enumerate(found) if i < SHOWN or one.cost < found[0].cost + FAR]
+    return sorted([nothing.hypothesis, *near], key=_cost)
+
+
+def _cost(one: Tried | Hypothesis) -> float:
+    return one.cost
+
+
+def _singles(begun: Search, nothing: Tried) -> list[Tried]:
+    base, at = begun.base, straightened(begun.at)
+    fresh = residual_of(base, base.rig, at.nuisance)
+    steady = [c for c in begun.known if not c.kind.stochastic]
+    laws = of_laws(base.rig, steady)
+    screened = chain(
+        [(s, at) for s in _by_score(base, at, steady, nothing, BY_SCORE)],
+        [(s, fresh) for s in _worth(base, score_screening(base, fresh, laws), FRESH)],
+        [(s, None) for s in _worth(base, grid_screening(base, steady), BY_GRID)],
+    )
+    found: dict[str, Tried] = {}
+
+    def take(name: str, tried: Tried) -> None:
+        """The best few alone are kept, as each takes memory."""
+        if name not in found or tried.cost < found[name].cost:
+            found[name] = tried
+        for worse in sorted(found, key=lambda n: found[n].cost)[KEPT:]:
+            del found[worse]
+
+    for one, start in screened:
+        with suppress(RigError):
+            take(one.candidate.name, fit_briefly(begun, (one.candidate,), one.values, start))
+    for one in _worth(base, law_screening(base, fresh, laws), BY_LAW):  # far from where the believed law's scales hold
+        with suppress(RigError):
+            take(one.candidate.name, fit_effects(begun, (one.candidate,), one.values, fresh))
+    for candidate in begun.known:
+        if candidate.kind.stochastic and (shaken := fit_spectrum(begun, nothing, candidate)):
+            take(candidate.name, shaken)
+    return _refined_all(begun, _rivals(found.values(), nothing))
+
+
+def _worth(base: Base, screened: Sequence[Screened], most: int) -> list[Screened]:
+    """The best of a screening, as far as they are worth a fit."""
+    return [one for one in screened[:most] if one.gain > WORTH * base.record.strictness]
+
+
+def _by_score(base: Base, at: Residual, candidates: Sequence[Candidate], left: Tried, most: int) -> list[Screened]:
+    """The best by score; and where lines stand out of what is left, a tone on each body, which raises one line only.
+
+    Where much is left the best is worth a fit whatever it promises: scales that what is left made itself hide its gain.
+    """
+    found = score_screening(base, at, candidates)
+    tones = [one for one in found if one.candidate.kind.scanned]
+    others = [one for one in found if not one.candidate.kind.scanned]
+    promising = _worth(base, others, most) or (others[:1] if left.hypothesis.leaves_something else [])
+    return promising + (tones if left.hypothesis.misfit.sharp > WORTH else [])
+
+
+def _rivals(found: Iterable[Tried], before: Tried) -> list[Tried]:
+    """Those that gained about as much as the best one did."""
+    gains = [(before.cost - one.cost, one) for one in found]
+    least = max(WORTH / 2, RIVAL * max((gain for gain, _ in gains), default=0.0))
+    return [one for gain, one in gains if gain > least]
+
+
+def _seconds(begun: Search, first: Tried, least: float) -> list[Hypothesis]:
+    """Pairs of a first effect with what the library holds best for what it leaves; no effect pairs with itself.
+
+    least is the cost of the best pair so far.
+    """
+    rig = first.hypothesis.applied_to(begun.base.rig)
+    base = base_of(begun.base.record, rig, first.residual, first.base.scales)
+    at = fitted(base, first.residual).residual
+    others = [c for c in begun.known if c.kind.name not in first.hypothesis.effects and _joins(c, rig)]
+    inner = Search(begun.reference, base, at, ())
+    held = any(p.kind.stochastic for p in first.hypothesis.parts)
+    steady = [c for c in others if not c.kind.stochastic]
+    fresh = residual_of(base, base.rig, at.nuisance)  # its slow motion did not follow another law yet
+    laws = of_laws(base.rig, steady)
+    screened = [(s, at) for s in _by_score(base, at, steady, first, SECONDS)]
+    screened += [(s, fresh) for s in _worth(base, law_screening(base, fresh, laws), BY_LAW)]
+    found: dict[str, Tried] = {}
+    for one, start in screened:
+        with suppress(RigError):  # two effects may make no rig where each makes one
+            if held:
+                pair = fit_briefly(inner, (one.candidate,), one.values, straightened(start))
+            else:
+                pair = _together(begun, first, one, start)
+            name = one.candidate.name
+            found[name] = min(found.get(name, pair), pair, key=_cost)
+    rivals = _refined_all(inner if held else begun, _rivals(found.values(), first), least)
+    pairs = [_beside(first, one) if held else one.hypothesis for one in rivals]
+    for candidate in others:
+        if candidate.kind.stochastic and (shaken := fit_spectrum(inner, inner.nothing(), candidate)):
+            pairs.append(_beside(first, shaken))
+    return pairs
+
+
+def _beside(first: Tried, second: Tried) -> Hypothesis:
+    """A pair of which the second was fitted with the first held, as one is known by its spectrum alone."""
+    one, other = first.hypothesis, second.hypothesis
+    values = np.concatenate([one.values, other.values])
+    return Hypothesis((*one.parts, *other.parts), values, block_diag(one.covariance, other.covariance), other.misfit)
+
+
+def _together(begun: Search, first: Tried, second: Screened, start: Residual) -> Tried:
+    """Both fitted for a few steps, from where the first stands."""
+    parts = (*first.hypothesis.parts, second.candidate)
+    values = np.concatenate([first.hypothesis.values, second.values])
+    return fit_briefly(begun, parts, values, straightened(start), first.base)
+
+
+def _parts(begun: Search, pair: Hypothesis, known: Mapping[frozenset[str], Tried]) -> list[Tried]:
+    """Each part of a pair alone, fitted by itself unless it is known."""
+    least = min((one.cost for one in known.values()), default=np.inf)
+    parts = zip(pair.parts, pair.split(), strict=True)
+    return [
+        known.get(frozenset({part.name})) or fit_effects(begun, (part,), values, begun.at, least)
+        for part, values in parts
+        if not part.kind.stochastic
+    ]
+
+
+def _refined_all(begun: Search, rivals: Iterable[Tried], least: float = np.inf) -> list[Tried]:
+    """The best to the end, the others as far as they stay near it."""
+    found = []
+    for one in sorted(rivals, key=_cost):
+        found.append(refined(begun, one, least))
+        least = min(least, found[-1].cost)
+    return sorted(found, key=_cost)
+
+
+def _joins(candidate: Candidate, rig: Rig) -> bool:
+    try:
+        candidate.applied(rig, candidate.default)
+    except RigError:
+        return False
+    return True

@@ -1,0 +1,166 @@
+"""Laws that need the slow motion which integration loses: Gauss-Newton on their numbers and that motion."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from identify.gaps.unknown.course import KNOTS_S, Course, softened
+from identify.gaps.unknown.forms import Fine, Form
+from identify.gaps.unknown.law import Law, fitted, solved, tone_of
+from identify.signals.kinematics import CORNER_HZ
+
+STEPS, SETTLED = 8, 1e-4
+GRID, HALVINGS = 14, 5
+TRUSTED = (1.0, 0.3, 0.1)
+"""A law is first trusted to this share of the force: far from its numbers, details mislead."""
+
+
+def kept(course: Course, law: Law) -> float:
+    """The share of the free force's gain on another record that a law keeps there, numbers as they are.
+
+    A tone's phase is free, and so is the slow motion.
+    """
+    if law.form.slow:
+        at, _ = begun_at(course, law.form, only=law.parameter)
+        start = replace(at.start(law.parameter), coefficients=-np.array(law.coefficients), parameter=law.parameter)
+        state = replace(at, frozen=True).descended(start)
+        return replace(at, frozen=True, course=course).descended(state).law.share
+    if law.form.name == "tone":
+        return fitted(softened(course, 0.0), tone_of(course), (law.parameter, law.parameter)).share
+    force = -np.array(law.coefficients) @ np.stack(law.form.shapes(course.moved_m, course.rate_m_per_s, law.parameter))
+    return course.gain(course.spectra(force)) / max(course.free_gain, 1e-300)
+
+
+def begun_at(course: Course, form: Form, only: float | None = None) -> "tuple[Descent, State]":
+    """The first numbers, by a law of which little is trusted: from the best of a grid, without slow motion."""
+    soft = softened(course, TRUSTED[0])
+    largest = float(np.abs(course.moved_m * (course.finely(course.counted) > 0)).max())
+    low, high = (share * largest for share in form.range_share)
+    parameter = 0.0
+    if form.parameter and only is None:
+        places = np.geomspace(low, high, GRID) if low > 0 else np.linspace(low, high, GRID)
+        parameter = max((float(p) for p in places), key=lambda p: solved(soft, form, p)[1])
+    at = _at(soft, form, largest, (low, high))
+    if only is not None:
+        return at, at.start(only)
+    state = at.descended(at.start(parameter))
+    at = replace(at, course=softened(course, TRUSTED[1]))
+    return at, at.descended(state)
+
+
+def ended(course: Course, at: "Descent", state: "State") -> "State":
+    """From the first numbers on, the law trusted more and more."""
+    for law_error in TRUSTED[2:]:
+        state = replace(at, course=softened(course, law_error)).descended(state)
+    return replace(at, course=course).descended(state)
+
+
+@dataclass(frozen=True)
+class State:
+    coefficients: Float[np.ndarray, " coefficients"]
+    parameter: float
+    knots: Float[np.ndarray, " knots"]
+    law: Law
+
+
+@dataclass(frozen=True)
+class Descent:
+    """Gauss-Newton of one form against one weighting of a course."""
+
+    course: Course
+    form: Form
+    step: float
+    within: tuple[float, float]
+    prior: Float[np.ndarray, "knots knots"]
+    frozen: bool = False
+
+    def start(self, parameter: float) -> State:
+        coefficients, gain, errors = solved(self.course, self.form, parameter)
+        knots = np.zeros(len(self.prior))
+        law = Law(
+            self.form,
+            tuple((-coefficients).tolist()),
+            tuple(errors.tolist()),
+            parameter,
+            0.0,
+            0.0,
+            gain / self.course.free_gain,
+        )
+        return State(coefficients, parameter, knots, law)
+
+    def shapes(
+        self, parameter: float, knots: Float[np.ndarray, " knots"], more_m: float = 0.0
+    ) -> Float[np.ndarray, "coefficients fine"]:
+        moved = self.course.moved_m + self.course.finely(self.course.slow @ knots) + more_m
+        return np.stack(self.form.shapes(moved, self.course.rate_m_per_s, parameter))
+
+    def value(self, force: Fine, knots: Float[np.ndarray, " knots"]) -> float:
+        return self.course.gain(self.course.spectra(force)) - float(knots @ self.prior @ knots)
+
+    def descended(self, state: State) -> State:
+        course, form, kinds = self.course, self.form, len(self.form.units)
+        coefficients, parameter, knots = state.coefficients, state.parameter, state.knots
+        free = kinds + bool(form.parameter)
+        for _ in range(STEPS):
+            shapes = self.shapes(parameter, knots)
+            force = coefficients @ shapes
+            held = self.value(force, knots)
+            fine = [*shapes]
+            if form.parameter:
+                fine.append((coefficients @ self.shapes(parameter + self.step, knots) - force) / self.step)
+            tangent = (coefficients @ self.shapes(parameter, knots, self.step) - force) / self.step
+            means = tangent.reshape(len(course.slow), -1).mean(axis=1)
+            along = course.coarsely((course.slow * means[:, None]).T)
+            columns = np.concatenate([course.spectra(np.stack(fine)), along, course.spectra(force)[None]])
+            matrix, rest = course.reduced(columns)
+            gradient, matrix = rest[:-1] - matrix[:-1, -1], matrix[:-1, :-1]
+            matrix[free:, free:] += self.prior
+            gradient[free:] -= self.prior @ knots
+            if self.frozen:
+                gradient[:free], matrix[:free, free:], matrix[free:, :free] = 0.0, 0.0, 0.0
+            size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+            covariance = np.linalg.pinv(matrix / np.outer(size, size), rcond=1e-10, hermitian=True)
+            covariance /= np.outer(size, size)
+            change = covariance @ gradient
+            better = held
+            for halving in range(HALVINGS):
+                part = change / 2**halving
+                there = float(np.clip(parameter + part[kinds], *self.within)) if form.parameter else 0.0
+                bent = knots + part[free:]
+                if form.parameter and not there:
+                    continue
+                own = coefficients if self.frozen else self.scaled(there, bent)
+                better = self.value(own @ self.shapes(there, bent), bent)
+                if better > held:
+                    coefficients, parameter, knots = own, there, bent
+                    break
+            if better - held < SETTLED * abs(held):
+                break
+        errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        inside = course.counted > 0
+        law = Law(
+            form,
+            tuple((-coefficients).tolist()),
+            tuple(errors[:kinds].tolist()),
+            parameter,
+            float(errors[kinds]) if form.parameter else 0.0,
+            float(np.mean((course.slow @ knots)[inside])),
+            max(better, held) / max(course.free_gain, 1e-300),
+        )
+        return State(coefficients, parameter, knots, law)
+
+    def scaled(self, parameter: float, knots: Float[np.ndarray, " knots"]) -> Float[np.ndarray, " coefficients"]:
+        """The best coefficients at a parameter and slow motion."""
+        matrix, rest = self.course.reduced(self.course.spectra(self.shapes(parameter, knots)))
+        size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+        scaled = np.linalg.pinv(matrix / np.outer(size, size), rcond=1e-10, hermitian=True)
+        return np.asarray(scaled @ (rest / size) / size)
+
+
+def _at(course: Course, form: Form, largest_m: float, within: tuple[float, float]) -> Descent:
+    """The slow motion lies below the corner of integration and is no larger than what is left of the motion."""
+    knots = course.slow.shape[1]
+    bend = np.diff(np.eye(knots), 2, axis=0) / (2 * np.pi * CORNER_HZ * KNOTS_S) ** 2
+    prior = (np.eye(knots) + bend.T @ bend) / float(np.std(course.moved_m)) ** 2
+    return Descent(course, form, 1e-4 * largest_m, within, prior)

@@ -1,0 +1,113 @@
+"""What a laboratory never knows exactly, and a modulus that drifts, as columns of the whitened residual."""
+
+import numpy as np
+from jaxtyping import Complex, Float, Inexact
+
+from identify.gaps.residual.nuisance import BEYOND
+from identify.gaps.residual.spectra import Record
+from identify.gaps.unknown.observed import Observed, bare_residual, inverse_of, with_columns
+from identify.signals.kinematics import CORNER_HZ, integrated
+from identify.structure.modal import receptance
+from rig.model.description import Rig
+
+
+def observed(record: Record, rig: Rig) -> Observed:
+    """The residual of a rig's linear part against a record, with its nuisance columns.
+
+    Raises RigError if the contacts' free forces explain all that the sensors give.
+    """
+    bare = bare_residual(record, rig)
+    return with_columns(bare, *nuisances(bare))
+
+
+def nuisances(
+    own: Observed,
+) -> tuple[tuple[str, ...], Complex[np.ndarray, "columns lines rows"], Float[np.ndarray, " columns"]]:
+    """Names, columns D by one tolerance each, and how much each stretches the data."""
+    record, model, tolerances = own.record, own.model, own.record.tolerances
+    by_force = own.accelerance(model.rig.force_at) / model.rig.force_sensor.gain
+    omega, deviation = record.omega, own.model.spread
+    names: list[str] = []
+    columns: list[Complex[np.ndarray, "lines rows"]] = []
+    stretch: list[float] = []
+    ones = np.ones((1, omega.size))
+
+    def take(
+        name: str,
+        pattern: Inexact[np.ndarray, "sensors _"],
+        course: Complex[np.ndarray, " alllines"],
+        read: Float[np.ndarray, " sensors"],
+    ) -> None:
+        """Accelerations pattern times course, which is read from those measured."""
+        pattern = pattern * ones
+        column = own.gated(model.chain * pattern * course / deviation)
+        if np.any(column):
+            names.append(name)
+            columns.append(column.astype(np.complex64))  # they are many
+            back = own.rowed((read[:, None] * deviation / model.chain.conj())[:, own.lines])
+            there = own.rowed((model.chain * pattern / deviation)[:, own.lines])
+            stretch.append(2 * float(np.sum(back.conj() * there).real))
+
+    take("gain of the force", tolerances.force_gain * by_force, record.force, np.zeros(len(record.sensors)))
+    singly = np.eye(len(record.sensors))
+    for sensor, single, delivered in zip(record.sensors, singly, record.delivered / model.chain, strict=True):
+        exact = tolerances.of_sensor(sensor.name)
+        corner = 2 * np.pi * exact.high_pass_hz if sensor.quantity == "acceleration" else 0.0
+        turned = np.stack([-exact.delay_s * 1j * omega, -corner / (1j * omega + max(corner, 1e-12))])
+        take(f"gain of {sensor.name}", exact.gain * single[:, None], delivered, single)
+        take(f"delay of {sensor.name}", single[:, None] * turned[0], delivered, single)
+        take(f"high-pass of {sensor.name}", single[:, None] * turned[1], delivered, single)
+    for response, motion in zip(model.responses, own.modal, strict=True):
+        body = response.body
+        inverse = np.zeros((response.count, len(record.sensors)))
+        low = inverse_of(record, response)
+        inverse[: len(low)] = low
+        places = [s.station if s.station.body == body.name else None for s in record.sensors]
+        for sensor, single, place in zip(record.sensors, singly, places, strict=True):
+            if place is None or not body.length_m:
+                continue
+            step = 1e-4 * body.length_m
+            right, left = min(place.position_m + step, body.length_m), max(place.position_m - step, 0.0)
+            beside = response.modes.shapes(np.array([left, right]), response.count)
+            slope = (beside[1] - beside[0]) / (right - left)
+            exact_m = tolerances.of_sensor(sensor.name).position_m
+            take(f"place of {sensor.name}", exact_m * single[:, None], slope @ motion, slope @ inverse)
+        shapes = response.shapes(list(places))
+        natural_hz, zeta = response.modes.frequencies_hz(response.count), response.modes.damping_ratios(response.count)
+        flexible = receptance(natural_hz, zeta, omega / (2 * np.pi))
+        natural = 2 * np.pi * natural_hz[:, None]
+        loss = 1j * zeta[:, None] * natural * omega
+        for m in np.flatnonzero((natural_hz > 0) & (natural_hz < BEYOND * omega[-1] / (2 * np.pi))):
+            exact = tolerances.of_mode(body.name, int(m) + 1)
+            stiffer = -2 * exact.frequency * (natural[m] ** 2 + loss[m]) * flexible[m]
+            take(f"frequency of {body.name} {m + 1}", shapes[:, m : m + 1] * stiffer, motion[m], inverse[m])
+            damped = -2 * exact.damping * loss[m] * flexible[m]
+            take(f"damping of {body.name} {m + 1}", shapes[:, m : m + 1] * damped, motion[m], inverse[m])
+    return tuple(names), np.array(columns).reshape(len(columns), *own.residual.shape), np.array(stretch)
+
+
+def drifting(own: Observed, body: str) -> Complex[np.ndarray, "lines rows"]:
+    """The residual by a modulus of a body that grows by its own size over the record."""
+    return own.gated(own.model.chain * drift_accelerations(own, body) / own.model.spread)
+
+
+def drift_accelerations(own: Observed, body: str) -> Complex[np.ndarray, "sensors alllines"]:
+    """Accelerations by a modulus that grows by its own size over the record: -Phi H FFT[tau omega_n^2 q].
+
+    tau runs from -1/2 to 1/2; a constant change is a nuisance already.
+    """
+    record, model = own.record, own.model
+    length = record.length // record.factor
+    tau = np.arange(length) / (record.samples / record.factor) - 0.5
+    tau[tau > 0.5] = 0.0
+    found = np.zeros(model.chain.shape, dtype=complex)
+    twice = integrated(record.omega, -2, CORNER_HZ)
+    for response, motion in zip(model.responses, own.modal, strict=True):
+        if response.body.name == body and not response.body.is_mass:
+            natural = 2 * np.pi * response.modes.frequencies_hz(response.count)
+            near = natural < BEYOND * record.omega[-1]
+            pushed = -np.fft.rfft(tau * np.fft.irfft(natural[near, None] ** 2 * twice * motion[near], length))
+            found += response.shapes([s.station for s in record.sensors])[:, near] @ (
+                response.accelerance[near] * pushed
+            )
+    return found

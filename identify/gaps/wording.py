@@ -1,0 +1,94 @@
+"""How the numbers of a diagnosis are written, in its sentence, on the page, in the pictures and on the screen."""
+
+from collections.abc import Sequence
+
+from identify.gaps.results import Between, Cause, Compared, Gap, Left, Value
+from identify.pages import wording
+from identify.pages.wording import number, percent
+
+VERDICTS = {
+    "no_gap": "no gap",
+    "explained": "explained",
+    "partly_explained": "explained in part",
+    "unknown": "unknown cause",
+}
+
+WHEN = {
+    "always": "throughout the record",
+    "in contact": "while contacts are closed",
+    "growing with time": "growing with time",
+}
+MOST = 0.5
+"""A description of something unknown that explains less of it is a hint, not what it looks like."""
+CERTAIN = 1 - 1e-9
+NOTHING = 0.01
+"""A cause whose interval begins below this share is said to close nothing."""
+
+
+def interval(found: Value) -> str:
+    """value ± 1.96 standard errors, to two digits of the latter; with a word where the range ends there."""
+    said = wording.interval(found.value, found.standard_error, found.unit)
+    return f"{said} (at the limit of its range)" if found.at_limit else said
+
+
+def cause_name(cause: Cause) -> str:
+    """Its effects with the places that they act at: "added_mass (barrel) + preload"."""
+    named = []
+    for effect in cause.effects:
+        places = [place for field, place in cause.places.items() if field.split(".")[0] == effect]
+        named.append(f"{effect} ({', '.join(places)})" if places else effect)
+    return " + ".join(named)
+
+
+def closes(cause: Cause) -> str:
+    """The fraction of the gap that it closes, with its interval: "97.0 % (95.1 to 98.2 %)"."""
+    if not closes_some(cause):
+        return "nothing"
+    low, high = (percent(end).removesuffix(" %") for end in cause.interval_95)
+    return f"{percent(cause.explained)} ({low} to {high} %)"
+
+
+def closes_some(cause: Cause) -> bool:
+    """Whether its interval excludes that it closes nothing."""
+    return cause.interval_95[0] > NOTHING
+
+
+def leaves(left: Left) -> str:
+    """Shares: "0.3 % of the acceleration, 1.2 % of the force of contact_1 and 0.9 % of that of contact_2"."""
+    shares = [f"{percent(left.share)} of the acceleration"]
+    for i, (name, share) in enumerate((n, s) for n, s in left.contact_shares.items() if s > 0):
+        shares.append(f"{percent(share)} of {'that' if i else 'the force'} of {name}")
+    return joined(shares)
+
+
+def joined(words: Sequence[str], last: str = "and") -> str:
+    """ "a, b and c"."""
+    *first, end = words
+    return f"{', '.join(first)} {last} {end}" if first else end
+
+
+def between_records(between: Between) -> str:
+    """What differs between the records, in a sentence."""
+    if not between.differing:
+        return "Nothing differs between the records beyond what tolerances and noise explain."
+    return f"Between the records, {joined([differs(one) for one in between.differing])}."
+
+
+def differs(one: Compared) -> str:
+    """Such as "contact_clearance.factor (contact_2) grows (1.006, 1.006, 1.087)"."""
+    values = ", ".join(number(v.value) for v in one.values)
+    unit = "" if one.values[0].unit == "1" else f" {one.values[0].unit}"
+    place = f" ({one.place})" if one.place else ""
+    return f"{one.parameter}{place} {one.trend} ({values}{unit})"
+
+
+def others(gap: Gap) -> list[tuple[str, float]]:
+    """What the causes leave of probability one: no gap, and something unknown, which is not always looked for."""
+    sought = gap.unknown is not None or gap.probability_unknown > 0
+    unknown = "something unknown" if sought else "something unknown (not looked for)"
+    return [("no gap", gap.probability_nothing), (unknown, gap.probability_unknown)]
+
+
+def probability(value: float) -> str:
+    """In per cent; nothing is certain."""
+    return percent(min(value, CERTAIN))

@@ -1,5 +1,0 @@
-"""The contact law as a formula, from a recording, without a law assumed."""
-
-from identify.law.identification import CUBIC, FORMULA, PIECEWISE, FoundLaw, Laws, identify_law
-
-__all__ = ["CUBIC", "FORMULA", "PIECEWISE", "FoundLaw", "Laws", "identify_law"]

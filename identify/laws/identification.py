@@ -1,0 +1,227 @@
+"""The law of every contact found rather than assumed: symbolic regression of its force on its displacement."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.signal import resample
+
+from identify.contacts.estimates import Contacts, find_contacts
+from identify.contacts.joint import Joint, Observed
+from identify.contacts.results import Estimate, Unanswered
+from identify.laws.piecewise import FINEST, PiecewiseLinear, Sampled, polynomial, sampled, slope_jumps, straight_pieces
+from identify.laws.piecewise import unfiltered as without_low_pass
+from identify.laws.results import Candidate, ContactLaw, LawReport
+from identify.laws.symbolic import Formula, pyoperon, search
+from identify.signals.kinematics import Use
+from rig.errors import RigError
+from rig.model.contact_law import dead_zone
+from rig.model.tolerances import LABORATORY, Tolerances
+from rig.recording import Recording
+
+POINTS = 4000
+CELLS = 100
+UNTOLD = 4
+"""How many evenly spread knees straight pieces start from where those of the formula do not serve."""
+ENDS = 64
+"""Samples of the force at either end of the record that the low-pass falsifies."""
+LEAST_SAMPLES = 2000
+AS_GOOD = 1.05
+"""An error is no larger than another if it is at most this multiple of it."""
+FLAT = 0.01
+"""A piece counts as flat, the gap of a dead zone, if its slope is a smaller share of the steepest."""
+
+PIECEWISE, FORMULA, DEAD_ZONE, CUBIC = (
+    "piecewise-linear law",
+    "formula found",
+    "dead zone of the joint estimate",
+    "cubic polynomial",
+)
+
+
+@dataclass(frozen=True)
+class FoundLaw:
+    """A contact's law with the points that the formula was searched on, for figures."""
+
+    result: ContactLaw
+    eta_m: Float[np.ndarray, " points"]
+    force_n: Float[np.ndarray, " points"]
+    formula: Formula
+    pieces: PiecewiseLinear
+
+
+@dataclass(frozen=True)
+class Laws:
+    report: LawReport
+    found: tuple[FoundLaw, ...]
+
+
+def identify_law(
+    recording: Recording,
+    *,
+    contact: str | None = None,
+    use: Use = "auto",
+    seconds: float = 60.0,
+    seed: int = 0,
+    tolerances: Tolerances | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> Laws:
+    """The law f(eta) of every contact, or of the named one, and how it stands against laws that one would assume.
+
+    The force is separated without a law. The relative displacement is the measured one; where it comes from
+    accelerations, with the slow drift that the joint estimate found, which has assumed a dead zone. `seconds` of search
+    are shared by the contacts.
+
+    Raises RigError if the record does not allow it, the contact is unknown, or pyoperon is not installed.
+    """
+    if not (np.isfinite(seconds) and seconds >= 1):
+        raise RigError(f"seconds is {seconds}; give 1 or more")
+    names = [c.name for c in recording.rig.contacts]
+    if contact is not None and contact not in names:
+        raise RigError(f"no contact {contact!r} in the recording; there are {', '.join(names)}")
+    pyoperon()  # whose lack had better be known before the work
+    contacts = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY)
+    progress(0.1)
+    chosen = [j for j, name in enumerate(names) if contact in (None, name)]
+    found: list[FoundLaw] = []
+    silent: list[Unanswered] = []
+    for done, j in enumerate(chosen):
+        answer, seen = contacts.answers[j], contacts.observed[j]
+        if isinstance(answer, str) and seen.drift is not None:
+            silent.append(Unanswered(names[j], answer))
+        else:
+            found.append(_law(contacts, j, seconds / len(chosen), seed))
+        progress(0.1 + 0.9 * (done + 1) / len(chosen))
+    return Laws(
+        LawReport(rig=recording.rig.name, laws=tuple(f.result for f in found), unanswered=tuple(silent)), tuple(found)
+    )
+
+
+def _law(contacts: Contacts, contact: int, seconds: float, seed: int) -> FoundLaw:
+    seen, answer = contacts.observed[contact], contacts.answers[contact]
+    joint = answer if isinstance(answer, Joint) else None
+    record, velocity = _complete(seen, joint)
+    first = contacts.motion.excited_from // seen.factor + ENDS
+    last = record.force_n.size - ENDS
+    if last - first < LEAST_SAMPLES:
+        raise RigError(
+            f"the excited part of the record holds {max(last - first, 0)} samples of the contact force; record longer"
+        )
+    middle = (first + last) // 2
+    taught, held_out, whole = slice(first, middle), slice(middle, last), slice(first, last)
+
+    eta, force = record.at_force_m[taught], without_low_pass(record, taught)
+    drawn = _evenly(eta, np.random.default_rng(seed))
+    eta, force = eta[drawn], force[drawn]
+    eta_unit, force_unit = float(np.abs(eta).max()), float(np.abs(force).max())
+    searched = search(eta / eta_unit, force / force_unit, seconds, seed)
+    formulas = [f.scaled(eta_unit, force_unit) for f in searched.formulas]
+    finest = FINEST * float(np.std(record.force_n[whole]))
+    errors = [record.error_n(f, taught) for f in formulas]
+    formula = formulas[_first_as_good(errors, finest)]
+
+    low, high = float(eta.min()), float(eta.max())
+    knees = slope_jumps(formula, low, high)
+    pieces = straight_pieces(record, taught, knees)
+    if record.error_n(pieces, taught) > AS_GOOD * min(errors) + finest:
+        spread = np.linspace(low, high, UNTOLD + 2)[1:-1]
+        others = straight_pieces(record, taught, spread)
+        pieces = min(pieces, others, key=lambda law: record.error_n(law, taught))
+    laws: dict[str, Callable[[np.ndarray], np.ndarray]] = {PIECEWISE: pieces}
+    if joint is not None:
+        lower, upper, stiffness, _ = (float(p) for p in joint.parameters)
+        laws[DEAD_ZONE] = lambda e: stiffness * dead_zone(e, lower, upper)
+    laws |= {CUBIC: polynomial(record, taught, 3), FORMULA: formula}
+    candidates = tuple(Candidate(name, record.error_n(law, held_out)) for name, law in laws.items())
+    best = candidates[_first_as_good([c.held_out_error_n for c in candidates], finest)]
+    pieces = straight_pieces(record, whole, pieces.knees_m)  # once judged, from all there is
+    shown = f"f = {formula.scaled(1e3, 1.0).text('eta')} (N, eta in mm)"
+    result = ContactLaw(
+        contact=contacts.rig.contacts[contact].name,
+        verdict=_verdict(pieces, shown, candidates, best, seen.sides_known),
+        best=best.law,
+        formula=shown,
+        knees_m=tuple(float(k) for k in knees),
+        slopes_n_per_m=_slopes(formula, knees, low, high),
+        fitted_knees_m=_estimates(pieces.knees_m, pieces.knee_errors_m),
+        fitted_slopes_n_per_m=_estimates(pieces.slopes_n_per_m, pieces.slope_errors_n_per_m),
+        candidates=candidates,
+        force_rms_n=float(np.std(record.force_n[whole])),
+        hysteresis_share=_hysteresis(record, velocity, pieces, held_out),
+        sides_known=seen.sides_known,
+        points=drawn.size,
+        repeatable=not searched.out_of_time,
+    )
+    return FoundLaw(result, eta, force, formula, pieces)
+
+
+def _complete(seen: Observed, joint: Joint | None) -> tuple[Sampled, Float[np.ndarray, " more"]]:
+    """Force and relative displacement with the drift put right; the relative velocity (m/s), as fine."""
+    eta, force, velocity = seen.eta_m, seen.force_n, seen.velocity_m_per_s
+    if joint is not None and seen.drift is not None:
+        eta, velocity = eta + joint.drift_m, velocity + joint.drift_m_per_s
+        force = force - seen.spring_n_per_m * joint.drift_m[:: seen.factor][: force.size]
+    record = sampled(eta, seen.sample_rate_hz, force, seen.factor)
+    return record, resample(velocity, record.eta_m.size) if record.eta_m.size > eta.size else velocity
+
+
+def _evenly(eta: Float[np.ndarray, " samples"], rng: np.random.Generator) -> np.ndarray:
+    """Indices of at most 4000 samples, as many from each hundredth of the range of eta as there are, up to 40."""
+    cell = np.minimum((CELLS * (eta - eta.min()) / np.ptp(eta)).astype(int), CELLS - 1)
+    shuffled = rng.permutation(eta.size)
+    ordered = shuffled[np.argsort(cell[shuffled], kind="stable")]
+    starts = np.searchsorted(cell[ordered], np.arange(1, CELLS))
+    return np.sort(np.concatenate([part[: POINTS // CELLS] for part in np.split(ordered, starts)]))
+
+
+def _first_as_good(errors: list[float], finest: float) -> int:
+    """The first, and so the plainest, whose error is as small as the least."""
+    least = min(errors)
+    return next(i for i, error in enumerate(errors) if error <= AS_GOOD * least + finest)
+
+
+def _slopes(formula: Formula, knees: Float[np.ndarray, " knees"], low: float, high: float) -> tuple[float, ...]:
+    """The mean slope of each piece, clear of the knees."""
+    ends = np.concatenate([[low], knees, [high]])
+    margin = 0.1 * np.diff(ends)
+    left, right = ends[:-1] + margin, ends[1:] - margin
+    return tuple(float(s) for s in (formula(right) - formula(left)) / (right - left))
+
+
+def _estimates(values: Float[np.ndarray, " n"], errors: Float[np.ndarray, " n"]) -> tuple[Estimate, ...]:
+    return tuple(Estimate(float(v), float(e)) for v, e in zip(values, errors, strict=True))
+
+
+def _hysteresis(record: Sampled, velocity: Float[np.ndarray, " more"], law: PiecewiseLinear, rows: slice) -> float:
+    """The share of the variance left that a damper explains which acts in proportion to the law's local slope."""
+    slopes = np.abs(law.slopes_n_per_m)
+    local = slopes[np.searchsorted(law.knees_m, record.eta_m)] / slopes.max()
+    damper = record.low_passed(local * velocity)[rows]
+    left = (record.force_n - record.low_passed(law(record.eta_m)))[rows]
+    return float((damper @ left) ** 2 / ((damper @ damper) * (left @ left)))
+
+
+def _verdict(
+    pieces: PiecewiseLinear, formula: str, candidates: tuple[Candidate, ...], best: Candidate, sides_known: bool
+) -> str:
+    """One sentence."""
+    if best.law != PIECEWISE:
+        free = next(c.held_out_error_n for c in candidates if c.law == PIECEWISE)
+        shown = f", {formula}" if best.law == FORMULA else ""
+        return (
+            f"a freely fitted piecewise-linear law is not the best: it leaves {free:.3g} N rms of held-out data, "
+            f"the {best.law} {best.held_out_error_n:.3g} N{shown}"
+        )
+    slopes = pieces.slopes_n_per_m
+    if not pieces.knees_m.size:
+        return f"straight line with the slope {slopes[0]:.5g} N/m"
+    gap = pieces.knees_m.size == 2 and abs(slopes[1]) < FLAT * np.abs(slopes).max()
+    kind, shown_slopes = ("dead zone", slopes[[0, 2]]) if gap else ("piecewise-linear law", slopes)
+    where = "" if sides_known else ", counted from the middle of the play as no sensor tells its place"
+    return f"{kind} with knees at {_listed(1e3 * pieces.knees_m)} mm and slopes {_listed(shown_slopes)} N/m{where}"
+
+
+def _listed(values: Float[np.ndarray, " values"]) -> str:
+    words = [f"{value:.5g}" for value in values]
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)

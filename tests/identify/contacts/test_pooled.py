@@ -1,0 +1,73 @@
+"""Long records: identified stretch by stretch, and pooled."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from identify.contacts.pooled import identify_long, pooled, together
+from identify.contacts.results import Estimate
+from rig.errors import RigError
+from rig.simulation.reference import BarrelCradle, Sdof
+
+
+@pytest.mark.parametrize("shared", [0.0, 0.8, 3.0])
+def test_pooled_intervals_cover(shared):
+    """A part of the error is shared by all stretches; the estimates' own errors hold both parts."""
+    rng = np.random.default_rng(3)
+    covered = []
+    for _ in range(2000):
+        own = rng.uniform(0.5, 2.0, 40)
+        values = 7 + shared * rng.standard_normal() + own * rng.standard_normal(40)
+        found = pooled([Estimate(v, float(np.hypot(shared, o))) for v, o in zip(values, own, strict=True)])
+        covered.append(abs(found.value - 7) < 1.96 * found.standard_error)
+    assert np.mean(covered) > 0.94
+
+
+def test_what_scatters_more_than_it_should_is_less_certain():
+    quiet, loud = (pooled([Estimate(5 + s, 0.1) for s in (-size, 0, size, 0)]) for size in (0.1, 1.0))
+    assert loud.standard_error > 3 * quiet.standard_error
+    assert pooled([Estimate(5.0, 0.1)]) == Estimate(5.0, 0.1)
+
+
+def test_a_long_record_in_stretches(one_mass):
+    report, parts = identify_long(one_mass, stretch_s=200.0, use="displacement")
+    assert [round(p.start_s) for p in parts] == [0, 212, 412, 612]
+    assert parts[-1].end_s == pytest.approx(825.0)
+    (contact,) = report.contacts
+    truth = Sdof()
+    for found, true in ((contact.clearance_m, truth.clearance_m), (contact.stiffness_n_per_m, truth.stiffness_n_per_m)):
+        assert found.value == pytest.approx(true, rel=1e-4)
+        assert abs(found.value - true) < 4 * found.standard_error
+    assert sum(n.averages for p in parts for n in p.report.nifo) == report.nifo[0].averages
+    assert msgspec.convert(msgspec.to_builtins(report), type(report)) == report
+
+
+def test_accelerometers_in_motion_tell_as_much(simulate, tmp_path):
+    settings = BarrelCradle(sensors="acceleration", noise_density=1e-3, duration_s=90.0, step_s=2.0**-13)
+    path = simulate(settings, tmp_path / "long.mcap")
+    report, parts = identify_long(path, stretch_s=40.0)
+    assert len(parts) == 2
+    for part in (*(p.report for p in parts), report):
+        for contact in part.contacts:
+            assert contact.clearance_m.value == pytest.approx(5e-3, rel=2e-3)
+            assert contact.stiffness_n_per_m.value == pytest.approx(1e5, rel=1e-2)
+            assert abs(contact.clearance_m.value - 5e-3) < 3 * contact.clearance_m.standard_error
+
+
+def test_a_contact_that_one_stretch_tells_is_answered(one_mass):
+    _, parts = identify_long(one_mass, stretch_s=400.0)
+    told = parts[0].report
+    silent = msgspec.structs.replace(told, contacts=(), unanswered=({"name": "stop", "reason": "open"},))
+    silent = msgspec.convert(msgspec.to_builtins(silent), type(told))
+    both = together([silent, told])
+    assert [c.name for c in both.contacts] == ["stop"]
+    assert both.unanswered == ()
+    assert together([silent]).unanswered == silent.unanswered
+
+
+def test_bad_stretches_are_refused(one_mass, tmp_path):
+    for length in (-1.0, 0.0, np.nan, np.inf):
+        with pytest.raises(RigError, match="10 s or more"):
+            identify_long(one_mass, stretch_s=length)
+    with pytest.raises(RigError, match="cannot be opened"):
+        identify_long(tmp_path / "none.mcap", stretch_s=10.0)

@@ -1,0 +1,117 @@
+"""The page of an identification: its values, what it assumed, what would make it surer; and in a browser."""
+
+from dataclasses import replace
+from html import escape, unescape
+
+import numpy as np
+import pytest
+
+from identify.contacts import identify_contact
+from identify.contacts.advice import surer, variance_shares
+from identify.contacts.joint import Joint
+from identify.contacts.report import write_page, write_results
+from identify.pages.wording import interval
+from rig.model.tolerances import EXACT
+from rig.recording import read
+from rig.simulation.reference import Sdof
+
+PHONE_PX = 375
+
+
+@pytest.fixture(scope="module")
+def found(simulate, tmp_path_factory):
+    """The one mass by its accelerometer alone, described as a laboratory would believe it."""
+    settings = Sdof(duration_s=60.0, step_s=2.0**-12, sensors="acceleration", noise_density=1e-3)
+    return identify_contact(read(simulate(settings, tmp_path_factory.mktemp("report") / "mass.mcap")))
+
+
+@pytest.fixture(scope="module")
+def silent(simulate, tmp_path_factory):
+    """A force too weak to close the contact."""
+    path = simulate(Sdof(duration_s=20.0, step_s=2.0**-12, rms_n=0.01), tmp_path_factory.mktemp("weak") / "weak.mcap")
+    return identify_contact(read(path), use="displacement", tolerances=EXACT)
+
+
+@pytest.fixture
+def page(tmp_path):
+    """Writes the page of an identification without its figures, and gives its text."""
+
+    def written(found, title="mass", laws_name="true"):
+        path = tmp_path / "contact.html"
+        write_page(found, {}, title, {c.name: c.law for c in found.rig.contacts}, laws_name, path)
+        return path.read_text(encoding="utf-8")
+
+    return written
+
+
+def test_the_values_stand_with_their_intervals_beside_the_true_ones(found, page):
+    text, law = unescape(page(found)), found.rig.contacts[0].law
+    (contact,) = found.report.contacts
+    for estimate, true, scale, name in (
+        (contact.clearance_m, law.clearance_m, 1e3, "clearance, mm"),
+        (contact.stiffness_n_per_m, law.stiffness_n_per_m, 1.0, "stiffness, N/m"),
+    ):
+        value = interval(scale * estimate.value, scale * estimate.standard_error, "1")
+        assert f'<td>{name}</td><td class="number">{value}</td>' in text
+        assert f"{100 * (estimate.value / true - 1):+.3f} %" in text
+    assert "<th>true</th>" in text
+    assert "<b>identified</b>" in text
+
+
+def test_what_was_assumed_is_said(found, silent, page):
+    text = unescape(page(found))
+    assert all(name in text for name in found.report.channels_used)
+    assert f"gains {100 * found.tolerances.gain:.2g} %" in text
+    assert "believed exactly" not in text
+    text = unescape(page(silent))
+    assert "believed exactly" in text
+    for sensor in silent.rig.sensors:
+        assert sensor.name in text
+
+
+def test_a_refused_contact_is_named_with_the_reason_and_what_to_do(silent, page):
+    text = unescape(page(silent))
+    (refused,) = silent.report.unanswered
+    assert refused.reason in text
+    assert "0 of 1 contacts identified" in text
+    assert any(line.startswith(refused.name) for line in surer(silent))
+
+
+def test_the_sources_of_error_share_the_variance(found):
+    (answer,) = found.answers
+    for shares in variance_shares(answer).values():
+        assert sum(shares.values()) == pytest.approx(1.0)
+        assert min(shares.values()) >= 0
+    trusting = replace(answer, covariance=answer.covariance - answer.of_tolerances, of_tolerances=np.zeros((4, 4)))
+    assert all(shares["tolerances"] == 0 for shares in variance_shares(trusting).values())
+
+
+@pytest.mark.parametrize(
+    ("source", "remedy"),
+    [("of_tolerances", "calibrate"), ("of_drift", "displacement sensors"), (None, "record longer")],
+)
+def test_what_rules_the_error_is_what_is_advised(found, source, remedy):
+    (answer,) = found.answers
+    nothing = np.zeros((4, 4))
+    parts = {"of_tolerances": nothing, "of_drift": nothing} | ({source: answer.covariance} if source else {})
+    ruled = replace(found, answers=(replace(answer, **parts),))
+    assert isinstance(ruled.answers[0], Joint)
+    said = [line for line in surer(ruled) if line.startswith("Most of the variance")]
+    assert len(said) == 1
+    assert remedy in said[0]
+
+
+def test_names_cannot_break_the_page(found, page):
+    odd = "<i>&\"'</title>"
+    text = page(found, title=odd, laws_name=odd)
+    assert text.count(escape(odd)) == 3  # twice the title, once the column
+    assert "<i>" not in text
+
+
+def test_a_browser_shows_all_of_it_on_a_phone(opened, found, tmp_path):
+    write_results(found, tmp_path, "mass", {c.name: c.law for c in found.rig.contacts}, "true")
+    seen = opened(tmp_path / "contact.html", PHONE_PX)
+    assert seen.scroll_px <= PHONE_PX
+    assert len(seen.pictures_px) == len(list(tmp_path.glob("*.png"))) > 0
+    assert min(seen.pictures_px) > 0
+    assert seen.console == ()

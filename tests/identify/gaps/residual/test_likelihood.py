@@ -1,0 +1,162 @@
+"""The statistic that decides, on residuals whose size is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from identify.gaps.decision.comparison import closed, closed_interval, probabilities, size
+from identify.gaps.decision.null_reference import Null, NullReference, phase_randomized
+from identify.gaps.residual.likelihood import Misfit, Reference
+from identify.gaps.residual.lines import cost_of_lines, standing_out, without_lines
+from identify.gaps.residual.scales import band_levels, estimated_scales, posterior_level, prior_scales
+from identify.gaps.residual.spectra import record_of
+from identify.gaps.results import Matters
+from rig.simulation.excitation import force_history
+from rig.simulation.reference import BarrelCradle
+from rig.simulation.replay import modal
+
+SECONDS, BANDS, SENSORS, CONTACTS = 20, 40, 6, 2
+ONES = np.ones((BANDS, SENSORS))
+REFERENCE = Reference(usual=ONES, noise=0.5 * ONES, power=1e4 * ONES, lines=np.full(BANDS, 50.0), seen=())
+
+
+def left(level: float, contact_n: float = 0.0, pulls: float = 0.0) -> Misfit:
+    """A linear residual of this level everywhere, a contact residual of so many newtons beside a force of 10 N."""
+    contacts = np.ones((SECONDS, CONTACTS))
+    return Misfit(
+        reference=REFERENCE,
+        left=np.full((SECONDS, BANDS, SENSORS), level),
+        contact_left=contacts * (1 + contact_n**2),
+        contact_n2=contacts * contact_n**2,
+        force_n2=contacts * 100.0,
+        pulls=np.full(4, pulls),
+        drift=0.0,
+        freedom=0.0,
+        sharp=0.0,
+        samples=80.0,
+    )
+
+
+def test_a_residual_of_noise_costs_nothing_and_a_larger_one_its_logarithm():
+    assert left(1.0).minus_two_log == pytest.approx(0.0)
+    assert left(199.0).linear == pytest.approx(80.0 * SENSORS * np.log(100.0))
+    assert left(1.0, pulls=2.0).minus_two_log == pytest.approx(16.0)
+
+
+def test_an_unknown_scale_makes_a_lasting_error_cost_no_more_than_its_logarithm():
+    known = 80.0 * SENSORS * 99.0  # what a Gaussian of known variance would ask for
+    assert left(100.0).minus_two_log < 0.05 * known
+
+
+def test_shares_are_beyond_noise_and_relative_to_the_motion():
+    assert left(0.5).share == 0.0
+    assert left(1.5).share == pytest.approx(np.sqrt(1.0 / 1e4))
+    np.testing.assert_allclose(left(1.5).shares, 0.01)
+    np.testing.assert_allclose(left(1.0, contact_n=0.5).contact_shares, 0.05)
+
+
+def test_the_size_of_a_gap_counts_in_what_matters():
+    matters = Matters(motion=0.01, contact=0.05)
+    assert size(left(1.5), matters) == pytest.approx(1.0)
+    assert size(left(1.5, contact_n=0.5), matters) == pytest.approx(np.sqrt(3.0))
+
+
+def test_what_is_closed_is_one_where_nothing_is_left():
+    matters = Matters()
+    assert closed(left(100.0), left(0.5), matters) == 1.0
+    assert closed(left(4.5), left(1.5), matters) == pytest.approx(0.5)
+    low, high = closed_interval(left(4.5), left(1.5), matters)
+    assert low == pytest.approx(0.5)
+    assert high == pytest.approx(0.5)
+
+
+def test_the_interval_of_a_closure_holds_it_where_seconds_scatter():
+    rng = np.random.default_rng(2)
+    after = replace(left(1.5), left=1.5 * rng.chisquare(3, (SECONDS, 1, 1)) / 3 * np.ones((1, BANDS, SENSORS)))
+    low, high = closed_interval(left(40.0), after, Matters())
+    assert low < closed(left(40.0), after, Matters()) < high
+    assert high - low > 1e-3
+
+
+def test_probabilities_sum_to_one_and_follow_the_odds():
+    found = probabilities(np.array([0.0, np.log(3.0), -1e9]))
+    assert found.sum() == pytest.approx(1.0)
+    assert found[1] / found[0] == pytest.approx(3.0)
+
+
+def leaving(rest: float, law: float, peak: float = 1.0) -> Misfit:
+    """-2 ln p of the contacts, of the rest, and the part of the worst band."""
+    bare = left(1.0)
+    found = replace(bare, freedom=rest - (bare.minus_two_log - bare.law))
+    vars(found).update(law=law, peak=peak)
+    return found
+
+
+def null(rest: float, law: float = -60.0, peak: float = 1.0) -> Null:
+    return Null(rest + law, law, peak, (0.0,), 0.0, ())
+
+
+def test_p_values_of_nulls_are_uniform():
+    rng = np.random.default_rng(3)
+    values = []
+    for _ in range(400):
+        rest, law, peak = rng.normal(50.0, 9.0, 13), rng.normal(-60.0, 3.0, 13), rng.normal(4.0, 2.0, 13)
+        nulls = NullReference("key", tuple(map(null, rest, law, peak))[:12])
+        values.append(nulls.p_value(leaving(float(rest[12]), float(law[12]), float(peak[12]))))
+    assert np.mean(np.array(values) < 0.05) == pytest.approx(0.05, abs=0.03)
+    assert np.mean(np.array(values) < 0.5) == pytest.approx(0.42, abs=0.08)  # 1 - (5/6)^3, of three parts
+
+
+def test_a_contact_or_a_band_alone_beyond_the_nulls_shows():
+    rng = np.random.default_rng(5)
+    nulls = NullReference("key", tuple(null(r) for r in rng.normal(50.0, 90.0, 12)))
+    assert nulls.p_value(leaving(50.0, 0.0)) < 1e-4
+    assert nulls.p_value(leaving(50.0, -60.0, 20.0)) < 1e-4
+    assert nulls.p_value(leaving(50.0, -60.0)) > 0.5
+
+
+def test_a_line_is_no_error_of_a_model():
+    rng = np.random.default_rng(6)
+    time = np.arange(8000) / 300.0
+    noise = rng.standard_normal((12, 8000))
+    resonance = lfilter([1.0], [1.0, -2 * 0.9995 * np.cos(2 * np.pi * 20 / 300), 0.9995**2], rng.standard_normal(8000))
+    assert cost_of_lines(noise, 10) < 5.0
+    assert cost_of_lines(noise + resonance / resonance.std(), 10) < 5.0
+    toned = noise + np.cos(2 * np.pi * 42.263 * time)
+    assert cost_of_lines(toned, 10) > 20.0
+    assert np.linalg.norm(without_lines(toned, standing_out(toned)) - noise) < 0.03 * np.linalg.norm(noise)
+    assert not standing_out(noise)
+
+
+def test_a_phase_randomized_force_keeps_its_spectrum_and_its_silence():
+    rng = np.random.default_rng(4)
+    force = np.concatenate([np.zeros(500), rng.standard_normal(4000)])
+    turned = phase_randomized(force, 500, 1000.0, rng)
+    assert not np.any(turned[:500])
+    assert np.sqrt(np.mean(turned[500:] ** 2)) == pytest.approx(np.sqrt(np.mean(force[500:] ** 2)), rel=0.05)
+    assert abs(np.corrcoef(turned, force)[0, 1]) < 0.1
+
+
+def test_the_scale_of_what_is_unmodelled_is_told_by_the_residual():
+    settings = BarrelCradle(sensors="acceleration", duration_s=12.0, rms_n=1.0, noise_density=1e-4)
+    rig = settings.rig()
+    force_n = force_history(settings.force(), settings.duration_s, 1 / rig.sample_rate_hz)
+    record = record_of(modal(rig, rig, force_n, 1))
+    prior = prior_scales(record)
+    true_share = 4e-3
+    wanted = np.sqrt(
+        (record.noise + true_share**2 * record.power) / (record.noise + prior.discrepancy**2 * record.power)
+    )
+    times = record.taken.stop - record.taken.start
+    rng = np.random.default_rng(5)
+    lines = rng.standard_normal((2, *wanted.shape))
+    spectra = wanted * (lines[0] + 1j * lines[1]) / np.sqrt(2)
+    residual = np.fft.irfft(spectra, record.length // record.factor)[:, :times]
+    residual *= np.sqrt(record.length // record.factor)
+    found = estimated_scales(record, prior, residual, (0.2, 3.0))
+    middle = found.discrepancy[:, record.omega.size // 4 : record.omega.size // 2]
+    assert np.median(middle) == pytest.approx(true_share, rel=0.2)
+    assert found.contacts == (float(posterior_level(np.array(0.2))), 2.0)
+    assert band_levels(record, residual).min() > 0

@@ -1,0 +1,147 @@
+"""One mass between stops, simulated in a moment: the whole road from recordings to a verdict."""
+
+from dataclasses import replace as with_fields
+from typing import Annotated, ClassVar
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from identify.gaps.decision.answer import Simulator, diagnose
+from identify.gaps.decision.null_reference import null_reference
+from identify.gaps.faults import fault_of
+from identify.gaps.search import candidates
+from rig.effects import effect_named, effects
+from rig.effects.base import Effect, Parameter
+from rig.errors import RigError
+from rig.model.description import Rig
+from rig.model.tolerances import LABORATORY
+from rig.recording import Recording, Signals
+from rig.simulation.excitation import force_history
+from rig.simulation.reference import Sdof
+from rig.simulation.replay import modal
+
+SETTINGS = Sdof(sensors="displacement", duration_s=20.0)
+RIG = SETTINGS.rig()
+RIG = replace(RIG, sensors=tuple(replace(s, noise_density=1e-7) for s in RIG.sensors))
+
+
+def force(seed: int, rms_n: float) -> np.ndarray:
+    excitation = replace(SETTINGS, seed=seed, rms_n=rms_n).force()
+    return force_history(excitation, SETTINGS.duration_s, 1 / RIG.sample_rate_hz)
+
+
+SIMULATOR = Simulator("modal", modal)
+
+
+@pytest.fixture(scope="session")
+def nulls(tmp_path_factory):
+    """The null reference of the rig at the force of the validation record, made once."""
+    path = tmp_path_factory.mktemp("nulls") / "nulls.json"
+    null_reference(records(RIG, RIG)[1], LABORATORY, modal, "modal", kept=path)
+    return path
+
+
+def records(*actual: Rig) -> list[Recording]:
+    return [
+        modal(RIG, one, force(seed, rms), seed) for seed, (one, rms) in enumerate(zip(actual, (0.5, 0.7), strict=True))
+    ]
+
+
+def diagnosed(actual: Rig, nulls):
+    return diagnose(*records(actual, actual), SIMULATOR, nulls)
+
+
+def test_the_believed_rig_has_no_gap(nulls):
+    gap, corrected = diagnosed(RIG, nulls)
+    assert gap.verdict == "no_gap"
+    assert corrected == RIG
+    assert gap.before.p_value > 0.01
+    assert gap.probability_nothing > 0.5
+
+
+@pytest.mark.parametrize(
+    ("text", "parameter", "value"),
+    [
+        ("contact_clearance:factor=1.1", "contact_clearance.factor", 1.1),
+        ("coulomb_friction:force_n=0.3", "coulomb_friction.force_n", 0.3),
+        ("added_mass:mass_kg=0.2", "added_mass.mass_kg", 0.2),
+    ],
+)
+def test_an_effect_is_named_with_its_size(text, parameter, value, nulls):
+    actual = effect_named(text).applied_to(RIG)
+    gap, corrected = diagnosed(actual, nulls)
+    assert gap.verdict == "explained"
+    assert gap.causes[0].effects == (text.partition(":")[0],)
+    found = gap.causes[0].parameters[parameter]
+    assert found.value == pytest.approx(value, rel=0.05)
+    assert gap.causes[0].explained > 0.9
+    assert corrected != RIG
+    total = sum(c.probability for c in gap.causes) + gap.probability_nothing + gap.probability_unknown
+    assert total == pytest.approx(1.0)
+
+
+def test_an_effect_in_a_file_of_its_own_is_found_by_itself(monkeypatch, nulls):
+    class GrowingLag(Effect, frozen=True):
+        """The force channel is late by more than anybody thought."""
+
+        name: ClassVar[str] = "growing_lag"
+        lag_s: Annotated[float, Parameter("s", 0.0, 0.02, 0.0)] = 2e-3
+
+        def applied_to(self, rig: Rig) -> Rig:
+            return replace(rig, force_sensor=replace(rig.force_sensor, lag_s=rig.force_sensor.lag_s + self.lag_s))
+
+    others = {name: kind for name, kind in effects().items() if name != "force_shift"}
+    monkeypatch.setattr(candidates, "effects", lambda: {**others, GrowingLag.name: GrowingLag})
+    gap, _ = diagnosed(GrowingLag(lag_s=6e-3).applied_to(RIG), nulls)
+    assert gap.causes[0].effects == ("growing_lag",)
+    assert gap.causes[0].parameters["growing_lag.lag_s"].value == pytest.approx(6e-3, rel=0.05)
+
+
+def test_another_rigs_validation_is_refused(nulls):
+    fit, validation = records(RIG, RIG)
+    other = with_fields(validation, rig=replace(RIG, name="other"))
+    with pytest.raises(RigError, match="of another rig"):
+        diagnose(fit, other, SIMULATOR, nulls)
+
+
+def refuse(_believed: Rig, _actual: Rig, _force_n: np.ndarray, _seed: int) -> Recording:
+    pytest.fail("the null reference was made again")
+
+
+def test_a_null_reference_of_another_rig_or_none_is_made_anew(tmp_path):
+    path = tmp_path / "nulls.json"
+    path.write_text("nothing of the kind")
+    _, validation = records(RIG, RIG)
+    made = null_reference(validation, LABORATORY, modal, "modal", kept=path, nulls=2)
+    assert null_reference(validation, LABORATORY, refuse, "modal", kept=path, nulls=2) == made
+    other = with_fields(validation, rig=replace(RIG, name="other"))
+    assert null_reference(other, LABORATORY, modal, "modal", kept=path, nulls=2).key != made.key
+
+
+def test_a_short_record_is_refused(nulls):
+    short = [
+        with_fields(one, signals={n: Signals(s.channels, 0.0, s.values[:, :2000]) for n, s in one.signals.items()})
+        for one in records(RIG, RIG)
+    ]
+    with pytest.raises(RigError, match=r"lasts 3.91 s; the diagnosis needs"):
+        diagnose(*short, SIMULATOR, nulls)
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [(lambda x: 0 * x, "dead"), (lambda x: np.clip(x, -1.0, 1.0), "clipped"), (lambda x: x, None)],
+)
+def test_dead_and_clipped_channels_are_what_they_are(change, fault):
+    assert fault_of(change(np.random.default_rng(1).standard_normal(10_000))) == fault
+
+
+def test_a_record_of_dead_channels_is_refused(nulls):
+    dead = []
+    for one in records(RIG, RIG):
+        moved = one.signals["displacement"]
+        dead.append(
+            with_fields(one, signals={**one.signals, "displacement": with_fields(moved, values=0 * moved.values)})
+        )
+    with pytest.raises(RigError, match="every channel is dead or clipped"):
+        diagnose(*dead, SIMULATOR, nulls)

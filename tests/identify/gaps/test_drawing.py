@@ -1,0 +1,50 @@
+"""Rigs drawn within their tolerances."""
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from identify.gaps.decision.drawing import drawn
+from rig.model.tolerances import EXACT, LABORATORY
+from rig.simulation.reference import BarrelCradle, Sdof
+
+ODD_M = 1.0272139258614885
+"""No number of nine digits."""
+
+
+def barrel_of_odd_length():
+    rig = BarrelCradle(sensors="acceleration").rig()
+    bodies = tuple(replace(b, length_m=ODD_M) if b.name == "barrel" else b for b in rig.bodies)
+    ends = tuple(
+        replace(s, station=replace_station(s.station)) if s.station.body == "barrel" else s for s in rig.sensors
+    )
+    return replace(rig, bodies=bodies, sensors=ends)
+
+
+def replace_station(station):
+    return type(station)(station.body, ODD_M) if station.position_m == 1.0 else station
+
+
+@pytest.mark.parametrize("rig", [BarrelCradle(sensors="acceleration").rig(), barrel_of_odd_length(), Sdof().rig()])
+def test_exact_tolerances_draw_the_rig_itself(rig):
+    actual, corners_hz = drawn(rig, EXACT, np.random.default_rng(1).standard_normal(600))
+    assert actual.sensors == rig.sensors
+    assert actual.contacts == rig.contacts
+    assert not any(corners_hz)
+    for one, believed in zip(actual.bodies, rig.bodies, strict=True):
+        count = min(8, one.most_modes)
+        np.testing.assert_allclose(one.frequencies_hz(count), believed.frequencies_hz(count), rtol=1e-12)
+        places = np.array([s.station.position_m for s in rig.sensors if s.station.body == one.name])
+        np.testing.assert_allclose(one.shapes(places, count), believed.shapes(places, count), rtol=1e-9, atol=1e-12)
+
+
+def test_draws_scatter_as_the_tolerances_say():
+    rig = BarrelCradle(sensors="acceleration").rig()
+    rng = np.random.default_rng(2)
+    rigs = [drawn(rig, LABORATORY, rng.standard_normal(600))[0] for _ in range(200)]
+    gains = np.array([[s.gain for s in r.sensors] for r in rigs])
+    assert gains.std() == pytest.approx(LABORATORY.gain, rel=0.1)
+    first = np.array([r.bodies[0].frequencies_hz(3) / rig.bodies[0].frequencies_hz(3) for r in rigs])
+    assert first.std() == pytest.approx(np.sqrt(2) * LABORATORY.frequency, rel=0.15)  # its own, and all together
+    ratios = np.log([r.bodies[0].damping_ratios(3) / rig.bodies[0].damping_ratios(3) for r in rigs])
+    assert ratios.std() == pytest.approx(np.sqrt(2) * LABORATORY.damping, rel=0.15)

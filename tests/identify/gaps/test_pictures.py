@@ -1,0 +1,237 @@
+"""The pictures of a diagnosis, as matplotlib holds them: what they show, how their axes are named, what overlaps."""
+
+import re
+from io import BytesIO
+from itertools import combinations
+
+import numpy as np
+import pytest
+from matplotlib.axis import Tick
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+from matplotlib.text import Text
+from msgspec.structs import replace
+
+from identify.gaps.page.pictures import pictures
+from identify.gaps.page.unknown_pictures import left_ends_m
+from identify.gaps.results import Attribution, Value
+from rig.simulation.reference import BarrelCradle
+
+NAMED = re.compile(r"(, (%|m|mm|s|Hz|N|m/s)|per mm|/Hz|N|natural logarithm\))$")
+
+
+def drawn(gap, rig):
+    """The pictures by name as PNG and as figures."""
+    figures = []
+    save = Figure.savefig
+
+    def kept(figure, file, **options):
+        save(figure, file, **options)
+        figures.append(figure)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", kept)
+        made = pictures(gap, rig)
+    return made, dict(zip(made, figures, strict=True))
+
+
+@pytest.fixture(scope="module")
+def made(diagnosis, rig_of):
+    return diagnosis, *drawn(diagnosis, rig_of(diagnosis))
+
+
+def widths(axes):
+    return [bar.get_width() for bar in axes.patches]
+
+
+def test_every_picture_is_a_png_that_shows_something(made):
+    _, files, _ = made
+    for name, content in files.items():
+        image = imread(BytesIO(content))
+        assert min(image.shape[:2]) > 200, name
+        assert np.ptp(image[..., :3]) > 0.5, name
+
+
+def test_every_section_has_pictures(made):
+    gap, files, _ = made
+    sections = {"large", "why", "where", "far"} | ({"unknown"} if gap.unknown else set())
+    sections |= {"next"} if gap.next_experiments else set()
+    assert {name.split("_")[0] for name in files} == sections
+    for kind, count in (("where_surface", len(gap.attribution.surface)), ("far_curve", len(gap.curves))):
+        assert sum(name.startswith(kind) for name in files) == count
+
+
+def test_every_axis_that_counts_is_named_with_its_unit(made):
+    _, _, figures = made
+    for name, figure in figures.items():
+        labels = {text for a in figure.axes for text in (a.get_xlabel(), a.get_ylabel()) if text}
+        assert labels, name
+        for label in labels:
+            assert NAMED.search(label), f"{name}: {label}"
+
+
+def test_no_text_lies_upon_another_nor_leaves_the_picture(made):
+    _, _, figures = made
+    for name, figure in figures.items():
+        figure.draw_without_rendering()
+        boxes = [(t.get_text(), t.get_window_extent()) for t in shown_texts(figure) if t.get_text().strip()]
+        whole = figure.bbox.padded(1.0)
+        for text, box in boxes:
+            assert whole.x0 <= box.x0 < box.x1 <= whole.x1, f"{name}: {text}"
+            assert whole.y0 <= box.y0 < box.y1 <= whole.y1, f"{name}: {text}"
+        slanted = [(a, b) for a, b in boxes if "to" not in a]  # the corners of slanted texts may share a box
+        for (one, a), (other, b) in combinations(slanted, 2):
+            assert not a.padded(-1).overlaps(b.padded(-1)), f"{name}: {one!r} and {other!r}"
+
+
+def shown_texts(figure):
+    """The texts of a figure that are drawn: of ticks only those within their axis."""
+    labels = {text for tick in figure.findobj(Tick) for text in (tick.label1, tick.label2)}
+    texts = [t for t in figure.findobj(Text) if t not in labels]
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        low, high = sorted(axis.get_view_interval())
+        for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks()):
+            if low <= tick.get_loc() <= high:
+                texts += [tick.label1, tick.label2]
+    return [t for t in texts if t.get_visible()]
+
+
+def test_probabilities_are_drawn_and_sum_to_one(made):
+    gap, _, figures = made
+    (axes,) = figures["why_probability"].axes
+    drawn = [100 * p for p in (*(c.probability for c in gap.causes), gap.probability_nothing, gap.probability_unknown)]
+    assert widths(axes) == pytest.approx(drawn)
+    assert sum(widths(axes)) == pytest.approx(100)
+    names = [label.get_text() for label in axes.get_yticklabels()]
+    assert names[-2] == "no gap"
+    assert names[-1].startswith("something unknown")
+
+
+def test_further_causes_are_one_bar(gaps, rig_of):
+    gap = gaps["pair"]
+    many = tuple(replace(gap.causes[0], probability=0.09) for _ in range(9))
+    _, figures = drawn(replace(gap, causes=many, probability_nothing=0.1, probability_unknown=0.09), rig_of(gap))
+    (axes,) = figures["why_probability"].axes
+    assert widths(axes) == pytest.approx([9.0] * 6 + [27.0, 10.0, 9.0])
+
+
+def test_what_a_cause_closes_is_drawn_with_its_interval(made):
+    gap, _, figures = made
+    (axes,) = figures["why_closes"].axes
+    assert widths(axes) == pytest.approx([100 * max(c.explained, 0) for c in gap.causes])
+    for line, cause in zip(axes.get_lines(), gap.causes, strict=True):
+        assert list(line.get_xdata()) == pytest.approx([100 * max(end, 0) for end in cause.interval_95])
+
+
+def test_bands_are_drawn_beside_null_simulations_and_what_matters(made):
+    gap, _, figures = made
+    (axes,) = figures["large_bands"].axes
+    steps = {patch.get_label(): patch.get_data() for patch in axes.patches}
+    fields = {"believed rig": "before", "nineteen of twenty null simulations stay below": "usual"}
+    if gap.causes[0].interval_95[0] > 0.01:
+        fields["with the likeliest cause"] = "after"
+    assert set(steps) == set(fields)
+    for label, field in fields.items():
+        np.testing.assert_allclose(steps[label].values, [100 * getattr(b, field) for b in gap.bands])
+        np.testing.assert_allclose(steps[label].edges[:-1], [b.low_hz for b in gap.bands])
+    assert list(axes.get_lines()[0].get_ydata()) == [100 * gap.matters.motion] * 2
+    assert axes.get_yscale() == "log"
+
+
+def test_bodies_lie_so_that_what_touches_is_one_above_the_other():
+    rig = BarrelCradle().rig()
+    ends = left_ends_m(rig)
+    for contact in rig.contacts:
+        at, against = (ends[s.body] + s.position_m for s in (contact.at, contact.against))
+        assert at == pytest.approx(against)
+
+
+@pytest.mark.parametrize("name", ["partly_explained", "unknown"])
+def test_the_unknown_force_is_drawn_at_its_place(gaps, rig_of, name):
+    gap, rig = gaps[name], rig_of(gaps[name])
+    _, figures = drawn(gap, rig)
+    (axes,) = figures["unknown_place"].axes
+    force = next(line for line in axes.get_lines() if line.get_marker() == "o" and line.get_xdata().size)
+    assert float(force.get_xdata()[0]) == pytest.approx(left_ends_m(rig)[gap.unknown.body] + gap.unknown.position_m)
+    assert axes.get_yticklabels()[[b.name for b in rig.bodies].index(gap.unknown.body)].get_text() == gap.unknown.body
+    assert float(force.get_ydata()[0]) == axes.get_yticks()[[b.name for b in rig.bodies].index(gap.unknown.body)]
+    legend = [text.get_text() for text in figures["unknown_place"].legends[0].get_texts()]
+    assert f"unknown force, {gap.unknown.body} at {gap.unknown.position_m:.2f} m" in legend
+
+
+@pytest.mark.parametrize(
+    ("change", "label"),
+    [
+        ({"kind": "pair", "against_body": "cradle", "against_position_m": 0.7}, "unknown pair of forces"),
+        ({"kind": "sensor", "body": None, "position_m": None}, "sensor "),
+        ({"kind": "distributed", "body": None, "position_m": None}, "stiffness changes"),
+    ],
+)
+def test_every_kind_of_unknown_is_drawn(gaps, rig_of, change, label):
+    gap = gaps["unknown"]
+    rig = rig_of(gap)
+    if change["kind"] == "sensor":
+        change = {**change, "sensor": rig.sensors[3].name}
+    if change["kind"] == "distributed":
+        change = {**change, "growth": {"barrel": Value(-0.03, 0.001, "1")}}
+    _, figures = drawn(replace(gap, unknown=replace(gap.unknown, **change)), rig)
+    legend = [text.get_text() for text in figures["unknown_place"].legends[0].get_texts()]
+    assert sum(text.startswith(label) for text in legend) == 1
+
+
+def test_the_force_over_the_motion_is_the_right_way_round(gaps, rig_of):
+    gap = gaps["unknown"]
+    seen = gap.unknown.over_motion
+    _, figures = drawn(gap, rig_of(gap))
+    mesh = figures["unknown_motion"].axes[0].collections[0]
+    np.testing.assert_allclose(np.ma.filled(mesh.get_array(), 0.0), np.array(seen.force_n).T)
+    np.testing.assert_allclose(mesh.get_coordinates()[0, :, 0], 1e3 * np.array(seen.displacement_m))
+    dots = figures["unknown_law"].axes[0].collections[0].get_offsets()
+    expected = 11.0 * np.tanh(np.asarray(dots)[:, 0] / 2.6)
+    np.testing.assert_allclose(np.asarray(dots)[:, 1], expected, atol=1e-9)
+
+
+def test_shares_stand_at_the_stations(made):
+    gap, _, figures = made
+    for axes, stations in zip(figures["where_positions"].axes, gap.attribution.positions_m.values(), strict=True):
+        middles = [bar.get_x() + bar.get_width() / 2 for bar in axes.patches]
+        assert middles == pytest.approx([float(at) for at in stations])
+        assert [bar.get_height() for bar in axes.patches] == pytest.approx([100 * s for s in stations.values()])
+
+
+def test_the_surface_is_drawn_the_right_way_round(made):
+    gap, _, figures = made
+    for j, surface in enumerate(gap.attribution.surface.values(), 1):
+        mesh = figures[f"where_surface_{j}"].axes[0].collections[0]
+        shown = np.ma.filled(mesh.get_array(), 0.0) / 100  # rows: velocity
+        np.testing.assert_allclose(np.nan_to_num(shown), np.array(surface.share).T)
+        corners = mesh.get_coordinates()
+        np.testing.assert_allclose(corners[0, :, 0], 1e3 * np.array(surface.eta_m))
+        np.testing.assert_allclose(corners[:, 0, 1], surface.rate_m_per_s)
+
+
+def test_curves_are_those_given(made):
+    gap, _, figures = made
+    for j, curve in enumerate(gap.curves, 1):
+        figure = figures[f"far_curve_{j}"]
+        (axes,) = figure.axes
+        for line, values in zip(axes.get_lines(), (curve.measured, curve.believed, curve.corrected), strict=True):
+            np.testing.assert_array_equal(line.get_ydata(), values)
+        assert (axes.get_yscale() == "log") == curve.logarithmic
+        assert len(figure.legends[0].get_texts()) == 3
+
+
+def test_any_name_can_be_drawn(gaps, rig_of):
+    gap = gaps["null"]
+    odd = {"$\\frac": 0.5, "<b>" * 30: 0.3, "a_$x$": 0.2}
+    _, figures = drawn(replace(gap, attribution=replace(gap.attribution, channels=odd)), rig_of(gap))
+    labels = [t.get_text() for t in figures["where_channels"].axes[0].get_yticklabels()]
+    assert (labels[0], labels[2]) == ("$\\frac", "a_$x$")
+
+
+def test_what_is_missing_is_left_out(gaps, rig_of):
+    gap = gaps["null"]
+    nothing = Attribution(
+        channels={}, modal_equations={}, positions_m={}, band_hz=(), contact_state={}, time_s=(), surface={}
+    )
+    assert not pictures(replace(gap, attribution=nothing, curves=(), bands=(), causes=()), rig_of(gap))

@@ -1,0 +1,295 @@
+"""The page of a diagnosis: its numbers, its pictures, its form; and what the screen shows."""
+
+import re
+from base64 import b64decode
+from html.parser import HTMLParser
+from io import BytesIO, StringIO
+
+import msgspec
+import pytest
+from matplotlib.image import imread
+from msgspec.structs import replace
+from rich.console import Console
+
+from identify.gaps.decision.causes import equivalent
+from identify.gaps.decision.sentence import sentence
+from identify.gaps.page.advice import next_steps, rest_hz
+from identify.gaps.page.pictures import pictures
+from identify.gaps.page.report import write_all, write_page
+from identify.gaps.page.screen import shown
+from identify.gaps.results import Band, Gap, Value
+from identify.gaps.wording import closes, interval, leaves, probability
+from identify.pages.wording import COVERED, number, percent
+from rig.errors import RigError
+from rig.model.description import from_json
+
+VOID = {"meta", "img", "br", "link", "hr"}
+PHONE_PX = 375
+
+
+class Page(HTMLParser):
+    """Texts, headings, pictures and tags of a page; open tags must be closed in turn."""
+
+    def __init__(self, content):
+        super().__init__()
+        self.open, self.tags, self.texts, self.headings, self.images = [], [], [], [], []
+        self.feed(content)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        if tag == "img":
+            self.images.append(dict(attrs))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] != "style":
+            self.texts.append(data.strip())
+        if self.open and self.open[-1] == "h2":
+            self.headings.append(data)
+
+
+@pytest.fixture(scope="module")
+def written(diagnosis, rig_of, tmp_path_factory):
+    """A diagnosis, its pictures, and its page as parsed."""
+    figures, path = pictures(diagnosis, rig_of(diagnosis)), tmp_path_factory.mktemp("page") / "gap.html"
+    write_page(diagnosis, figures, "Gap of one & two", path)
+    return diagnosis, figures, Page(path.read_text(encoding="utf-8")), path
+
+
+def test_the_page_says_the_verdict_then_what_to_do_then_why(written):
+    gap, _, page, _ = written
+    named = "What the rest looks like" if gap.verdict == "partly_explained" else "What is unknown"
+    unknown = [named] if gap.unknown else []
+    assert page.headings == [
+        "What to do next",
+        "How large is the gap?",
+        "What causes it?",
+        *(["What differs between the records?"] if gap.between else []),
+        *unknown,
+        "Where does the gap lie?",
+        "Simulated and measured",
+    ]
+    assert page.texts.index(gap.sentence) < page.texts.index(page.headings[0])
+    assert "Gap of one & two" in page.texts
+
+
+def test_every_number_is_on_the_page(written):
+    gap, _, page, _ = written
+    said = {percent(gap.matters.motion), probability(gap.probability_nothing), probability(gap.probability_unknown)}
+    lefts = [gap.before, *(cause.left for cause in gap.causes)]
+    said |= {percent(s) for left in lefts for s in (left.share, *left.contact_shares.values())}
+    for cause in gap.causes:
+        said |= {probability(cause.probability), closes(cause), *cause.places.values(), *cause.parameters}
+        said |= {interval(v) for v in cause.parameters.values()}
+    for figure in gap.figures:
+        said |= {number(x) for x in (figure.measured, figure.believed, figure.corrected)}
+        said.add(f"{figure.name}, {figure.unit}")
+    where = gap.attribution
+    for shares in (
+        where.channels,
+        where.parts,
+        where.modal_equations,
+        where.contact_state,
+        *where.positions_m.values(),
+    ):
+        said |= {percent(s) for s in shares.values()}
+    said |= {percent(s.share) for s in (*where.band_hz, *where.time_s)}
+    said |= {" / ".join(names) for names in gap.equivalent} | set(next_steps(gap))
+    said |= set(gap.channel_faults) | set(gap.channel_faults.values())
+    if gap.between:
+        for one in (*gap.between.cause, *gap.between.differing):
+            said |= {one.parameter, one.place, percent(one.p_value), *(interval(v) for v in one.values)}
+        said |= {f"record {name}" for name in gap.between.records} | {"grows"}
+        differs = "contact_clearance.factor (contact_2) grows (1.006, 1.006, 1.087)"
+        assert f"Between the records, {differs}." in gap.sentence
+        assert "contact_clearance" in next_steps(gap)[0]
+    if gap.unknown:
+        said |= {gap.unknown.law, percent(gap.unknown.explained), f"{number(gap.unknown.rms_n, 3)} N rms"}
+    assert said <= set(page.texts)
+    text = " ".join(page.texts)
+    assert f"alone they leave as much in {percent(gap.before.p_value)} of all cases" in text
+
+
+def test_the_pictures_are_in_the_page_and_nothing_is_fetched(written):
+    _, figures, page, path = written
+    assert len(page.images) == len(figures)
+    for image in page.images:
+        kind, _, content = image["src"].partition(",")
+        assert kind == "data:image/png;base64"
+        png = b64decode(content, validate=True)
+        assert png == figures[image["alt"].replace(" ", "_")]
+        assert imread(BytesIO(png)).ndim == 3
+    assert not {"script", "link", "iframe"} & set(page.tags)
+    assert "http" not in re.sub(r'src="data:[^"]*"', "", path.read_text(encoding="utf-8"))
+
+
+def test_a_limit_that_is_reached_is_said(gaps, tmp_path):
+    gap = gaps["explained"]
+    assert "added_mass.relative_position stands at the limit of its range" in gap.sentence
+    write_page(gap, {}, "limit", tmp_path / "gap.html")
+    assert "(at the limit of its range)" in (tmp_path / "gap.html").read_text(encoding="utf-8")
+
+
+def test_what_may_stand_in_the_place_of_an_effect_is_said(gaps):
+    assert "In place of added_mass it may be clamp_compliance: these records hardly" in gaps["explained"].sentence
+    assert "In place of" not in gaps["pair"].sentence
+    one = gaps["pair"].causes[0]
+
+    def judged(*causes):
+        return equivalent(tuple(replace(one, effects=effects, probability=p) for effects, p in causes))
+
+    assert judged((("a", "b"), 0.5), (("c", "a"), 0.3), (("d", "b"), 0.1), (("a",), 0.1)) == (("a", "d"), ("b", "c"))
+    assert judged((("a", "b"), 0.96), (("a", "c"), 0.04)) == ()
+    assert judged((("a",), 0.4), (("b",), 0.4), (("a", "c"), 0.2)) == (("a", "b"),)
+    assert judged((("a", "b"), 0.5), (("a", "b"), 0.3), (("c", "d"), 0.2)) == ()  # at another place; another pair
+
+
+def test_what_to_do_depends_on_the_verdict(gaps):
+    steps = {name: " ".join(next_steps(gap)) for name, gap in gaps.items()}
+    assert "Nothing needs to be done" in steps["null"]
+    assert "corrected rig.json" in steps["explained"]
+    assert "To test clamp_compliance: measure close to the clamp." in steps["explained"]
+    for word in ("better rig, not as the right one", "the cradle near 0.80 m", "50.0 Hz", "weigh the part"):
+        assert word in steps["partly_explained"]
+    for word in ("Keep rig.json as it is", "the barrel near 0.89 m", "grows with the displacement"):
+        assert word in steps["unknown"]
+    assert "corrected" not in steps["unknown"]
+
+
+def test_a_description_that_explains_little_is_a_hint(gaps):
+    gap = gaps["partly_explained"]
+    little = replace(gap, unknown=replace(gap.unknown, explained=0.165))
+    steps = " ".join(next_steps(little))
+    assert "hint, as it explains only 16.5 % of what is left: look at the cradle near 0.80 m" in steps
+    assert "switch motors" not in steps
+    said = sentence(little, "none").sentence
+    assert (
+        f"The rest has no simple form; the nearest explains 16.5 % of its mean square: {gap.unknown.sentence}." in said
+    )
+    assert f"The rest looks like {gap.unknown.sentence}." in gap.sentence
+
+
+def test_what_is_left_is_named_by_its_frequencies(gaps):
+    gap = gaps["partly_explained"]
+    bands = tuple(
+        Band(low_hz=2.0 * i, high_hz=2.0 * i + 2, before=0.1, after=after, usual=usual)
+        for i, (after, usual) in enumerate(
+            [(0.1, 0.2), (0.1, 0.01), (0.1, 0.01), (0.001, 0.0), (0.1, 0.0)] + 8 * [(0, 0)]
+        )
+    )
+    assert rest_hz(replace(gap, bands=bands)) == [(2.0, 10.0)]
+    assert rest_hz(replace(gap, bands=bands[:1])) == []
+
+
+def test_names_cannot_break_the_page(gaps, tmp_path):
+    gap = gaps["explained"]
+    bold = "<b>"
+    channels = {bold: 0.6, "\"&amp;'>": 0.4}
+    cause = replace(gap.causes[0], places={"added_mass.body": "</table>"})
+    odd = replace(
+        gap,
+        sentence="The gap is <i>here</i>.",
+        attribution=replace(gap.attribution, channels=channels),
+        causes=(cause,),
+        channel_faults={bold: "dead"},
+        separate_by=("<script>alert(1)</script>",),
+    )
+    path = tmp_path / "gap.html"
+    write_page(odd, {}, "</title>", path)
+    page = Page(path.read_text(encoding="utf-8"))
+    said = {*channels, "</table>", "</title>", odd.sentence, "To test <script>alert(1)</script>."}
+    assert said <= set(page.texts)
+    assert page.tags.count("b") == 1  # the verdict
+    assert not {"i", "script"} & set(page.tags)
+
+
+def test_a_page_is_replaced_whole(gaps, tmp_path):
+    path = tmp_path / "gap.html"
+    path.write_text("old " * 100_000)
+    write_page(gaps["null"], {}, "new", path)
+    content = path.read_text(encoding="utf-8")
+    assert content.startswith("<!DOCTYPE html>")
+    assert content.endswith("</html>\n")
+    assert "old old" not in content
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_link_is_not_written_through(gaps, tmp_path):
+    target, link = tmp_path / "target", tmp_path / "gap.html"
+    target.write_text("kept")
+    link.symlink_to(target)
+    with pytest.raises(RigError, match="symbolic link"):
+        write_page(gaps["null"], {}, "new", link)
+    assert target.read_text() == "kept"
+
+
+def test_the_screen_shows_the_verdict(diagnosis):
+    console = Console(width=600, record=True, file=StringIO())
+    console.print(shown(diagnosis))
+    text = console.export_text()
+    assert diagnosis.sentence in text
+    for cause in diagnosis.causes:
+        assert probability(cause.probability) in text
+        assert closes(cause) in text
+        assert leaves(cause.left) in text
+        for value in cause.parameters.values():
+            assert interval(value) in text
+    for step in next_steps(diagnosis):
+        assert step in text
+    if diagnosis.unknown:
+        assert diagnosis.unknown.sentence in text
+
+
+def test_an_interval_has_two_digits_of_its_half_width():
+    for value, half, unit, said in (
+        (0.1414, 0.0021, "kg", "0.1414 ± 0.0021 kg"),
+        (1.0, 0.034, "1", "1.000 ± 0.034"),
+        (123456.0, 1200.0, "N/m", "123500 ± 1200 N/m"),
+        (-0.5, 0.0999, "m", "-0.50 ± 0.10 m"),
+        (1.83e-4, 7.8e-6, "s", "(1.830 ± 0.078)e-4 s"),
+        (2.96e10, 8e8, "N/m^3", "(2.960 ± 0.080)e10 N/m^3"),
+        (0.0, 0.25, "N", "0.00 ± 0.25 N"),
+    ):
+        assert interval(Value(value, half / COVERED, unit)) == said
+
+
+@pytest.mark.parametrize("error", [0.0, float("nan"), float("inf")])
+def test_no_interval_is_claimed_where_there_is_none(error):
+    assert interval(Value(0.25, error, "N")) == "0.2500 N (no interval)"
+
+
+def test_nothing_is_said_to_be_certain():
+    assert percent(0.0004) == "< 0.1 %"
+    assert percent(0.99996) == "> 99.9 %"
+    assert percent(0.934) == "93.4 %"
+
+
+def test_what_closes_nothing_is_said_to_close_nothing(gaps):
+    cause = gaps["pair"].causes[0]
+    assert closes(cause) == "94.0 % (91.0 to 96.0 %)"
+    assert closes(replace(cause, explained=0.02, interval_95=(-0.1, 0.2))) == "nothing"
+    assert probability(1.0) == "> 99.9 %"
+
+
+def test_page_numbers_and_corrected_rig_are_written_together(gaps, rig_of, tmp_path):
+    gap = gaps["one_mass"]
+    write_all(gap, rig_of(gap), "one mass", tmp_path / "out")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"gap.html", "gap.json", "rig.json"}
+    assert msgspec.json.decode((tmp_path / "out" / "gap.json").read_bytes(), type=Gap) == gap
+    assert from_json((tmp_path / "out" / "rig.json").read_bytes(), "rig.json") == rig_of(gap)
+
+
+def test_a_browser_shows_all_of_it_on_a_phone(opened, written):
+    """Nothing is wider than the window, every picture is there, and the console is silent."""
+    _, figures, _, path = written
+    seen = opened(path, PHONE_PX)
+    assert seen.scroll_px <= PHONE_PX
+    assert len(seen.pictures_px) == len(figures)
+    assert min(seen.pictures_px) > 0
+    assert seen.console == ()

@@ -1,0 +1,130 @@
+"""Several records of one rig: what they share, and what differs between them."""
+
+from dataclasses import replace as with_fields
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+from typer.testing import CliRunner
+
+from identify.cli import app
+from identify.gaps.decision.answer import Simulator, diagnose
+from identify.gaps.decision.differences import differences
+from identify.gaps.decision.null_reference import null_reference
+from identify.gaps.residual.spectra import record_of
+from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.hypothesis import Search, fit_effects
+from identify.gaps.search.nominal import fit_nuisance
+from identify.gaps.search.pooled import fitted_together, references
+from rig.effects import effect_named
+from rig.errors import RigError
+from rig.model.tolerances import LABORATORY
+from rig.recording import writing
+from rig.simulation.excitation import force_history
+from rig.simulation.reference import Sdof
+from rig.simulation.replay import modal
+
+SETTINGS = Sdof(sensors="displacement", duration_s=20.0)
+RIG = replace(SETTINGS.rig(), sensors=tuple(replace(s, noise_density=1e-7) for s in SETTINGS.rig().sensors))
+LEVELS_N = 0.5, 0.6, 0.7
+SIMULATOR = Simulator("modal", modal)
+
+
+def recordings(*actual):
+    made = []
+    for seed, (rig, rms_n) in enumerate(zip(actual, LEVELS_N, strict=True)):
+        excitation = replace(SETTINGS, seed=seed, rms_n=rms_n).force()
+        made.append(modal(RIG, rig, force_history(excitation, SETTINGS.duration_s, 1 / RIG.sample_rate_hz), seed))
+    return made
+
+
+def with_effect(text):
+    return effect_named(text).applied_to(RIG)
+
+
+def library(record):
+    return candidates(scale_of(record, RIG), [s.name for s in record.sensors], record.zero_known)
+
+
+@pytest.fixture(scope="module")
+def nominal():
+    return recordings(RIG, RIG, RIG)
+
+
+@pytest.fixture(scope="module")
+def nulls(tmp_path_factory, nominal):
+    path = tmp_path_factory.mktemp("nulls") / "nulls.json"
+    null_reference(nominal[2], LABORATORY, modal, "modal", kept=path)
+    return path
+
+
+def test_a_parameter_shared_by_two_records_is_tighter_and_right():
+    mass_kg = 0.1
+    records = [record_of(one) for one in recordings(*[with_effect(f"added_mass:mass_kg={mass_kg}")] * 3)[:2]]
+    seen, known = references(records), library(records[0])
+    (part,) = [c for c in known if c.kind.name == "added_mass"]
+    begun = Search(seen[0], *fit_nuisance(records[0], RIG), tuple(known))
+    alone = fit_effects(begun, (part,), np.array([0.5 * mass_kg]), begun.at).hypothesis
+    again = fitted_together(records[:1], seen[:1], alone)
+    both = fitted_together(records, seen, alone)
+    errors = [float(np.sqrt(one.covariance[0, 0])) for one in (alone, again, both)]
+    assert again.values == pytest.approx(alone.values, abs=0.5 * errors[0])
+    assert errors[1] == pytest.approx(errors[0], rel=0.3)
+    assert errors[2] < errors[1]
+    assert both.values[0] == pytest.approx(mass_kg, abs=1.96 * errors[2])
+
+
+def test_a_clearance_that_grows_is_told_and_a_stiffness_that_does_not_is_not(nulls):
+    wider = with_effect("contact_clearance:factor=1.05")
+    gap, _ = diagnose(recordings(RIG, RIG, wider), None, SIMULATOR, nulls)
+    (found,) = gap.between.differing
+    assert found.parameter == "contact_clearance.factor"
+    assert found.trend == "grows"
+    first, second, last = (v.value for v in found.values)
+    errors = [v.standard_error for v in found.values]
+    assert last / first == pytest.approx(1.05, abs=1.96 * np.hypot(errors[0], errors[2]))
+    assert second == pytest.approx(first, abs=1.96 * np.hypot(errors[0], errors[1]))
+    assert "contact_clearance.factor (stop) grows" in gap.sentence
+
+
+def test_what_all_records_have_is_a_cause_and_no_difference(nulls):
+    gap, _ = diagnose(recordings(*[with_effect("contact_stiffness:factor=1.2")] * 3), None, SIMULATOR, nulls)
+    assert gap.causes[0].effects == ("contact_stiffness",)
+    assert gap.between.differing == ()
+    (row,) = gap.between.cause
+    assert len(row.values) == 3
+    assert gap.between.cause_p_value > 0.05
+    assert gap.causes[0].parameters["contact_stiffness.factor"].value == pytest.approx(1.2, rel=0.05)
+
+
+def test_nothing_differs_between_records_of_the_believed_rig(nominal):
+    records = [record_of(one) for one in nominal]
+    between = differences(records, references(records), None, library(records[0]), ("1", "2", "3"))
+    assert between.differing == between.cause == ()
+    assert between.looked_at > 5
+
+
+def test_any_record_validates_and_a_recording_counts_once(nominal, nulls):
+    other = with_fields(nominal[1], rig=replace(RIG, name="other"))
+    with pytest.raises(RigError, match="recording 2 is of another rig"):
+        diagnose([nominal[0], other, nominal[2]], None, SIMULATOR, nulls)
+    with pytest.raises(RigError, match="recording 3 is the same as an earlier one"):
+        diagnose([*nominal[:2], with_fields(nominal[0])], None, SIMULATOR, nulls)
+    with pytest.raises(RigError, match="cannot validate itself"):
+        diagnose(nominal[0], nominal[0], SIMULATOR, nulls)
+    with pytest.raises(RigError, match="no recording"):
+        diagnose([], None, SIMULATOR, nulls)
+
+
+def test_a_file_given_twice_or_missing_is_named(nominal, tmp_path):
+    paths = [tmp_path / f"{k}.mcap" for k in range(2)]
+    for path, one in zip(paths, nominal, strict=False):
+        with writing(path, RIG, {n: s.channels for n, s in one.signals.items()}, {}) as file:
+            file.append_all({n: s.values for n, s in one.signals.items()})
+
+    def error(*arguments):
+        return str(CliRunner().invoke(app, ["gap", *map(str, arguments)]).exception)
+
+    assert "given twice" in error(*paths, tmp_path / "." / "0.mcap")
+    assert "missing.mcap" in error(*paths, "--validate", tmp_path / "missing.mcap")
+    assert "cannot validate itself" in error(paths[0], "--validate", paths[0])

@@ -1,0 +1,231 @@
+"""The contact law found by symbolic regression: dead zone, stiffening law, formulas and straight pieces."""
+
+import json
+import sys
+
+import msgspec
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from identify.cli import app
+from identify.laws import CUBIC, FORMULA, PIECEWISE, Laws, identify_law, symbolic
+from identify.laws.piecewise import Sampled, slope_jumps, straight_pieces, unfiltered
+from identify.laws.results import LawReport
+from identify.laws.symbolic import Formula, search, simplified
+from identify.signals.spectra import decimated
+from rig.errors import RigError
+from rig.model.contact_law import DeadZone, dead_zone
+from rig.model.description import Contact, Rig, Sensor, Station
+from rig.model.oscillator import Oscillator
+from rig.recording import Recording, Signals
+from rig.recording.channels import Channels
+
+RATE_HZ = 512.0
+DURATION_S = 50.0
+MASS = Station("mass")
+LOWER_M, UPPER_M, STIFFNESS = 0.8e-3, 1.1e-3, 1e4
+SOFT, CUBIC_PER_M3 = 2e3, 1e9
+SECONDS = 6.0
+
+
+def motion_m(time_s):
+    """Displacement and its first two derivatives: tones about the resonance, of about 3 mm together."""
+    tones = ((1.3e-3, 3.1, 0.1), (1.0e-3, 4.37, 1.1), (0.7e-3, 6.83, 2.3))
+    parts = [
+        [a * (2 * np.pi * f) ** n * np.sin(2 * np.pi * f * time_s + p + n * np.pi / 2) for a, f, p in tones]
+        for n in range(3)
+    ]
+    return [np.sum(part, axis=0) for part in parts]
+
+
+def mass_with(law, damping_n_s_per_m=0.0):
+    """A recording of one mass whose motion is given and whose force is what that motion needs."""
+    body = Oscillator(name="mass", mass_kg=1.0, frequency_hz=5.0, damping_ratio=0.01)
+    sensors = tuple(
+        Sensor(name=quantity, station=MASS, quantity=quantity)
+        for quantity in ("displacement", "velocity", "acceleration")
+    )
+    rig = Rig(
+        name="one mass",
+        bodies=(body,),
+        contacts=(
+            Contact(
+                name="stop",
+                at=MASS,
+                against=None,
+                law=DeadZone(lower_clearance_m=LOWER_M, upper_clearance_m=UPPER_M, stiffness_n_per_m=STIFFNESS),
+            ),
+        ),
+        force_at=MASS,
+        sensors=sensors,
+        sample_rate_hz=RATE_HZ,
+    )
+    fine = 16
+    time_s = np.arange(round(DURATION_S * RATE_HZ) * fine) / (RATE_HZ * fine)
+    x, v, a = motion_m(time_s)
+    needed = body.mass_kg * a + body.damping_n_s_per_m * v + body.stiffness_n_per_m * x
+    touching = (x > UPPER_M) | (x < -LOWER_M)
+    contact = decimated(law(x) + damping_n_s_per_m * v * touching, fine)
+    rows = {"force": needed[::fine] + contact} | {
+        s.quantity: values[::fine] for s, values in zip(sensors, (x, v, a), strict=True)
+    }
+    signals = {
+        name: Signals(Channels(name, "", (name,), (MASS,), RATE_HZ), 0.0, row[None, :]) for name, row in rows.items()
+    }
+    return Recording(rig, signals, {})
+
+
+def gap(x):
+    return STIFFNESS * dead_zone(x, LOWER_M, UPPER_M)
+
+
+def stiffening(x):
+    return SOFT * x + CUBIC_PER_M3 * x**3
+
+
+@pytest.fixture(scope="module")
+def clearance():
+    return identify_law(mass_with(gap), seconds=SECONDS).found[0]
+
+
+def random_formula(rng, depth, combine):
+    """A random tree of the operations, made with `combine`."""
+    if depth == 0 or rng.random() < 0.1:
+        return Formula("1x"[rng.integers(2)], rng.normal())
+    operation = ("+", "-", "*", "min", "max", "abs")[rng.integers(6)]
+    parts = [random_formula(rng, depth - 1, combine) for _ in range(1 if operation == "abs" else 2)]
+    return combine(operation, tuple(parts))
+
+
+def plain(operation, parts):
+    return Formula(operation, parts=parts)
+
+
+X = np.linspace(-1.5, 2.0, 101)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_formula_keeps_its_values_when_simplified_and_scaled(seed):
+    as_it_is = random_formula(np.random.default_rng(seed), 4, plain)
+    simple = random_formula(np.random.default_rng(seed), 4, simplified)
+    size = max(1.0, float(np.abs(as_it_is(X)).max()))
+    # constants left away are below NEGLIGIBLE and at most multiplied by what the rest of a formula comes to
+    assert np.allclose(simple(X), as_it_is(X), atol=1e-9 * size)
+    assert np.allclose(simple.scaled(1e-3, 200.0)(1e-3 * X), 200.0 * simple(X), atol=1e-9 * 200 * size)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_text_of_a_formula_says_what_it_computes(seed):
+    formula = random_formula(np.random.default_rng(seed), 4, simplified)
+    said = formula.text("eta").replace(" eta", " * eta")
+    for operation in "+-*,":
+        said = said.replace(f"{operation} * eta", f"{operation} eta")
+    values = [eval(said, {"min": min, "max": max, "abs": abs, "eta": x}) for x in X]
+    assert np.allclose(values, formula(X), rtol=1e-3, atol=1e-3 * np.abs(formula(X)).max())
+
+
+def test_the_search_finds_a_dead_zone_and_repeats_itself(monkeypatch):
+    monkeypatch.setattr(symbolic, "GENERATIONS", 60)
+    rng = np.random.default_rng(3)
+    x = np.linspace(-1, 1, 1000)
+    noise = 1e-3
+    y = 1.5 * dead_zone(x, 0.3, 0.45) + noise * rng.standard_normal(x.size)
+    first, again = (search(x, y, 60.0, seed=1, threads=threads) for threads in (1, 2))
+    assert not first.out_of_time
+    assert [f.text("x") for f in first.formulas] == [f.text("x") for f in again.formulas]
+    errors = [float(np.std(f(x) - y)) for f in first.formulas]
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] < 1.1 * noise
+
+
+def test_without_pyoperon_one_is_told_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyoperon.sklearn", None)
+    with pytest.raises(RigError, match=r"pip install 'rig-identify\[symbolic\]'"):
+        identify_law(mass_with(gap))
+
+
+def observed(law, noise_n=0.0, rate_hz=256, seed=0):
+    """A law's force for 40 s, low-passed to half the rate."""
+    factor = 4096 // rate_hz
+    eta = motion_m(np.arange(40 * 4096) / 4096)[0]
+    force = decimated(law(eta), factor)
+    return Sampled(eta, force + noise_n * np.random.default_rng(seed).standard_normal(force.size), factor)
+
+
+INNER = slice(64, -64)
+
+
+def test_straight_pieces_are_found_from_too_many_knees_in_the_wrong_places():
+    seen = observed(gap)
+    found = straight_pieces(seen, INNER, np.array([-2e-3, -0.3e-3, 0.3e-3, 2e-3]))
+    assert np.allclose(found.knees_m, [-LOWER_M, UPPER_M], rtol=1e-5)
+    assert np.allclose(found.slopes_n_per_m, [STIFFNESS, 0, STIFFNESS], atol=1e-5 * STIFFNESS)
+    assert np.allclose(slope_jumps(found, -3e-3, 3e-3), found.knees_m, atol=6e-3 / 4000)
+
+
+def test_standard_errors_of_straight_pieces_are_those_of_the_noise():
+    """Over many noises the errors are about as large as the standard errors say: chi2 of 2 knees and 3 slopes."""
+    scores = []
+    for seed in range(12):
+        found = straight_pieces(observed(gap, noise_n=0.3, seed=seed), INNER, np.array([-LOWER_M, UPPER_M]))
+        scores += [
+            *((found.knees_m - [-LOWER_M, UPPER_M]) / found.knee_errors_m),
+            *((found.slopes_n_per_m - [STIFFNESS, 0, STIFFNESS]) / found.slope_errors_n_per_m),
+        ]
+    assert 0.7 < np.std(scores) < 1.4
+
+
+def test_what_the_low_pass_does_is_taken_off_without_a_law():
+    seen = observed(gap, rate_hz=64)
+    true = gap(seen.at_force_m)[INNER]
+    assert np.std(unfiltered(seen, INNER) - true) < 0.2 * np.std(seen.force_n[INNER] - true)
+
+
+def test_the_dead_zone_of_one_mass_is_found_exactly(clearance):
+    law = clearance.result
+    assert law.verdict.startswith("dead zone with knees at")
+    assert law.best == PIECEWISE
+    assert [k.value for k in law.fitted_knees_m] == pytest.approx([-LOWER_M, UPPER_M], rel=1e-4)
+    lower, inside, upper = (s.value for s in law.fitted_slopes_n_per_m)
+    assert (lower, upper) == pytest.approx((STIFFNESS, STIFFNESS), rel=5e-4)
+    assert abs(inside) < 5e-4 * STIFFNESS
+    errors = {c.law: c.held_out_error_n for c in law.candidates}
+    assert errors[PIECEWISE] < 1e-3 * law.force_rms_n < errors[CUBIC]
+    assert clearance.eta_m.size == clearance.force_n.size == law.points
+
+
+def test_straight_pieces_lose_against_a_stiffening_law():
+    law = identify_law(mass_with(stiffening), seconds=SECONDS).report.laws[0]
+    assert law.best in (CUBIC, FORMULA)
+    assert law.verdict.startswith("a freely fitted piecewise-linear law is not the best")
+    errors = {c.law: c.held_out_error_n for c in law.candidates}
+    assert errors[CUBIC] < 1e-3 * law.force_rms_n < errors[PIECEWISE]
+
+
+def test_damping_in_the_contact_is_told_from_the_scatter():
+    damped = identify_law(mass_with(gap, damping_n_s_per_m=5.0), seconds=1.0).report.laws[0]
+    assert damped.hysteresis_share > 0.9
+    assert [k.value for k in damped.fitted_knees_m] == pytest.approx([-LOWER_M, UPPER_M], rel=1e-2)
+
+
+@pytest.mark.parametrize(("wrong", "words"), [({"contact": "none"}, "there are stop"), ({"seconds": 0.0}, "1 or more")])
+def test_what_cannot_be_searched_is_refused(wrong, words):
+    with pytest.raises(RigError, match=words):
+        identify_law(mass_with(gap), **wrong)
+
+
+def test_the_command_writes_the_law_and_a_figure_and_keeps_what_is_there(clearance, monkeypatch, tmp_path):
+    made = Laws(LawReport(rig="one mass", laws=(clearance.result,), unanswered=()), (clearance,))
+    monkeypatch.setattr("identify.cli.read", lambda _: None)
+    monkeypatch.setattr("identify.laws.identify_law", lambda *_, **__: made)
+    command = ["law", "some.mcap", "--out", str(tmp_path), "--json"]
+    printed = CliRunner().invoke(app, command)
+    assert printed.exit_code == 0
+    written = (tmp_path / "law.json").read_bytes()
+    assert msgspec.json.decode(written, type=LawReport) == made.report
+    assert json.loads(printed.stdout) == json.loads(written)
+    assert (tmp_path / "law.png").read_bytes().startswith(b"\x89PNG")
+    assert clearance.result.verdict in CliRunner().invoke(app, command[:2]).stdout
+    assert isinstance(CliRunner().invoke(app, command).exception, RigError)
+    assert (tmp_path / "law.json").read_bytes() == written
