@@ -109,7 +109,7 @@ def _saved(part: Path, whole: Recording) -> str:
     kept = f"{back.samples} of {whole.samples} samples kept"
     if back.duration_s < ENOUGH_S:
         return kept
-    done = _run("identify.cli", "contact", saved, "--json")
+    done = _run("identify.commands.cli", "contact", saved, "--json")
     assert done.returncode == 0, done.stderr
     (contact,) = json.loads(done.stdout)["contacts"]
     clearance_m = contact["clearance_m"]["value"]

@@ -1,7 +1,7 @@
 """The figures of an identification. Takes results, computes no estimate."""
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from scipy.signal import welch
 from identify.contacts.identification import Identification
 from identify.contacts.joint import Joint
 from identify.contacts.results import ContactReport, Stretch
-from identify.pages.style import BLUE, GREEN, GREY, RED, saved
+from identify.pages.style import BLUE, GREEN, GREY, RED, png
 from identify.structure.modal import receptance
 from rig.model.contact_law import dead_zone
 
@@ -18,26 +18,23 @@ Marks = Mapping[str, tuple[float, float]]
 """Reference values by contact: clearance (m) and stiffness (N/m), drawn as dashed lines."""
 
 
-def write_figures(found: Identification, folder: Path, marks: Marks, marks_name: str) -> list[Path]:
-    """Draws the figures of the paper (4 to 9, 12 to 17) for the main modal equation, and the separated contact forces.
-
-    Returns their paths.
+def drawn(found: Identification, marks: Marks, marks_name: str) -> dict[str, bytes]:
+    """The figures of the paper (4 to 9, 12 to 17) for the main modal equation, and the separated contact forces.
 
     marks are drawn as what `marks_name` says they are: the true values where they are known, else those of rig.json.
+    Each is a PNG file.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    written = []
-    for name, draw in _FIGURES.items():
-        path = folder / f"{name}.png"
-        with saved(path) as figure:
-            draw(figure, found, marks, marks_name)
-        written.append(path)
-    return written
+    return {name: png(partial(_drawing, draw, found, marks, marks_name)) for name, draw in _FIGURES.items()}
 
 
-def write_stretches(report: ContactReport, parts: Sequence[Stretch], path: Path) -> None:
+def _drawing(draw: Callable[..., None], found: Identification, marks: Marks, marks_name: str, figure: Any) -> None:
+    draw(figure, found, marks, marks_name)
+
+
+def stretches_drawn(report: ContactReport, parts: Sequence[Stretch]) -> bytes:
     """What every stretch of a long record says of each contact with its 95 % interval, and all together."""
-    with saved(path) as figure:
+
+    def draw(figure: Any) -> None:
         rows = figure.subplots(2, len(report.contacts), squeeze=False, sharex=True)
         for column, whole in zip(rows.T, report.contacts, strict=True):
             found = [(p, c) for p in parts for c in p.report.contacts if c.name == whole.name]
@@ -57,6 +54,8 @@ def write_stretches(report: ContactReport, parts: Sequence[Stretch], path: Path)
         rows[1, 0].set_ylabel("contact stiffness, N/m")
         handles, labels = rows[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=4)
+
+    return png(draw)
 
 
 def _outputs(figure: Any, found: Identification, _marks: Marks, _marks_name: str) -> None:

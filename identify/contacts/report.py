@@ -11,7 +11,7 @@ from identify.contacts.identification import Identification
 from identify.contacts.results import ContactEstimate, Estimate
 from identify.pages import page
 from identify.pages.wording import interval, number
-from rig.files import write_json
+from rig.files import write_bytes, write_json
 from rig.model.contact_law import DeadZone
 
 _CAPTIONS = {
@@ -33,11 +33,13 @@ def write_results(found: Identification, out: Path, title: str, laws: Laws, laws
     `laws` has for every contact what stands beside the identified values, and `laws_name` says what they are: the true
     ones where they are known, else those of rig.json.
     """
-    from identify.contacts.figures import write_figures
+    from identify.contacts.figures import drawn
 
     out.mkdir(parents=True, exist_ok=True)
     marks = {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in laws.items()}
-    figures = {path.stem: path.read_bytes() for path in write_figures(found, out, marks, laws_name)}
+    figures = drawn(found, marks, laws_name)
+    for name, png in figures.items():
+        write_bytes(png, out / f"{name}.png")
     write_page(found, figures, title, laws, laws_name, out / "contact.html")
     write_json(found.report, out / "contact.json")
 

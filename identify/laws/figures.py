@@ -1,17 +1,18 @@
 """The figure of the contact laws that were found."""
 
 from collections.abc import Sequence
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from identify.laws.identification import FoundLaw
-from identify.pages.style import BLUE, GREEN, GREY, RED, saved
+from identify.pages.style import BLUE, GREEN, GREY, RED, png
 
 
-def write_law_figure(laws: Sequence[FoundLaw], path: Path) -> None:
+def drawn(laws: Sequence[FoundLaw]) -> bytes:
     """For every contact: the points searched, the formula found, and the straight pieces fitted, with their knees."""
-    with saved(path) as figure:
+
+    def draw(figure: Any) -> None:
         upper, lower = figure.subplots(2, len(laws), squeeze=False, sharex="col", sharey="row", height_ratios=(3, 1))
         for axes, below, law in zip(upper, lower, laws, strict=True):
             eta, knees = law.eta_m, law.pieces.knees_m
@@ -28,3 +29,5 @@ def write_law_figure(laws: Sequence[FoundLaw], path: Path) -> None:
         lower[0].set_ylabel("less the\nstraight pieces, N")
         handles, labels = upper[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=4)
+
+    return png(draw)

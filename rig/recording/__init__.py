@@ -2,6 +2,7 @@
 
 from rig.recording.file import (
     RIG_NAME,
+    Channel,
     Recording,
     RecordingWriter,
     Signals,
@@ -16,6 +17,7 @@ from rig.recording.file import (
 
 __all__ = [
     "RIG_NAME",
+    "Channel",
     "Recording",
     "RecordingWriter",
     "Signals",

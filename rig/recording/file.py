@@ -5,15 +5,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
+from mcap.records import Attachment, McapRecord, Message, Metadata, Schema
+from mcap.records import Channel as ChannelRecord
+from numpy.typing import DTypeLike
 
 from rig.errors import CutOffError, RigError
 from rig.files import part_of
-from rig.model.description import UNITS, Rig, check_given, from_json, stations_of, to_json
+from rig.model.description import UNITS, Rig, Station, check_given, from_json, stations_of, to_json
 from rig.model.sensing import quantities_of, sensors_of
 from rig.recording import container, messages
 from rig.recording.agreement import check_channels
@@ -42,12 +44,43 @@ class Signals:
 
 
 @dataclass(frozen=True)
+class Channel:
+    """One channel: an array with its name, unit, place and times. numpy takes it for its values."""
+
+    name: str
+    unit: str
+    station: Station | None
+    time_s: Float[np.ndarray, " samples"]
+    values: Float[np.ndarray, " samples"]
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> np.ndarray:
+        return np.array(self.values, dtype=dtype, copy=copy)
+
+    def to_pandas(self) -> Any:
+        """A pandas Series over the time in seconds; needs the package pandas."""
+        from pandas import Index, Series
+
+        return Series(self.values, Index(self.time_s, name="time_s"), name=f"{self.name}, {self.unit}")
+
+
+@dataclass(frozen=True)
 class Recording:
     """A rig as its owner believes it to be, what its sensors delivered, and where the record comes from."""
 
     rig: Rig
     signals: Mapping[str, Signals]
     provenance: Mapping[str, str]
+
+    def __getitem__(self, name: str) -> Channel:
+        """The channel of that name; raises RigError if there is none."""
+        known = {}
+        for signals in self.signals.values():
+            about = signals.channels
+            for one, station, row in zip(about.names, about.stations, signals.values, strict=True):
+                known[one] = Channel(one, about.unit, station, signals.time_s, row)
+        if name not in known:
+            raise RigError(f"the recording has no channel {name!r}; it has {', '.join(known)}")
+        return known[name]
 
     @property
     def force_n(self) -> Float[np.ndarray, " samples"]:
@@ -91,7 +124,7 @@ class RecordingWriter:
                 Schema(id=2, name=messages.PREVIEW_NAME, encoding="ros2msg", data=messages.PREVIEW_SCHEMA),
             ],
             channels=[
-                Channel(
+                ChannelRecord(
                     id=self._ids[name][k],
                     topic=f"/rig/{name}/{kind}",
                     message_encoding=encoding,
@@ -252,7 +285,7 @@ class Contents:
     groups: dict[str, Channels] = field(default_factory=dict)
 
 
-def is_of_blocks(channel: Channel) -> bool:
+def is_of_blocks(channel: ChannelRecord) -> bool:
     parts = channel.topic.split("/")
     return len(parts) == 4 and parts[1] == "rig" and parts[3] == "block"
 
@@ -264,15 +297,15 @@ def gathering(records: Iterable[McapRecord], found: Contents) -> Iterator[tuple[
     record is wrong.
     """
     numbers: dict[int, str] = {}
-    channels: dict[int, Channel] = {}
+    channels: dict[int, ChannelRecord] = {}
     for record in records:
-        if isinstance(record, Channel) and (before := channels.setdefault(record.id, record)) != record:
+        if isinstance(record, ChannelRecord) and (before := channels.setdefault(record.id, record)) != record:
             raise ValueError(f"channel {record.id} is described in two ways: {before.topic} and {record.topic}")
         if isinstance(record, Attachment):
             found.attachments[record.name] = record.data
         elif isinstance(record, Metadata) and record.name == "provenance":
             found.provenance.update(record.metadata)
-        elif isinstance(record, Channel) and record.id not in numbers and is_of_blocks(record):
+        elif isinstance(record, ChannelRecord) and record.id not in numbers and is_of_blocks(record):
             group = record.topic.split("/")[2]
             numbers[record.id] = group
             found.groups[group] = understood(record.topic, record.metadata)

@@ -1,14 +1,15 @@
 """The figures, as matplotlib holds them: what they show and how their axes are named."""
 
 import re
+from io import BytesIO
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
+from identify.contacts import figures as drawing
 from identify.contacts import identify_contact
-from identify.contacts.figures import write_figures
 from rig.model.contact_law import dead_zone
 from rig.recording import read
 from rig.simulation.reference import BarrelCradle, Sdof
@@ -19,7 +20,7 @@ UNIT = re.compile(r",\s(1e-3 kg.* m|kg m.*/Hz|N/kg.*|s\$\^2\$|1/mm|m/s|N/m|s|Hz|
 
 @pytest.fixture(scope="module", params=["one mass", "barrel and cradle"])
 def drawn(request, simulate, tmp_path_factory):
-    """The identification of a short record, its figures by name, and their paths."""
+    """The identification of a short record, its figures by name, and their PNG files."""
     folder = tmp_path_factory.mktemp("plots")
     settings = (
         Sdof(duration_s=30.0, step_s=2.0**-12)
@@ -37,8 +38,8 @@ def drawn(request, simulate, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Figure, "savefig", kept)
         marks = {c.name: (c.law.clearance_m, c.law.stiffness_n_per_m) for c in found.rig.contacts}
-        paths = write_figures(found, folder / "figures", marks, "as described")
-    return found, {path.stem: figure for path, figure in zip(paths, figures.values(), strict=True)}, paths
+        files = drawing.drawn(found, marks, "as described")
+    return found, dict(zip(files, figures.values(), strict=True)), files
 
 
 def data_axes(figure):
@@ -55,14 +56,12 @@ def lines(axes, label=None):
 
 
 def test_every_figure_is_written(drawn):
-    _, figures, paths = drawn
-    assert set(figures) == NAMES
-    assert {p.stem for p in paths} == NAMES
-    for path in paths:
-        image = imread(path)
+    _, figures, files = drawn
+    assert set(figures) == set(files) == NAMES
+    for png in files.values():
+        image = imread(BytesIO(png))
         assert min(image.shape[:2]) > 300
         assert np.ptp(image[..., :3]) > 0.5  # not blank
-    assert {p.name for p in paths[0].parent.iterdir()} == {f"{name}.png" for name in NAMES}
 
 
 def test_every_axis_is_named_with_its_unit(drawn):

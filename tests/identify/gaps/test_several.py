@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 from typer.testing import CliRunner
 
-from identify.cli import app
+from identify.commands.cli import app
 from identify.gaps.decision.answer import Simulator, diagnose
 from identify.gaps.decision.differences import differences
 from identify.gaps.decision.null_reference import null_reference

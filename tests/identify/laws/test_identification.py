@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from identify.cli import app
+from identify.commands.cli import app
 from identify.laws import CUBIC, FORMULA, PIECEWISE, Laws, identify_law, symbolic
 from identify.laws.piecewise import Sampled, slope_jumps, straight_pieces, unfiltered
 from identify.laws.results import LawReport
@@ -217,7 +217,7 @@ def test_what_cannot_be_searched_is_refused(wrong, words):
 
 def test_the_command_writes_the_law_and_a_figure_and_keeps_what_is_there(clearance, monkeypatch, tmp_path):
     made = Laws(LawReport(rig="one mass", laws=(clearance.result,), unanswered=()), (clearance,))
-    monkeypatch.setattr("identify.cli.read", lambda _: None)
+    monkeypatch.setattr("identify.commands.cli.read", lambda _: None)
     monkeypatch.setattr("identify.laws.identify_law", lambda *_, **__: made)
     command = ["law", "some.mcap", "--out", str(tmp_path), "--json"]
     printed = CliRunner().invoke(app, command)

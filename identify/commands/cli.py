@@ -11,17 +11,16 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from identify.contacts import identify_contact
+import identify
+from identify.commands.gap import gap
 from identify.contacts.pooled import LARGE_BYTES, STRETCH_S, identify_long
 from identify.contacts.results import ContactReport, Estimate, Stretches
-from identify.gaps.command import gap
 from identify.laws.results import LawReport
 from identify.signals.kinematics import Use
 from identify.signals.spectra import POWERS, Averaging
 from rig.commands.command_line import Force, Json, progress_bar, refuse_existing, run
-from rig.files import write_json
+from rig.files import write_bytes, write_json
 from rig.model.tolerances import tolerances_named
-from rig.recording import read
 
 DRAWN_FROM = 0.8
 """The share of the time after which results are drawn."""
@@ -96,12 +95,9 @@ def contact(
 
 def _whole(file: Path, out: Path | None, progress: Callable[[float], None], settings: dict[str, Any]) -> ContactReport:
     drawn = 1.0 if out is None else DRAWN_FROM
-    found = identify_contact(read(file), progress=lambda share: progress(drawn * share), **settings)
+    found = identify.contact(file, progress=lambda share: progress(drawn * share), **settings)
     if out is not None:
-        from identify.contacts.report import write_results
-
-        laws = {c.name: c.law for c in found.rig.contacts}
-        write_results(found, out, f"{found.rig.name}: {file.name}", laws, "rig.json")
+        found.save(out)
     return found.report
 
 
@@ -110,11 +106,11 @@ def _by_stretches(
 ) -> ContactReport:
     report, parts = identify_long(file, stretch_s=stretch_s, progress=progress, **settings)
     if out is not None:
-        from identify.contacts.figures import write_stretches
+        from identify.contacts.figures import stretches_drawn
 
         out.mkdir(parents=True, exist_ok=True)
         if report.contacts:
-            write_stretches(report, parts, out / "stretches.png")
+            write_bytes(stretches_drawn(report, parts), out / "stretches.png")
         write_json(Stretches(parts), out / "stretches.json")
         write_json(report, out / "contact.json")
     return report
@@ -137,23 +133,16 @@ def law(
 
     Example: identify law barrel_cradle.mcap --contact contact_1 --out results
     """
-    from identify.laws import identify_law
-
     if use not in get_args(Use):
         raise typer.BadParameter(f"{use!r} is none of {', '.join(get_args(Use))}", param_hint="--use")
     if out is not None:
         refuse_existing(out / "law.json", force)
     with progress_bar(f"searching the laws of {file.name}") as progress:
-        found = identify_law(
-            read(file), contact=contact, use=msgspec.convert(use, Use), seconds=seconds, seed=seed, progress=progress
+        found = identify.law(
+            file, contact=contact, use=msgspec.convert(use, Use), seconds=seconds, seed=seed, progress=progress
         )
     if out is not None:
-        from identify.laws.figures import write_law_figure
-
-        out.mkdir(parents=True, exist_ok=True)
-        if found.found:
-            write_law_figure(found.found, out / "law.png")
-        write_json(found.report, out / "law.json")
+        found.save(out)
     if as_json:
         sys.stdout.buffer.write(msgspec.json.encode(found.report) + b"\n")
     else:

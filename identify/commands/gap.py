@@ -1,24 +1,17 @@
 """The command `identify gap`."""
 
 import sys
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated
 
 import msgspec
 import typer
 from rich.console import Console
-from threadpoolctl import threadpool_limits
 
-from identify.gaps.decision.answer import Simulator, diagnose
+from identify.api import gap as diagnosed
 from identify.gaps.results import Matters
 from rig.commands.command_line import Force, Json, progress_bar, refuse_existing
-from rig.errors import RigError
-from rig.model.tolerances import tolerances_named
 from rig.recording import read
-
-SIMULATORS = "identify.simulators"
-"""The entry points by which packages offer simulators."""
 
 
 def gap(
@@ -74,48 +67,29 @@ def gap(
     """
     if out is not None:
         refuse_existing(out / "gap.json", force)
-    simulating = simulator_named(simulator)
-    believed = tolerances_named(tolerances) if tolerances else None
-    recordings = {path.resolve(): read(path) for path in real}
-    if len(recordings) < len(real):
-        raise RigError("a recording is given twice; give each once")
-    validation = None if validate is None else recordings.get(validate.resolve()) or read(validate)
-    name = next(iter(recordings.values())).rig.name
-    kept = nulls or real[0].with_name(f"{name}-{simulator}.nulls.json")
+    kept = nulls or real[0].with_name(f"{read(real[0]).rig.name}-{simulator}.nulls.json")
     stages = {"nulls": (0.0, 0.6), "causes": (0.6, 0.4)}
-    title = ", ".join(path.name for path in real)
-    with progress_bar(f"diagnosing {title}") as progress:
+    with progress_bar(f"diagnosing {', '.join(path.name for path in real)}") as progress:
 
         def show(stage: str, fraction: float) -> None:
             begin, length = stages[stage]
             progress(begin + length * fraction)
 
-        with threadpool_limits(1):  # the matrices are small
-            found, corrected = diagnose(
-                list(recordings.values()),
-                validation,
-                simulating,
-                kept,
-                show,
-                believed,
-                Matters(matters / 100, matters_contact / 100),
-                next_experiment,
-            )
+        found = diagnosed(
+            real,
+            validate,
+            simulator=simulator,
+            nulls=kept,
+            tolerances=tolerances,
+            matters=Matters(matters / 100, matters_contact / 100),
+            next_experiment=next_experiment,
+            progress=show,
+        )
     if out is not None:
-        from identify.gaps.page.report import write_all
-
-        write_all(found, corrected, f"{name}: {title}", out)
+        found.save(out)
     if as_json:
-        sys.stdout.buffer.write(msgspec.json.encode(found) + b"\n")
+        sys.stdout.buffer.write(msgspec.json.encode(found.report) + b"\n")
     else:
         from identify.gaps.page.screen import shown
 
-        Console().print(shown(found))
-
-
-def simulator_named(name: str) -> Simulator:
-    """The simulator that an installed package offers under this name; raises RigError if none does."""
-    offered = {point.name: point for point in entry_points(group=SIMULATORS)}
-    if name not in offered:
-        raise RigError(f"no simulator {name!r}; there are {', '.join(sorted(offered))}")
-    return Simulator(name, offered[name].load())
+        Console().print(shown(found.report))

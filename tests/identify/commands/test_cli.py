@@ -5,7 +5,7 @@ import sys
 import msgspec
 import pytest
 
-from identify import cli
+from identify.commands import cli
 from identify.contacts.results import ContactReport, Stretches
 from rig.simulation.reference import Sdof
 

@@ -1,0 +1,303 @@
+"""The public functions of `identify`, and their results; the commands are a skin over them."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+from threadpoolctl import threadpool_limits
+
+from identify.contacts import Identification, identify_contact
+from identify.contacts.results import ContactReport, Estimate, Unanswered
+from identify.gaps.decision.answer import diagnose
+from identify.gaps.decision.simulators import simulator_named
+from identify.gaps.results import Gap, Matters
+from identify.laws import Laws, identify_law
+from identify.laws.results import LawReport
+from identify.pages.wording import COVERED, interval
+from identify.signals.kinematics import Use
+from identify.signals.spectra import Averaging
+from rig.errors import RigError
+from rig.files import write_bytes, write_json
+from rig.model.contact_law import DeadZone
+from rig.model.description import Rig
+from rig.model.tolerances import Tolerances, tolerances_named
+from rig.recording import Recording, read
+
+Source = Recording | str | Path
+Row = dict[str, str | float]
+Progress = Callable[[float], None]
+Figure = TypeVar("Figure")
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A PNG file; a notebook shows it."""
+
+    png: bytes = field(repr=False)
+
+    def save(self, path: str | Path) -> None:
+        write_bytes(self.png, Path(path))
+
+    def _repr_png_(self) -> bytes:
+        return self.png
+
+
+@dataclass(frozen=True)
+class ContactResult:
+    """What a recording tells of the contacts. `report` has it all, with standard errors, as contact.json has.
+
+    Beside the identified values stand those of `laws`, which are what `laws_name` says.
+    """
+
+    found: Identification = field(repr=False)
+    title: str
+    laws: Mapping[str, DeadZone]
+    laws_name: str = "rig.json"
+
+    @property
+    def report(self) -> ContactReport:
+        return self.found.report
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in contact.json."""
+        return dict(msgspec.to_builtins(self.report))
+
+    def table(self) -> list[Row]:
+        """A row a contact: each value, and half its 95 % interval; `pandas.DataFrame` takes it."""
+        names = ("clearance_m", "stiffness_n_per_m", "damping_n_s_per_m")
+        return [{"contact": c.name, **_interval({n: getattr(c, n) for n in names})} for c in self.report.contacts]
+
+    @cached_property
+    def figures(self) -> dict[str, Picture]:
+        """All figures by their names."""
+        from identify.contacts.figures import drawn
+
+        marks = {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in self.laws.items()}
+        return {name: Picture(png) for name, png in drawn(self.found, marks, self.laws_name).items()}
+
+    def figure(self, name: str) -> Picture:
+        return _named(self.figures, name)
+
+    def save(self, folder: str | Path) -> None:
+        """Writes contact.html, a page that stands alone, the figures, and contact.json."""
+        from identify.contacts.report import write_results
+
+        write_results(self.found, Path(folder), self.title, self.laws, self.laws_name)
+
+    def __str__(self) -> str:
+        lines = [
+            f"{c.name}: clearance {interval(1e3 * c.clearance_m.value, 1e3 * c.clearance_m.standard_error, 'mm')}, "
+            f"stiffness {interval(c.stiffness_n_per_m.value, c.stiffness_n_per_m.standard_error, 'N/m')}"
+            for c in self.report.contacts
+        ]
+        return "\n".join([*lines, *_silent(self.report.unanswered)])
+
+
+@dataclass(frozen=True)
+class LawResult:
+    """The contact laws as formulae. `report` has what law.json has."""
+
+    found: Laws = field(repr=False)
+
+    @property
+    def report(self) -> LawReport:
+        return self.found.report
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in law.json."""
+        return dict(msgspec.to_builtins(self.report))
+
+    def table(self) -> list[Row]:
+        """A row a contact and law that was tried, with what it leaves of the force that was held out."""
+        return [
+            {"contact": one.contact, "law": tried.law, "held_out_error_n": tried.held_out_error_n}
+            for one in self.report.laws
+            for tried in one.candidates
+        ]
+
+    def figure(self, name: str = "law") -> Picture:
+        from identify.laws.figures import drawn
+
+        return _named({"law": lambda: Picture(drawn(self.found.found))} if self.found.found else {}, name)()
+
+    def save(self, folder: str | Path) -> None:
+        """Writes law.png and law.json."""
+        out = Path(folder)
+        out.mkdir(parents=True, exist_ok=True)
+        if self.found.found:
+            self.figure().save(out / "law.png")
+        write_json(self.report, out / "law.json")
+
+    def __str__(self) -> str:
+        lines = [f"{one.contact}: {one.verdict}; {one.formula}" for one in self.report.laws]
+        return "\n".join([*lines, *_silent(self.report.unanswered)])
+
+
+@dataclass(frozen=True)
+class GapResult:
+    """How the machine differs from its description. `report` has what gap.json has, `corrected` is the mended rig."""
+
+    report: Gap = field(repr=False)
+    corrected: Rig = field(repr=False)
+    title: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in gap.json."""
+        return dict(msgspec.to_builtins(self.report))
+
+    def table(self) -> list[Row]:
+        """A row a cause, the likeliest first: its probability, and the share of the gap that it explains."""
+        return [
+            {"cause": " + ".join(cause.effects), "probability": cause.probability, "explained": cause.explained}
+            for cause in self.report.causes
+        ]
+
+    @cached_property
+    def figures(self) -> dict[str, Picture]:
+        """All figures by their names."""
+        from identify.gaps.page.pictures import pictures
+
+        return {name: Picture(png) for name, png in pictures(self.report, self.corrected).items()}
+
+    def figure(self, name: str) -> Picture:
+        return _named(self.figures, name)
+
+    def save(self, folder: str | Path) -> None:
+        """Writes gap.html, a page that stands alone, gap.json and the corrected rig.json."""
+        from identify.gaps.page.report import write_all
+
+        write_all(self.report, self.corrected, self.title, Path(folder))
+
+    def __str__(self) -> str:
+        return self.report.sentence
+
+
+def contact(
+    recording: Source,
+    *,
+    use: Use = "auto",
+    averaging: Averaging | None = None,
+    equation: str | None = None,
+    tolerances: Tolerances | str | None = None,
+    progress: Progress = lambda _: None,
+) -> ContactResult:
+    """Clearance, stiffness and damping of every contact (`identify.contacts.identify_contact` says how).
+
+    tolerances say how exactly the recording's rig is believed: `laboratory`, `exact`, a TOML file, or the rig's own.
+    Raises RigError if the recording does not allow it.
+    """
+    given = _recording(recording)
+    found = identify_contact(
+        given,
+        use=use,
+        averaging=averaging,
+        equation=equation,
+        tolerances=_believed(tolerances),
+        progress=progress,
+    )
+    return ContactResult(found, _title([recording], given), {c.name: c.law for c in given.rig.contacts})
+
+
+def law(
+    recording: Source,
+    *,
+    contact: str | None = None,
+    use: Use = "auto",
+    seconds: float = 60.0,
+    seed: int = 0,
+    tolerances: Tolerances | str | None = None,
+    progress: Progress = lambda _: None,
+) -> LawResult:
+    """The contact law of every contact, or the one named, as a formula (`identify.laws.identify_law` says how).
+
+    Needs the package pyoperon. Raises RigError if the recording does not allow it.
+    """
+    found = identify_law(
+        _recording(recording),
+        contact=contact,
+        use=use,
+        seconds=seconds,
+        seed=seed,
+        tolerances=_believed(tolerances),
+        progress=progress,
+    )
+    return LawResult(found)
+
+
+def gap(
+    recordings: Source | Sequence[Source],
+    validation: Source | None = None,
+    *,
+    simulator: str = "modal",
+    nulls: str | Path | None = None,
+    tolerances: Tolerances | str | None = None,
+    matters: Matters | None = None,
+    next_experiment: bool = False,
+    progress: Callable[[str, float], None] = lambda *_: None,
+) -> GapResult:
+    """Where the believed rig differs from reality, which effect causes it, how far the gap shrinks with it.
+
+    The validation is not fitted: one of the recordings, or another; without it the last of several, or the last part of
+    a single one. `nulls` keeps the null reference, which takes half a minute, for the next time. Raises RigError if the
+    recordings do not fit together or allow no diagnosis.
+    """
+    every = [recordings] if isinstance(recordings, Recording | str | Path) else list(recordings)
+    read_in: dict[Path, Recording] = {}
+    for one in every:
+        if isinstance(one, str | Path) and Path(one).resolve() in read_in:
+            raise RigError(f"{one}: is given twice; give each recording once")
+        if isinstance(one, str | Path):
+            read_in[Path(one).resolve()] = _recording(one)
+    given = [_known(one, read_in) for one in every]
+    with threadpool_limits(1):  # the matrices are small
+        found, corrected = diagnose(
+            given,
+            None if validation is None else _known(validation, read_in),
+            simulator_named(simulator),
+            None if nulls is None else Path(nulls),
+            progress,
+            _believed(tolerances),
+            matters or Matters(),
+            next_experiment,
+        )
+    return GapResult(found, corrected, _title(every, given[0]))
+
+
+def _known(source: Source, read_in: Mapping[Path, Recording]) -> Recording:
+    """A recording, read from its file unless it was."""
+    if isinstance(source, Recording):
+        return source
+    return read_in.get(Path(source).resolve()) or _recording(source)
+
+
+def _recording(source: Source) -> Recording:
+    return source if isinstance(source, Recording) else read(Path(source))
+
+
+def _believed(tolerances: Tolerances | str | None) -> Tolerances | None:
+    return tolerances_named(tolerances) if isinstance(tolerances, str) else tolerances
+
+
+def _title(sources: Sequence[Source], first: Recording) -> str:
+    files = ", ".join(Path(one).name for one in sources if not isinstance(one, Recording))
+    return f"{first.rig.name}: {files}" if files else first.rig.name
+
+
+def _interval(estimates: Mapping[str, Estimate]) -> Row:
+    found: Row = {}
+    for name, estimate in estimates.items():
+        found[name], found[f"{name}_within"] = estimate.value, COVERED * estimate.standard_error
+    return found
+
+
+def _silent(unanswered: Sequence[Unanswered]) -> list[str]:
+    return [f"{one.name}: not told by this record: {one.reason}" for one in unanswered]
+
+
+def _named(figures: Mapping[str, Figure], name: str) -> Figure:
+    if name not in figures:
+        raise RigError(f"there is no figure {name!r}; there are {', '.join(figures)}")
+    return figures[name]

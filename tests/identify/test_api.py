@@ -1,0 +1,73 @@
+"""What a stranger writes after `import rig, identify`."""
+
+import json
+
+import numpy as np
+import pytest
+
+import identify
+import rig
+
+MASS = rig.Sdof(duration_s=30.0, step_s=2.0**-12, sensors="displacement")
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("api") / "mass.mcap"
+    made = rig.record(MASS.rig(), path, force=MASS.force(), duration_s=MASS.duration_s, step_s=MASS.step_s)
+    assert made.rig == MASS.rig()
+    return path
+
+
+def test_a_channel_is_a_labelled_array(file):
+    recording = rig.read(str(file))
+    force = recording["force"]
+    assert (force.name, force.unit) == ("force", "N")
+    assert force.time_s[-1] == pytest.approx(recording.duration_s - 1 / recording.rig.sample_rate_hz)
+    np.testing.assert_array_equal(np.asarray(force), recording.force_n)
+    assert np.std(force) == np.std(recording.force_n)
+
+
+def test_a_channel_that_is_not_there_is_refused_with_those_that_are(file):
+    with pytest.raises(rig.RigError, match="no channel 'acc_1'; it has force, "):
+        rig.read(file)["acc_1"]
+
+
+def test_a_channel_as_pandas(file):
+    pytest.importorskip("pandas")
+    series = rig.read(file)["force"].to_pandas()
+    assert (series.name, series.index.name) == ("force, N", "time_s")
+
+
+def test_contacts_from_a_file(file, tmp_path):
+    found = identify.contact(str(file), use="displacement")
+    (row,) = found.table()
+    assert abs(row["clearance_m"] - MASS.clearance_m) < 3 * row["clearance_m_within"]
+    assert found.to_dict()["contacts"][0]["clearance_m"]["value"] == row["clearance_m"]
+    assert str(found).startswith("stop: clearance 1.0")
+    assert found.figure("section").png.startswith(b"\x89PNG")
+    with pytest.raises(rig.RigError, match="no figure 'sections'; there are "):
+        found.figure("sections")
+    found.save(tmp_path / "results")
+    assert json.loads((tmp_path / "results" / "contact.json").read_text())["contacts"] == list(
+        found.to_dict()["contacts"]
+    )
+    assert (tmp_path / "results" / "contact.html").exists()
+
+
+def test_no_gap_from_a_recording(file, tmp_path):
+    found = identify.gap(rig.read(file))
+    assert found.report.verdict == "no_gap"
+    assert str(found) == found.report.sentence
+    assert found.corrected == MASS.rig()
+    found.save(tmp_path)
+    assert {p.name for p in tmp_path.iterdir()} == {"gap.html", "gap.json", "rig.json"}
+
+
+def test_a_file_given_twice_is_refused(file):
+    with pytest.raises(rig.RigError, match="given twice"):
+        identify.gap([file, str(file)])
+
+
+def test_versions():
+    assert rig.__version__ == identify.__version__
