@@ -103,7 +103,7 @@ def _read_map(path: Path) -> tuple[Map, Rig]:
     except OSError as error:
         raise RigError(f"{error.filename}: cannot be opened ({error.strerror}); check the name") from error
     except (msgspec.DecodeError, ValueError, RecursionError) as error:
-        raise RigError(f"{path}: is no map ({error}); see rig/README.md") from error
+        raise RigError(f"{path}: is no map ({error}); see rig/lab/README.md") from error
     rig = from_json(text, str(place))
     check_given(rig, str(place))
     return told, rig

@@ -323,4 +323,4 @@ def from_json(text: bytes, source: str) -> Rig:
     try:
         return msgspec.json.decode(text, type=Rig)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise RigError(f"{source}: not a rig description: {error}; see rig/README.md") from error
+        raise RigError(f"{source}: not a rig description: {error}; see rig/recording/README.md") from error

@@ -28,7 +28,8 @@ class Assembly:
         channels = self._channels
         if block.values.shape[0] != len(channels.names) or block.sample_rate_hz != channels.sample_rate_hz:
             raise RigError(
-                f"{self._path}: a block of group {self._name} does not fit its channel's metadata; see rig/README.md"
+                f"{self._path}: a block of group {self._name} does not fit its channel's metadata; see "
+                "rig/recording/README.md"
             )
         if block.first_sample == self._end:
             self._put(block)

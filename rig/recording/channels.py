@@ -42,4 +42,6 @@ def understood(topic: str, metadata: Mapping[str, str]) -> Channels:
             raise ValueError(f"{len(names)} names, {len(stations)} stations, {rate} Hz")
         return Channels(metadata["quantity"], metadata["unit"], names, stations, rate)
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise RigError(f"the metadata of channel {topic} cannot be read ({error!r}); see rig/README.md") from error
+        raise RigError(
+            f"the metadata of channel {topic} cannot be read ({error!r}); see rig/recording/README.md"
+        ) from error

@@ -315,7 +315,9 @@ def gathering(records: Iterable[McapRecord], found: Contents) -> Iterator[tuple[
 
 def rig_of(path: Path, contents: Contents) -> Rig:
     if RIG_NAME not in contents.attachments:
-        raise RigError(f"{path}: has no attachment {RIG_NAME}; add the description of the rig (see rig/README.md)")
+        raise RigError(
+            f"{path}: has no attachment {RIG_NAME}; add the description of the rig (see rig/recording/README.md)"
+        )
     return from_json(contents.attachments[RIG_NAME], f"{path}: {RIG_NAME}")
 
 

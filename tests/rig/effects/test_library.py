@@ -222,7 +222,7 @@ def searched_range(kind, field, about):
 
 
 def test_the_readme_lists_every_effect_with_its_parameters():
-    lines = (Path(__file__).parents[3] / "rig" / "README.md").read_text(encoding="utf-8").splitlines()
+    lines = (Path(__file__).parents[3] / "rig" / "effects" / "README.md").read_text(encoding="utf-8").splitlines()
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("| ")]
     listed, name = {}, ""
     for row in cells:

@@ -90,7 +90,7 @@ def test_csv_in_the_units_of_a_laboratory(folder):
 
 
 def test_the_map_of_the_readme_works(folder):
-    readme = (Path(__file__).parents[3] / "rig" / "README.md").read_text(encoding="utf-8")
+    readme = (Path(__file__).parents[3] / "rig" / "lab" / "README.md").read_text(encoding="utf-8")
     told = msgspec.toml.decode(readme.split("```toml\n")[1].split("```")[0])
     rig = Sdof(sensors="acceleration").rig()
     (folder / "rig.json").write_bytes(to_json(rig))
