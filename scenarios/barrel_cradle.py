@@ -29,7 +29,7 @@ def barrel_cradle(
     settings = BarrelCradle(noise_density=1e-3)
     recording = recorded(settings, plant, out / "barrel_cradle.mcap")
 
-    # sections 3.2 and 3.3: modal transformation, surface, occurrence, NIFO; displacements known, without noise
+    # sections 3.2 and 3.3: modal transformation, surface, histogram, NIFO; displacements known, without noise
     known = identified_against_true(recording, use="displacement", equation="barrel 3", out=out)
     shown("Displacements known", known)
     equation_by_equation(known, "Displacements known: surface and NIFO in every equation of the barrel")

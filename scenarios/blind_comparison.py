@@ -8,7 +8,7 @@ import msgspec
 
 from rig.errors import RigError
 from scenarios.blind_diagnosis import Found
-from scenarios.scoreboard import Compared, compared_cases
+from scenarios.scoreboard import ScoredCase, compared_cases
 from scenarios.true_effect import Best, best_of
 from scenarios.worlds.making import sha256_of
 from scenarios.worlds.truth import Case, Key
@@ -60,7 +60,7 @@ def pairs_of(cases: Path, found: Path, also: Sequence[str]) -> list[tuple[Path, 
     return pairs
 
 
-def by_world(pairs: Sequence[tuple[Path, Path]], kept: Path) -> dict[str, list[Compared]]:
+def by_world(pairs: Sequence[tuple[Path, Path]], kept: Path) -> dict[str, list[ScoredCase]]:
     """Everything compared, world by world; what the truth achieves is laid once and kept in a folder."""
     worlds: dict[str, list[tuple[Case, Found, Best]]] = {}
     for cases, folder in pairs:

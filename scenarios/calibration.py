@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 from identify.gaps.decision.comparison import PRIOR_NOTHING, PRIOR_UNKNOWN, TEMPERATURE
 from identify.gaps.decision.verdict import UNKNOWN_PLACES
 from identify.gaps.results import Left, Matters
-from scenarios.scoreboard import Compared, wilson
+from scenarios.scoreboard import ScoredCase, wilson
 
 OLD_POWER = 20
 """The rule before: probability in proportion to (what is left)^-20, without anything unknown."""
@@ -80,7 +80,7 @@ class Hypotheses:
         return float(logsumexp(scores[self.right]) - logsumexp(scores))
 
 
-def hypotheses_of(c: Compared) -> Hypotheses:
+def hypotheses_of(c: ScoredCase) -> Hypotheses:
     gap = c.found.gap
     prior = [cause.log_prior for cause in gap.causes] + [np.log(PRIOR_NOTHING)]
     costs = [cause.minus_two_log for cause in gap.causes] + [gap.nothing_minus_two_log]
@@ -92,7 +92,7 @@ def hypotheses_of(c: Compared) -> Hypotheses:
     return Hypotheses(np.array(prior), np.array(costs), np.array(right))
 
 
-def likeliest(c: Compared, whole: bool = False) -> tuple[float, bool]:
+def likeliest(c: ScoredCase, whole: bool = False) -> tuple[float, bool]:
     """The probability of the likeliest hypothesis, and whether it is right; with `whole` only if it holds every effect,
     those below their limits too."""
     gap, right = c.found.gap, c.is_truth if whole else c.holds
@@ -101,7 +101,7 @@ def likeliest(c: Compared, whole: bool = False) -> tuple[float, bool]:
     return max(told, key=lambda t: t[0])
 
 
-def likeliest_before(c: Compared) -> tuple[float, bool]:
+def likeliest_before(c: ScoredCase) -> tuple[float, bool]:
     """Likewise by the rule before, as far as what is stored tells."""
     gap = c.found.gap
     left = [size_of(cause.left, gap.matters) for cause in gap.causes] + [c.best.before]
@@ -117,7 +117,7 @@ def size_of(left: Left, matters: Matters) -> float:
     return float(np.sqrt((left.share / matters.motion) ** 2 + contacts))
 
 
-def calibrated(compared: Sequence[Compared]) -> Calibration:
+def calibrated(compared: Sequence[ScoredCase]) -> Calibration:
     """Of all cases."""
     now, before = ([rule(c) for c in compared] for rule in (likeliest, likeliest_before))
     said, right = np.array([p for p, _ in now]), np.array([r for _, r in now])

@@ -43,7 +43,7 @@ class Task(msgspec.Struct, frozen=True):
     duration_s: float
 
 
-class Found(msgspec.Struct, frozen=True):
+class FoundContact(msgspec.Struct, frozen=True):
     """True value, estimate and standard error of every quantity of one rig, or why there is none."""
 
     names: list[str]
@@ -53,13 +53,13 @@ class Found(msgspec.Struct, frozen=True):
     unanswered: list[str]
 
 
-class Outcome(msgspec.Struct, frozen=True):
+class RigOutcome(msgspec.Struct, frozen=True):
     """What was found from six and from four stations a beam."""
 
     task: Task
     rms_n: float
-    six: Found
-    four: Found
+    six: FoundContact
+    four: FoundContact
 
 
 @app.command()
@@ -77,15 +77,15 @@ def campaign(
         for i in range(rigs)
         for jitter in (False, True)
     ]
-    outcomes = run_tasks(one_rig, tasks, Outcome, out, dask)
+    outcomes = run_tasks(one_rig, tasks, RigOutcome, out, dask)
     table = Table(title=f"Errors of {rigs} rigs; six or four stations a beam, accelerometers only")
     for heading in ("", "quantity", "median, %", "95th, %", "covered", "refused"):
         table.add_column(heading, justify="left" if heading in ("", "quantity") else "right")
-    everything: list[Found] = []
+    everything: list[FoundContact] = []
     for stations in ("six", "four"):
         for jitter in (False, True):
             kind = f"{stations}{', jitter' if jitter else ''}"
-            chosen: list[Found] = [getattr(o, stations) for o in outcomes if o.task.jitter == jitter]
+            chosen: list[FoundContact] = [getattr(o, stations) for o in outcomes if o.task.jitter == jitter]
             everything += chosen
             for quantity in QUANTITIES:
                 table.add_row(kind, quantity, *_figures(chosen, quantity))
@@ -98,7 +98,7 @@ def campaign(
     Console().print(table)
 
 
-def one_rig(task: Task) -> Outcome:
+def one_rig(task: Task) -> RigOutcome:
     """Draws a rig, records it with the sensors of six and of four stations a beam, and identifies it from either."""
     rng = np.random.default_rng(task.seed)
     rms_n = float(rng.uniform(10, 40))
@@ -132,7 +132,7 @@ def one_rig(task: Task) -> Outcome:
         )
         recording = read(path)
     found = [_found(actual, find_contacts(_seen_by(recording, rig), "acceleration", tolerances)) for rig in (six, four)]
-    return Outcome(task, rms_n, *found)
+    return RigOutcome(task, rms_n, *found)
 
 
 def _seen_by(recording: Recording, rig: Rig) -> Recording:
@@ -144,7 +144,7 @@ def _seen_by(recording: Recording, rig: Rig) -> Recording:
     return Recording(rig, {**recording.signals, "acceleration": seen}, recording.provenance)
 
 
-def _found(actual: Rig, contacts: Contacts) -> Found:
+def _found(actual: Rig, contacts: Contacts) -> FoundContact:
     names, true, found, errors, refused = [], [], [], [], []
     for contact, answer in zip(actual.contacts, contacts.answers, strict=True):
         if not isinstance(answer, Joint):
@@ -160,7 +160,7 @@ def _found(actual: Rig, contacts: Contacts) -> Found:
             true.append(value)
             found.append(float(estimate))
             errors.append(float(error))
-    return Found(names, true, found, errors, refused)
+    return FoundContact(names, true, found, errors, refused)
 
 
 def _with_random_contacts(rig: Rig, rng: np.random.Generator) -> Rig:
@@ -180,7 +180,7 @@ def _with_random_contacts(rig: Rig, rng: np.random.Generator) -> Rig:
     return msgspec.structs.replace(rig, contacts=contacts)
 
 
-def _errors(found: list[Found], quantity: str) -> tuple[np.ndarray, np.ndarray]:
+def _errors(found: list[FoundContact], quantity: str) -> tuple[np.ndarray, np.ndarray]:
     """Relative errors in per cent (of damping: in N s/m) and errors in standard errors."""
     rows = [
         (true, estimate, error)
@@ -193,12 +193,12 @@ def _errors(found: list[Found], quantity: str) -> tuple[np.ndarray, np.ndarray]:
     return (off if quantity == "damping" else 100 * off / true), off / error
 
 
-def _coverage(found: list[Found]) -> str:
+def _coverage(found: list[FoundContact]) -> str:
     sigmas = np.concatenate([_errors(found, quantity)[1] for quantity in QUANTITIES])
     return f"{100 * np.mean(np.abs(sigmas) < 1.96):.1f} % of {sigmas.size}"
 
 
-def _figures(found: list[Found], quantity: str) -> tuple[str, ...]:
+def _figures(found: list[FoundContact], quantity: str) -> tuple[str, ...]:
     off, sigmas = _errors(found, quantity)
     unit = " N s/m" if quantity == "damping" else ""
     refused = sum(len(one.unanswered) for one in found)
@@ -210,7 +210,7 @@ def _figures(found: list[Found], quantity: str) -> tuple[str, ...]:
     )
 
 
-def _draw(found: list[Found], path: Path, kind: str) -> None:
+def _draw(found: list[FoundContact], path: Path, kind: str) -> None:
     """Errors of every contact with their 95 % intervals, and how they compare with the intervals."""
     with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3}):
         figure = Figure(figsize=(8, 6), layout="constrained")

@@ -46,7 +46,7 @@ class Study(msgspec.Struct, frozen=True, kw_only=True):
         return int(np.ceil((QUIET_S + needed_s(max(self.block_s))) / PIECE_S))
 
 
-class Estimate(msgspec.Struct, frozen=True, kw_only=True):
+class NifoEstimate(msgspec.Struct, frozen=True, kw_only=True):
     """A contact's stiffness by one form of NIFO at one resolution: spectral mean, its standard error, rms spread."""
 
     form: Form
@@ -71,20 +71,20 @@ class Estimate(msgspec.Struct, frozen=True, kw_only=True):
         return 100 * self.spread_n_per_m / self.true_n_per_m
 
 
-class Outcome(msgspec.Struct, frozen=True):
+class NifoOutcome(msgspec.Struct, frozen=True):
     """Of one study: the estimates, and the share of the time for which each contact is closed.
 
-    `free` are the `free_shares` of force and penetrations, without noise.
+    `free` are the `incoherent_shares` of force and penetrations, without noise.
     """
 
-    estimates: tuple[Estimate, ...]
+    estimates: tuple[NifoEstimate, ...]
     contacts: tuple[str, ...]
     closed: tuple[float, ...]
     free: tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class Reduced:
+class ReducedRecord:
     """A piece of a record as NIFO needs it: force, modal coordinate with two derivatives, penetrations, in rows."""
 
     equation: ModalEquation
@@ -97,7 +97,7 @@ def needed_s(block_s: float) -> float:
     return block_s * (1 + (AVERAGES - 1) / 2)
 
 
-def estimated(study: Study) -> Outcome:
+def estimated(study: Study) -> NifoOutcome:
     """Simulates the record with the modal plant, reduces it piece by piece to the modal equation, and applies NIFO."""
     rig = study.settings.rig()
     found = list(_reduced_pieces(study, rig))
@@ -114,11 +114,11 @@ def estimated(study: Study) -> Outcome:
                 result = nifo(equation, force_n, np.array(depths_m), cut, form)
                 estimates += _estimates(rig, result, form, block_s, density)
             if k == 0 and block_s == max(study.block_s):
-                free = free_shares([force_n, *depths_m], cut)
-    return Outcome(tuple(estimates), tuple(c.name for c in rig.contacts), tuple(closed.tolist()), free)
+                free = incoherent_shares([force_n, *depths_m], cut)
+    return NifoOutcome(tuple(estimates), tuple(c.name for c in rig.contacts), tuple(closed.tolist()), free)
 
 
-def free_shares(signals: Sequence[Float[np.ndarray, " samples"]], cut: Blocks) -> tuple[float, ...]:
+def incoherent_shares(signals: Sequence[Float[np.ndarray, " samples"]], cut: Blocks) -> tuple[float, ...]:
     """The amplitude of each signal that is no linear response to the others, as a share: rms over frequency.
 
     With the normal matrix G of their spectra over the blocks, sqrt(1 / (G_jj (G^-1)_jj)) at each line.
@@ -130,7 +130,7 @@ def free_shares(signals: Sequence[Float[np.ndarray, " samples"]], cut: Blocks) -
     return tuple(np.sqrt(np.mean(1 / np.einsum("lii->li", inverse).real, axis=0)).tolist())
 
 
-def reduced(rig: Rig, delivered: Float[np.ndarray, "channels samples"]) -> Reduced:
+def reduced(rig: Rig, delivered: Float[np.ndarray, "channels samples"]) -> ReducedRecord:
     """A piece of a record: its force and displacements, with the margins that are left out of what comes back."""
     channels, rate = channel_groups(rig), rig.sample_rate_hz
     signals = {"force": delivered[:1], "displacement": delivered[1:]}
@@ -150,7 +150,7 @@ def reduced(rig: Rig, delivered: Float[np.ndarray, "channels samples"]) -> Reduc
     wide = np.stack([cleaned.force_n, *mode, *depth_m[:, : cleaned.force_n.size]])
     rows = decimated(wide, round(rate / REDUCED_HZ))[:, _own(REDUCED_HZ)].copy()  # no view that holds the piece
     clearances = np.array([[contact.law.clearance_m] for contact in rig.contacts])
-    return Reduced(
+    return ReducedRecord(
         equation=replace(equation, displacement=rows[1], velocity=rows[2], acceleration=rows[3]),
         rows=rows,
         closed=np.mean(np.abs(eta_m[:, _own(rate)]) > clearances, axis=1),
@@ -162,7 +162,7 @@ def _own(rate_hz: float) -> slice:
     return slice(round(MARGIN_S * rate_hz), round((MARGIN_S + PIECE_S) * rate_hz))
 
 
-def _reduced_pieces(study: Study, rig: Rig) -> Iterator[list[Reduced]]:
+def _reduced_pieces(study: Study, rig: Rig) -> Iterator[list[ReducedRecord]]:
     """Every piece of the record, reduced, once for each noise."""
     sensors, band = len(rig.sensors), np.sqrt(rig.sample_rate_hz / 2)
     for rows in _pieces(study, rig):
@@ -198,9 +198,9 @@ def _pieces(study: Study, rig: Rig) -> Iterator[Float[np.ndarray, "rows samples"
             held, size = [rows[:, own:]], size - own
 
 
-def _estimates(rig: Rig, result: Nifo, form: Form, block_s: float, noise_density: float) -> list[Estimate]:
+def _estimates(rig: Rig, result: Nifo, form: Form, block_s: float, noise_density: float) -> list[NifoEstimate]:
     return [
-        Estimate(
+        NifoEstimate(
             form=form,
             block_s=block_s,
             noise_density=noise_density,

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
-from scenarios.nifo_study import Estimate, Outcome, Study, estimated
+from scenarios.nifo_study import NifoEstimate, NifoOutcome, Study, estimated
 from scenarios.tasks import run_tasks
 
 BLOCK_S = 1200.0
@@ -30,11 +30,11 @@ STATED = (0.115, 2.65)
 class Point:
     """What was found for one contact where the thing that is varied has this value.
 
-    `closed` of the time it is, and so much of the force and of the penetrations is free (`free_shares`).
+    `closed` of the time it is, and so much of the force and of the penetrations is free (`incoherent_shares`).
     """
 
     value: float
-    found: Estimate
+    found: NifoEstimate
     closed: float
     free: tuple[float, ...]
 
@@ -50,7 +50,7 @@ class Point:
 
 def points_of(studied: Sequence[tuple[float, Study]], out: Path, dask: str | None) -> list[Point]:
     """Of a value and a study each; what an earlier, interrupted run finished is not computed again."""
-    outcomes = run_tasks(estimated, [study for _, study in studied], Outcome, out / "tasks", dask)
+    outcomes = run_tasks(estimated, [study for _, study in studied], NifoOutcome, out / "tasks", dask)
     return [
         Point(value, found, dict(zip(outcome.contacts, outcome.closed, strict=True))[found.contact], outcome.free)
         for (value, _), outcome in zip(studied, outcomes, strict=True)
@@ -125,7 +125,7 @@ def _table(title: str, varied: str, points: Sequence[Point]) -> Table:
     return table
 
 
-def _drawn(axes: Axes, points: Sequence[Point], what: Callable[[Estimate], float]) -> None:
+def _drawn(axes: Axes, points: Sequence[Point], what: Callable[[NifoEstimate], float]) -> None:
     """A line each: the root mean square over the records of a value."""
     cases = list(dict.fromkeys(p.case for p in points))
     for line in dict.fromkeys(p.line for p in points):

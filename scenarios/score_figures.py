@@ -12,7 +12,7 @@ from scipy.special import expit
 from scipy.stats import norm
 
 from scenarios.calibration import calibrated
-from scenarios.scoreboard import Compared, confusion, detection_limits, parameter_errors
+from scenarios.scoreboard import ScoredCase, confusion, detection_limits, parameter_errors
 
 FAINTEST, STRONGEST = 0.005, 12.0
 """Where the axis of strengths begins and ends; limits below stand at its begin."""
@@ -20,7 +20,7 @@ BLUE, RED, GREY = "#1f5fa8", "#b8323a", "#8a8a8a"
 STYLE = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
 
 
-def drawn(compared: Sequence[Compared], folder: Path) -> list[Path]:
+def drawn(compared: Sequence[ScoredCase], folder: Path) -> list[Path]:
     """Writes every figure; their paths."""
     with mpl.rc_context(STYLE):
         figures = {
@@ -36,7 +36,7 @@ def drawn(compared: Sequence[Compared], folder: Path) -> list[Path]:
     return paths
 
 
-def _confusion(compared: Sequence[Compared]) -> Figure:
+def _confusion(compared: Sequence[ScoredCase]) -> Figure:
     rows, columns, counts = confusion(compared)
     figure = Figure(figsize=(9.5, 9.5), layout="constrained")
     axes = figure.subplots()
@@ -60,7 +60,7 @@ def _confusion(compared: Sequence[Compared]) -> Figure:
     return figure
 
 
-def _power(compared: Sequence[Compared]) -> Figure:
+def _power(compared: Sequence[ScoredCase]) -> Figure:
     singles = [c for c in compared if c.truth.kind == "single"]
     limits = detection_limits(singles)
     names = sorted({c.label for c in singles}) or ["no single effects"]
@@ -108,7 +108,7 @@ def _curve(axes: Axes, strength: np.ndarray, right: np.ndarray) -> None:
     axes.plot(grid, expit(found[0] + found[1] * np.log(grid)), color=GREY, lw=1)
 
 
-def _calibration(compared: Sequence[Compared]) -> Figure:
+def _calibration(compared: Sequence[ScoredCase]) -> Figure:
     """How often the likeliest hypothesis (a cause, nothing, something unknown) is right, beside its probability.
 
     Bins stand side by side, as most probabilities are near one.
@@ -130,7 +130,7 @@ def _calibration(compared: Sequence[Compared]) -> Figure:
     return figure
 
 
-def _parameters(compared: Sequence[Compared]) -> Figure:
+def _parameters(compared: Sequence[ScoredCase]) -> Figure:
     errors = parameter_errors(compared)
     names = sorted({name for name, _ in errors}, reverse=True)
     figure = Figure(figsize=(7.5, 1.6 + 0.22 * max(len(names), 8)), layout="constrained")

@@ -50,7 +50,7 @@ class Score(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @dataclass(frozen=True)
-class Compared:
+class ScoredCase:
     """An answer beside what was found, what the truth achieves, and the gap that nulls of the world leave (median)."""
 
     truth: Case
@@ -116,14 +116,14 @@ class Compared:
         return self.truth.kind == "outside"
 
 
-def compared_cases(rows: Sequence[tuple[Case, Found, Best]]) -> list[Compared]:
+def compared_cases(rows: Sequence[tuple[Case, Found, Best]]) -> list[ScoredCase]:
     """Of one world: every answer with what was found and what the truth achieves."""
     nulls = [best.before for case, _, best in rows if case.kind == "null"]
     usual = float(np.median(nulls)) if nulls else 0.0
-    return [Compared(*row, usual) for row in rows]
+    return [ScoredCase(*row, usual) for row in rows]
 
 
-def scored(compared: Sequence[Compared]) -> Score:
+def scored(compared: Sequence[ScoredCase]) -> Score:
     """The scoreboard of all cases."""
     nulls, singles, pairs, outside = ([c for c in compared if c.truth.kind == kind] for kind in KINDS)
     placed = [c for c in singles if c.right and place_fields(c.effects[0])]
@@ -164,7 +164,7 @@ def scored(compared: Sequence[Compared]) -> Score:
     )
 
 
-def detection_limits(compared: Iterable[Compared]) -> dict[str, float]:
+def detection_limits(compared: Iterable[ScoredCase]) -> dict[str, float]:
     """Of every single effect, the median over its cases of the strength that what it achieves asks for."""
     found: dict[str, list[float]] = {}
     for c in compared:
@@ -174,7 +174,7 @@ def detection_limits(compared: Iterable[Compared]) -> dict[str, float]:
     return {name: limit for name, limit in medians.items() if np.isfinite(limit)}
 
 
-def parameter_errors(compared: Iterable[Compared]) -> list[tuple[str, float]]:
+def parameter_errors(compared: Iterable[ScoredCase]) -> list[tuple[str, float]]:
     """Of all effects that were named rightly: EFFECT.PARAMETER and its error in standard errors."""
     errors = []
     for c in compared:
@@ -188,7 +188,7 @@ def parameter_errors(compared: Iterable[Compared]) -> list[tuple[str, float]]:
     return errors
 
 
-def confusion(compared: Iterable[Compared]) -> tuple[list[str], list[str], np.ndarray]:
+def confusion(compared: Iterable[ScoredCase]) -> tuple[list[str], list[str], np.ndarray]:
     """Rows: what is true (pairs left out); columns: what was named; and how often."""
     rows = [*DRAWABLE, *OUTSIDE, "null"]
     columns = [*DRAWABLE, "two effects", "unknown", "no_gap"]
@@ -208,7 +208,7 @@ def wilson(count: int, of: int) -> tuple[float, float]:
     return float(between.low), float(between.high)
 
 
-def _not_mistaken(c: Compared) -> bool:
+def _not_mistaken(c: ScoredCase) -> bool:
     return c.gap.verdict in ("unknown", "partly_explained")
 
 

@@ -54,7 +54,7 @@ OVERSAMPLED = 8
 app = typer.Typer(pretty_exceptions_enable=False)
 
 
-class Judged(msgspec.Struct, frozen=True, kw_only=True):
+class JudgedRig(msgspec.Struct, frozen=True, kw_only=True):
     """The verdict, and root mean square errors (mV) of free runs on the arrow: of the linear rig, of the one that the
     diagnosis corrected, and of that with its mass, frequency, damping and spring identified again."""
 
@@ -85,7 +85,7 @@ def silverbox(
         gap, diagnosed = diagnose(fit, validation, Simulator("silverbox", simulated), None, lambda _, x: progress(x))
     corrected = identified(diagnosed, fit)
     errors = {name: errors_mv(rig, arrow) for name, rig in (("linear", fit.rig), ("corrected", corrected))}
-    judged = Judged(
+    judged = JudgedRig(
         verdict=gap.verdict,
         effects=gap.causes[0].effects if gap.causes else (),
         linear_mv=rms(errors["linear"]),
@@ -179,7 +179,7 @@ def rms(values: Float[np.ndarray, " samples"]) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def table(judged: Judged) -> Table:
+def table(judged: JudgedRig) -> Table:
     found = Table(title=f"Free run on the arrow; verdict: {judged.verdict}, {' + '.join(judged.effects)}")
     for heading in ("rig", "error, mV rms", "frequency, Hz", "damping", "mass, kg", "cubic spring, N/m^3"):
         found.add_column(heading, justify="right" if found.columns else "left")

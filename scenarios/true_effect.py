@@ -35,7 +35,7 @@ class ToLay(msgspec.Struct, frozen=True):
     tolerances: Tolerances | None
 
 
-class Effect(msgspec.Struct, frozen=True):
+class TrueEffect(msgspec.Struct, frozen=True):
     """What one true effect achieves on the validation record, beside the other of a pair.
 
     made is what it changes, in units of what matters; gain by how much it lowers -2 ln p, and needed by how much it
@@ -64,7 +64,7 @@ class Best(msgspec.Struct, frozen=True):
 
     before: float
     closes: float
-    effects: tuple[Effect, ...]
+    effects: tuple[TrueEffect, ...]
 
     @property
     def above(self) -> bool:
@@ -111,7 +111,7 @@ def achieved(task: ToLay) -> Best:
         # of a single effect, what the believed rig leaves with its nuisance parameters, as the verdict has it
         behind = size(rest if others else without, matters)
         made = float(np.sqrt(max(behind**2 - size(left, matters) ** 2, 0.0)))
-        found.append(Effect(made, rest.minus_two_log - left.minus_two_log, _needed(task.effects, others, placed)))
+        found.append(TrueEffect(made, rest.minus_two_log - left.minus_two_log, _needed(task.effects, others, placed)))
     return Best(before, closed(without, left, matters), tuple(found))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.contacts.forces import RING_S, ContactForces, separated_forces
-from identify.contacts.joint import Joint, Observed, fit_joint
+from identify.contacts.joint import ContactRecord, Joint, fit_joint
 from identify.signals.drift import KNOT_S, Drift
 from identify.signals.kinematics import Kinematics, Use, acceleration_noise, kinematics
 from identify.signals.spectra import decimated, force_band
@@ -23,7 +23,7 @@ LOOSE = 0.1
 QUIETEST = 1e-5
 """No accelerometer is believed to be quieter, m/s^2/sqrt(Hz): then other errors than noise make the drift."""
 
-Answer = Joint | str
+ContactFit = Joint | str
 """What is known of a contact, or why nothing is."""
 ROUNDING = 1e-7
 """No contact force is believed to be quieter, of the exciting force: what a record without noise leaves is rounding."""
@@ -36,8 +36,8 @@ class Contacts:
     rig: Rig
     motion: Kinematics
     separated: ContactForces
-    observed: tuple[Observed, ...]
-    answers: tuple[Answer, ...]
+    observed: tuple[ContactRecord, ...]
+    answers: tuple[ContactFit, ...]
 
 
 def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Contacts:
@@ -80,7 +80,7 @@ def _observed(
     noise: Float[np.ndarray, " stations"],
     separated: ContactForces,
     tolerances: Tolerances,
-) -> list[Observed]:
+) -> list[ContactRecord]:
     samples = separated.force_n.shape[1] * separated.factor
     samples = min(samples, motion.force_n.size)
     eta, velocity = relative_displacements(rig, motion), relative_velocities(rig, motion)
@@ -90,7 +90,7 @@ def _observed(
     quiet_n = np.maximum(quiet_n, ROUNDING * motion.force_n.std())
     for j in range(len(rig.contacts)):
         found.append(
-            Observed(
+            ContactRecord(
                 eta_m=eta[j, :samples],
                 velocity_m_per_s=velocity[j, :samples],
                 sample_rate_hz=motion.sample_rate_hz,
@@ -155,11 +155,13 @@ def _density(
     return float(np.sqrt(2 * noise[row] ** 2 / motion.sample_rate_hz + error / followed_hz))
 
 
-def _answer(observed: Observed, separated: ContactForces, contact: int) -> Answer:
+def _answer(observed: ContactRecord, separated: ContactForces, contact: int) -> ContactFit:
     """The joint estimate, or the reason why there is none."""
     samples = observed.eta_m.size
     try:
-        found = fit_joint(observed, [(force[contact], eta[contact, :samples]) for force, eta in separated.doubts])
+        found = fit_joint(
+            observed, [(force[contact], eta[contact, :samples]) for force, eta in separated.nuisance_signals]
+        )
     except RigError as error:
         return str(error)
     for what, value, error_of in (

@@ -158,7 +158,7 @@ def _separated(figure: Any, found: Identification, marks: Marks, marks_name: str
     figure.legend(handles, labels, loc="outside upper center", ncols=4, markerscale=6)
 
 
-def _occurrence(figure: Any, found: Identification, marks: Marks, marks_name: str) -> None:
+def _histogram(figure: Any, found: Identification, marks: Marks, marks_name: str) -> None:
     """Figure 15: the relative displacement and how often it occurs, with the identified stops."""
     rate = found.motion.sample_rate_hz
     axes = figure.subplots(len(found.eta_m), 2, squeeze=False, width_ratios=(3, 1), sharey="row")
@@ -178,7 +178,7 @@ def _occurrence(figure: Any, found: Identification, marks: Marks, marks_name: st
             _mark_stops(panel, found, j, marks, marks_name, across=True)
         axes[j][0].set_ylabel(f"$\\eta$ of {contact.name}, mm")
     axes[-1][0].set_xlabel("time, s")
-    axes[-1][1].set_xlabel("occurrence, 1/mm")
+    axes[-1][1].set_xlabel("histogram, 1/mm")
     handles, labels = axes[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=4)
 
@@ -247,7 +247,7 @@ _FIGURES = {
     "surface": _surface,
     "section": _section,
     "separated": _separated,
-    "occurrence": _occurrence,
+    "histogram": _histogram,
     "stiffness": _stiffness,
     "frf": _frf,
 }

@@ -19,7 +19,7 @@ LEFT_OUT_S = 2.5
 """At the end of a record, where the beams' ringing is cut off, the separated forces are wrong."""
 RING_S = 12.0
 
-Doubt = tuple[Float[np.ndarray, "contacts fewer"], Float[np.ndarray, "contacts samples"]]
+NuisanceSignal = tuple[Float[np.ndarray, "contacts fewer"], Float[np.ndarray, "contacts samples"]]
 
 
 @dataclass(frozen=True)
@@ -32,14 +32,14 @@ class ContactForces:
 
     force_n: Float[np.ndarray, "contacts fewer"]
     factor: int
-    doubts: tuple[Doubt, ...]
+    nuisance_signals: tuple[NuisanceSignal, ...]
     spring_n_per_m: float
 
     def after(self, fewer: int) -> "ContactForces":
         """Without the first samples, so many of the forces."""
         more = fewer * self.factor
-        doubts = tuple((force[:, fewer:], eta[:, more:]) for force, eta in self.doubts)
-        return replace(self, force_n=self.force_n[:, fewer:], doubts=doubts)
+        nuisance_signals = tuple((force[:, fewer:], eta[:, more:]) for force, eta in self.nuisance_signals)
+        return replace(self, force_n=self.force_n[:, fewer:], nuisance_signals=nuisance_signals)
 
 
 def separated_forces(
@@ -59,7 +59,7 @@ def _on_mass(mass: Body, motion: Kinematics, factor: int, tolerances: Tolerances
     damping = 2 * ratio * mass.mass_kg * natural * motion.velocity_m_per_s[:1]
     spring = stiffness_n_per_m * motion.displacement_m[:1]
     nothing = np.zeros_like(spring)
-    doubts = (
+    nuisance_signals = (
         (-tolerances.gain * (inertia + damping + spring), tolerances.gain * motion.displacement_m[:1]),
         (-2 * tolerances.frequency * spring, nothing),
         (-tolerances.damping * damping, nothing),
@@ -67,7 +67,7 @@ def _on_mass(mass: Body, motion: Kinematics, factor: int, tolerances: Tolerances
     return ContactForces(
         force_n=decimated(motion.force_n - inertia - damping - spring, factor),
         factor=factor,
-        doubts=tuple((decimated(force, factor), eta) for force, eta in doubts if np.any(force)),
+        nuisance_signals=tuple((decimated(force, factor), eta) for force, eta in nuisance_signals if np.any(force)),
         spring_n_per_m=stiffness_n_per_m,
     )
 
@@ -150,7 +150,7 @@ def _between_bodies(
     return ContactForces(
         force_n=in_time(known),
         factor=factor,
-        doubts=(
+        nuisance_signals=(
             *((in_time(c), _eta_change(rig, motion, c, length)) for c in of_sensors),
             *((in_time(c), np.zeros((len(rig.contacts), motion.force_n.size))) for c in of_model),
         ),
@@ -166,7 +166,7 @@ def _accelerances(
     found = np.zeros((omega.size, len(motion.stations), inputs), dtype=complex)
     for body in rig.bodies:
         rows = _rows(body, motion)
-        modes = body.most_modes
+        modes = body.max_modes
         shapes = body.shapes(np.array([motion.stations[i].position_m for i in rows]), modes)
         drive = np.stack(
             [

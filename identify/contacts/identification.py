@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from identify.contacts.estimates import Answer, find_contacts
+from identify.contacts.estimates import ContactFit, find_contacts
 from identify.contacts.forces import ContactForces
-from identify.contacts.joint import Joint, Observed, law_force_n
+from identify.contacts.joint import ContactRecord, Joint, law_force_n
 from identify.contacts.results import ContactReport
 from identify.contacts.summary import contact_report
 from identify.paper.nifo import Nifo, nifo
@@ -40,7 +40,7 @@ class Identification:
     motion: Kinematics
     eta_m: Float[np.ndarray, "contacts samples"]
     separated: ContactForces
-    answers: tuple[Answer, ...]
+    answers: tuple[ContactFit, ...]
     surface: Surface
     weak: Nifo
     paper: Nifo
@@ -102,7 +102,7 @@ def identify_contact(
             answers=answers,
             transformations=[transformation(rig, body, motion) for body in rig.bodies],
             surfaces=surfaces,
-            occurrence=[
+            histogram=[
                 None if s is None else clearance_from_occurrence(e[motion.excited_from :])
                 for e, s in zip(eta, stops, strict=True)
             ],
@@ -122,7 +122,7 @@ def identify_contact(
 
 
 def _with_law(
-    observed: tuple[Observed, ...], answers: tuple[Answer, ...]
+    observed: tuple[ContactRecord, ...], answers: tuple[ContactFit, ...]
 ) -> tuple[
     Float[np.ndarray, "contacts samples"], Float[np.ndarray, "contacts samples"], Float[np.ndarray, "contacts samples"]
 ]:
@@ -139,7 +139,7 @@ def _with_law(
     return eta, force, depth
 
 
-def _stops(found: Answer) -> Stops | None:
+def _stops(found: ContactFit) -> Stops | None:
     if not isinstance(found, Joint):
         return None
     errors = np.sqrt(np.diag(found.covariance))
@@ -151,7 +151,7 @@ def _decimation(rig: Rig, motion: Kinematics) -> int:
     limits = [motion.trusted_hz[1]]
     for body in rig.bodies:
         stations = sum(s.body == body.name for s in motion.stations)
-        if body.length_m > 0 and stations < body.most_modes:
+        if body.length_m > 0 and stations < body.max_modes:
             limits.append(0.8 * float(body.frequencies_hz(stations + 1)[-1]))
     return max(1, int(motion.sample_rate_hz / 2 / min(limits)))
 

@@ -36,12 +36,12 @@ LOST = 3.0
 the fit cannot tell which closure belongs where."""
 
 Weights = Float[np.ndarray, " fewer"]
-Doubt = tuple[Float[np.ndarray, " fewer"], Float[np.ndarray, " samples"]]
+NuisanceSignal = tuple[Float[np.ndarray, " fewer"], Float[np.ndarray, " samples"]]
 """What one standard deviation of an uncertain thing would add to the force and to the relative displacement."""
 
 
 @dataclass(frozen=True)
-class Observed:
+class ContactRecord:
     """One contact as seen: relative displacement and velocity (m, m/s) and the separated force (N).
 
     The force has been low-passed and is that of every `factor`-th sample; quiet_n is its standard deviation where there
@@ -102,7 +102,7 @@ def law_force_n(
     return np.asarray(stiffness * depth + damping * rate_m_per_s * damping_share(depth))
 
 
-def fit_joint(seen: Observed, doubts: Sequence[Doubt] = ()) -> Joint:
+def fit_joint(seen: ContactRecord, nuisance_signals: Sequence[NuisanceSignal] = ()) -> Joint:
     """Gauss-Newton on the low-passed residual, with a cubic spline b(t) for the drift and a spring to the ground:
 
         residual = force - spring b - low-pass[k dz(eta + b; lower, upper) + c (eta' + b') beyond the gap]
@@ -142,7 +142,7 @@ def fit_joint(seen: Observed, doubts: Sequence[Doubt] = ()) -> Joint:
     left = PARTS - len(free)  # parts are few: Student's t, so that 1.96 standard errors cover 95 %
     few = np.sqrt(PARTS / left) * t.ppf(0.975, left) / norm.ppf(0.975)
     scatter = few * np.array([i.T @ r for i, r in parts])
-    moved = [force - state.by_eta * eta[:: seen.factor][: force.size] for force, eta in doubts]
+    moved = [force - state.by_eta * eta[:: seen.factor][: force.size] for force, eta in nuisance_signals]
     doubted = np.array([influence.T @ m for m in moved]).reshape(-1, len(free))
     drifted = curve.curvature @ inverse[: curve.knots]  # each row of the prior is uncertain by one
     spread = tie * scale
@@ -168,7 +168,7 @@ class _State:
     at_force: csr_matrix
 
 
-def _closed(seen: Observed) -> Bool[np.ndarray, " fewer"]:
+def _closed(seen: ContactRecord) -> Bool[np.ndarray, " fewer"]:
     """Where the contact is clearly closed."""
     size = np.abs(seen.force_n)
     return size > max(CLEAR_SHARE * float(np.quantile(size, 0.995)), ABOVE_NOISE * seen.quiet_n)
@@ -179,7 +179,7 @@ def _strain(curve: Spline, state: _State) -> float:
     return float(np.mean((curve.curvature @ state.knots - curve.target) ** 2)) if curve.knots else 0.0
 
 
-def _check_bridged(seen: Observed, state: _State) -> None:
+def _check_bridged(seen: ContactRecord, state: _State) -> None:
     """Raises RigError if between closures the integrated noise wanders too far for them to be put in their places."""
     if seen.drift is None or seen.drift.spring_n_per_m > 0:
         return
@@ -195,7 +195,7 @@ def _check_bridged(seen: Observed, state: _State) -> None:
         )
 
 
-def regressed(seen: Observed, curve: Spline) -> tuple[Float[np.ndarray, "4"], Float[np.ndarray, " knots"]]:
+def regressed(seen: ContactRecord, curve: Spline) -> tuple[Float[np.ndarray, "4"], Float[np.ndarray, " knots"]]:
     """Where the contact is clearly closed, eta + b = +-clearance + force / k: linear in clearance, 1/k and b."""
     size = np.abs(seen.force_n)
     at_force = curve.value[:: seen.factor][: size.size]
@@ -230,7 +230,7 @@ def regressed(seen: Observed, curve: Spline) -> tuple[Float[np.ndarray, "4"], Fl
 
 
 def _linearised(
-    seen: Observed, curve: Spline, law: Float[np.ndarray, "4"], knots: Float[np.ndarray, " knots"]
+    seen: ContactRecord, curve: Spline, law: Float[np.ndarray, "4"], knots: Float[np.ndarray, " knots"]
 ) -> _State:
     lower, upper, stiffness, _ = law
     eta, velocity = seen.eta_m + curve.value @ knots, seen.velocity_m_per_s + curve.rate @ knots
@@ -248,7 +248,9 @@ def _linearised(
     return _State(law, knots, residual, low_passed[:4].T, low_passed[4] + seen.spring_n_per_m, at_force)
 
 
-def _fitted(seen: Observed, curve: Spline, tie: Float[np.ndarray, "4 free"], state: _State) -> tuple[_State, Weights]:
+def _fitted(
+    seen: ContactRecord, curve: Spline, tie: Float[np.ndarray, "4 free"], state: _State
+) -> tuple[_State, Weights]:
     """Descends, with the weights renewed from the scatter that is left until they stand."""
     weights = _weights(seen, state, 0.02 * float(np.std(seen.force_n)))
     for _ in range(4):
@@ -260,7 +262,7 @@ def _fitted(seen: Observed, curve: Spline, tie: Float[np.ndarray, "4 free"], sta
 
 
 def _descended(
-    seen: Observed, curve: Spline, state: _State, mapped: Float[np.ndarray, "4 free"], weights: Weights
+    seen: ContactRecord, curve: Spline, state: _State, mapped: Float[np.ndarray, "4 free"], weights: Weights
 ) -> _State:
     """Gauss-Newton with step halving, until the cost stands."""
     free = [int(np.argmax(column)) for column in mapped.T]
@@ -295,7 +297,7 @@ def _scatter(state: _State) -> float:
     return float(open_n) if np.isfinite(open_n) and open_n > 0 else float(np.std(state.residual))
 
 
-def _weights(seen: Observed, state: _State, open_n: float) -> Weights:
+def _weights(seen: ContactRecord, state: _State, open_n: float) -> Weights:
     """One over the standard deviation of each residual: that of the force, and while the contact is closed also what
     the relative displacement's noise, where the drift's knots do not follow it, does through the stiffness."""
     fast_m = 0.0 if seen.drift is None else seen.drift.unfollowed_m

@@ -17,7 +17,7 @@ from rig.model.contact_law import DeadZone
 _CAPTIONS = {
     "separated": "The contact forces over the relative displacements, separated without assuming a law, and the law "
     "found.",
-    "occurrence": "The relative displacements, and how often each occurs. The stops stand where it piles up.",
+    "histogram": "The relative displacements, and how often each occurs. The stops stand where it piles up.",
     "section": "What the main modal equation leaves for each contact, over its relative displacement.",
     "surface": "The restoring force surface of the main modal equation.",
     "stiffness": "The contact stiffness by NIFO over frequency, and its deviation from what is drawn dotted.",
@@ -118,7 +118,7 @@ def _figure(name: str, png: bytes) -> str:
 
 
 def _methods(found: Identification) -> str:
-    """NIFO, surface and occurrence, which the answers above do not rest on."""
+    """NIFO, surface and histogram, which the answers above do not rest on."""
     report = found.report
     nifo = [
         (
@@ -138,7 +138,7 @@ def _methods(found: Identification) -> str:
         if name not in {s.contact for s in each.stiffness}
     ]
     ways = [(f"surface of {s.equation}", c) for s in report.surface.surfaces for c in s.clearances]
-    ways += [("occurrence", c) for c in report.surface.occurrence]
+    ways += [("histogram", c) for c in report.surface.histogram]
     clearances = [(c.contact, way, _said(c.clearance_m, "mm", 1e3)) for way, c in ways]
     modes = [
         (f"{m.beam} {m.index}", f"{m.frequency_hz:.3f} Hz", f"{100 * m.damping_ratio:.2f} %") for m in report.modes

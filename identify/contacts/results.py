@@ -72,10 +72,10 @@ class SurfaceResult(msgspec.Struct, frozen=True):
 
 
 class Surfaces(msgspec.Struct, frozen=True):
-    """The clearances by the restoring force surfaces and by the occurrence of the relative displacements."""
+    """The clearances by the restoring force surfaces and by the histogram of the relative displacements."""
 
     surfaces: tuple[SurfaceResult, ...]
-    occurrence: tuple[Clearance, ...]
+    histogram: tuple[Clearance, ...]
 
 
 class TransformationResult(msgspec.Struct, frozen=True):

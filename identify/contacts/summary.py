@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from identify.contacts import results
-from identify.contacts.estimates import Answer
+from identify.contacts.estimates import ContactFit
 from identify.contacts.joint import Joint
 from identify.paper.nifo import Nifo, fitted_mode
 from identify.paper.surface import Stops, Surface
@@ -18,10 +18,10 @@ def contact_report(
     rig: Rig,
     motion: Kinematics,
     *,
-    answers: tuple[Answer, ...],
+    answers: tuple[ContactFit, ...],
     transformations: list[Transformation],
     surfaces: list[Surface],
-    occurrence: list[Stops | None],
+    histogram: list[Stops | None],
     weak: Nifo,
     spectra: list[Nifo],
 ) -> results.ContactReport:
@@ -36,7 +36,7 @@ def contact_report(
         nifo=tuple(_nifo_result(rig, n) for n in spectra),
         surface=results.Surfaces(
             tuple(results.SurfaceResult(s.equation.name, _clearances(rig, s.stops)) for s in surfaces),
-            _clearances(rig, occurrence),
+            _clearances(rig, histogram),
         ),
         transformation=tuple(_transformation_result(t) for t in transformations),
         trusted_hz=motion.trusted_hz,

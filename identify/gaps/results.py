@@ -72,7 +72,7 @@ class Band(msgspec.Struct, frozen=True, kw_only=True):
     usual: float
 
 
-class Surface(msgspec.Struct, frozen=True):
+class ResidualMap(msgspec.Struct, frozen=True):
     """Shares of the gap over relative displacement (rows) and velocity (columns) of a contact; edges of the cells."""
 
     eta_m: tuple[float, ...]
@@ -91,7 +91,7 @@ class Attribution(msgspec.Struct, frozen=True, kw_only=True):
     band_hz: tuple[Share, ...]
     contact_state: dict[str, float]
     time_s: tuple[Share, ...]
-    surface: dict[str, Surface]
+    surface: dict[str, ResidualMap]
     parts: dict[str, float] = {}
     """Of the linear residual, and of each contact's law."""
 

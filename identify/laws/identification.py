@@ -8,11 +8,11 @@ from jaxtyping import Float
 from scipy.signal import resample
 
 from identify.contacts.estimates import Contacts, find_contacts
-from identify.contacts.joint import Joint, Observed
+from identify.contacts.joint import ContactRecord, Joint
 from identify.contacts.results import Estimate, Unanswered
 from identify.laws.piecewise import FINEST, PiecewiseLinear, Sampled, polynomial, sampled, slope_jumps, straight_pieces
 from identify.laws.piecewise import unfiltered as without_low_pass
-from identify.laws.results import Candidate, ContactLaw, LawReport
+from identify.laws.results import ContactLaw, LawReport, TriedLaw
 from identify.laws.symbolic import Formula, pyoperon, search
 from identify.signals.kinematics import Use
 from rig.errors import RigError
@@ -133,7 +133,7 @@ def _law(contacts: Contacts, contact: int, seconds: float, seed: int) -> FoundLa
         lower, upper, stiffness, _ = (float(p) for p in joint.parameters)
         laws[DEAD_ZONE] = lambda e: stiffness * dead_zone(e, lower, upper)
     laws |= {CUBIC: polynomial(record, taught, 3), FORMULA: formula}
-    candidates = tuple(Candidate(name, record.error_n(law, held_out)) for name, law in laws.items())
+    candidates = tuple(TriedLaw(name, record.error_n(law, held_out)) for name, law in laws.items())
     best = candidates[_first_as_good([c.held_out_error_n for c in candidates], finest)]
     pieces = straight_pieces(record, whole, pieces.knees_m)  # once judged, from all there is
     shown = f"f = {formula.scaled(1e3, 1.0).text('eta')} (N, eta in mm)"
@@ -156,7 +156,7 @@ def _law(contacts: Contacts, contact: int, seconds: float, seed: int) -> FoundLa
     return FoundLaw(result, eta, force, formula, pieces)
 
 
-def _complete(seen: Observed, joint: Joint | None) -> tuple[Sampled, Float[np.ndarray, " more"]]:
+def _complete(seen: ContactRecord, joint: Joint | None) -> tuple[Sampled, Float[np.ndarray, " more"]]:
     """Force and relative displacement with the drift put right; the relative velocity (m/s), as fine."""
     eta, force, velocity = seen.eta_m, seen.force_n, seen.velocity_m_per_s
     if joint is not None and seen.drift is not None:
@@ -203,7 +203,7 @@ def _hysteresis(record: Sampled, velocity: Float[np.ndarray, " more"], law: Piec
 
 
 def _verdict(
-    pieces: PiecewiseLinear, formula: str, candidates: tuple[Candidate, ...], best: Candidate, sides_known: bool
+    pieces: PiecewiseLinear, formula: str, candidates: tuple[TriedLaw, ...], best: TriedLaw, sides_known: bool
 ) -> str:
     """One sentence."""
     if best.law != PIECEWISE:

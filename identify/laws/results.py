@@ -5,7 +5,7 @@ import msgspec
 from identify.contacts.results import Estimate, Unanswered
 
 
-class Candidate(msgspec.Struct, frozen=True):
+class TriedLaw(msgspec.Struct, frozen=True):
     """A law and the rms of what it leaves of the force in the held-out half of the record."""
 
     law: str
@@ -30,7 +30,7 @@ class ContactLaw(msgspec.Struct, frozen=True, kw_only=True):
     slopes_n_per_m: tuple[float, ...]
     fitted_knees_m: tuple[Estimate, ...]
     fitted_slopes_n_per_m: tuple[Estimate, ...]
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[TriedLaw, ...]
     force_rms_n: float
     hysteresis_share: float
     sides_known: bool

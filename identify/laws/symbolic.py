@@ -136,7 +136,7 @@ def _factored(formula: Formula) -> tuple[float, Formula]:
 
 
 @dataclass(frozen=True)
-class Search:
+class FormulaSearch:
     """Formulas found, from short to long, each better than every shorter one; and whether time ended the search."""
 
     formulas: tuple[Formula, ...]
@@ -155,7 +155,7 @@ def pyoperon() -> Any:
 
 def search(
     x: Float[np.ndarray, " points"], y: Float[np.ndarray, " points"], seconds: float, seed: int, threads: int = THREADS
-) -> Search:
+) -> FormulaSearch:
     """Searches y = f(x), both of order 1, with + - * min max abs and constants, for small error and short formulas.
 
     Genetic programming with two objectives (pyoperon's NSGA-II), constants by Levenberg-Marquardt. The same seed gives
@@ -185,7 +185,7 @@ def search(
         error = float(np.mean((formula(x) - y) ** 2))
         if not kept or error < kept[-1][0]:
             kept.append((error, formula))
-    return Search(tuple(formula for _, formula in kept), out_of_time)
+    return FormulaSearch(tuple(formula for _, formula in kept), out_of_time)
 
 
 def _formula(tree: Any) -> Formula:

@@ -1,4 +1,4 @@
-"""The restoring force surface, and the clearances from it and from the occurrence of the relative displacement."""
+"""The restoring force surface, and the clearances from it and from the histogram of the relative displacement."""
 
 from dataclasses import dataclass
 

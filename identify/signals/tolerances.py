@@ -27,10 +27,10 @@ def jittered(rig: Rig, rng: np.random.Generator) -> Rig:
 
 def _body(body: Body, rng: np.random.Generator) -> Body:
     """All frequencies of a beam or a structure go with the root of E."""
-    damped = body.damped(1 + rng.uniform(-0.2, 0.2))
+    damped = body.scale_damping(1 + rng.uniform(-0.2, 0.2))
     if body.is_mass:
-        return damped.tuned(1 + rng.uniform(-1.5e-3, 1.5e-3))
-    return damped.tuned(float(np.sqrt(1 + rng.uniform(-3e-3, 3e-3))))
+        return damped.scale_frequencies(1 + rng.uniform(-1.5e-3, 1.5e-3))
+    return damped.scale_frequencies(float(np.sqrt(1 + rng.uniform(-3e-3, 3e-3))))
 
 
 def _length(rig: Rig, station: Station) -> float:

@@ -65,11 +65,11 @@ def transformation(rig: Rig, body: Body, motion: Kinematics) -> Transformation:
     Raises RigError if a body with four modes or more has fewer than four stations or they cannot tell the modes apart.
     """
     rows = tuple(i for i, s in enumerate(motion.stations) if s.body == body.name)
-    needed = min(MIN_STATIONS, body.most_modes)
+    needed = min(MIN_STATIONS, body.max_modes)
     if len(rows) < needed:
         raise RigError(f"body {body.name!r} has {len(rows)} measured stations; the modal transformation needs {needed}")
     places = np.array([motion.stations[i].position_m for i in rows])
-    modes = min(len(rows), body.most_modes)
+    modes = min(len(rows), body.max_modes)
     shapes = body.shapes(places, modes)
     condition = float(np.linalg.cond(shapes))
     if condition > 1e3:
@@ -127,7 +127,7 @@ def without_higher_modes(
     ]
     for body in rig.bodies:
         stations = [i for i, s in enumerate(motion.stations) if s.body == body.name]
-        all_modes = body.most_modes
+        all_modes = body.max_modes
         if len(stations) >= all_modes:
             continue
         beyond = slice(len(stations), all_modes)
@@ -204,7 +204,7 @@ def shape_at(body: Body, station: Station, modes: int) -> Float[np.ndarray, " mo
 def _lost(
     rig: Rig, body: Body, places: Float[np.ndarray, " stations"], inverse: Float[np.ndarray, "modes stations"]
 ) -> Float[np.ndarray, " modes"]:
-    fitted, all_modes = inverse.shape[0], body.most_modes
+    fitted, all_modes = inverse.shape[0], body.max_modes
     if fitted >= all_modes:
         return np.zeros(fitted)
     natural_hz = body.frequencies_hz(all_modes)

@@ -125,7 +125,7 @@ def info(file: File, as_json: Json = False) -> None:
     print(f"{file}: rig {rig.name}, {recording.duration_s:g} s at {rig.sample_rate_hz:g} Hz")
     bodies = _table("Bodies", "body", "kind", "first frequencies, Hz")
     for body in rig.bodies:
-        modes = min(4 + body.rigid_modes, body.most_modes)
+        modes = min(4 + body.rigid_modes, body.max_modes)
         bodies.add_row(
             body.name, body.kind, ", ".join(f"{f:.2f}" for f in body.frequencies_hz(modes)[body.rigid_modes :])
         )

@@ -111,7 +111,7 @@ class Scale:
     def _shapes(self) -> tuple[Float[np.ndarray, "places modes"], Float[np.ndarray, " modes"]]:
         body = self._body()
         modes: Modes = modes_of(self.rig, body)
-        count = body.most_modes
+        count = body.max_modes
         return modes.shapes(body.places(PLACES), count), 2 * np.pi * modes.frequencies_hz(count)
 
 

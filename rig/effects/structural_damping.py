@@ -25,4 +25,4 @@ class StructuralDamping(Effect, frozen=True):
 
     def applied_to(self, rig: Rig) -> Rig:
         chosen = rig.bodies if self.body is None else (self.body_of(rig, self.body),)
-        return replace(rig, bodies=tuple(b.damped(self.factor) if b in chosen else b for b in rig.bodies))
+        return replace(rig, bodies=tuple(b.scale_damping(self.factor) if b in chosen else b for b in rig.bodies))

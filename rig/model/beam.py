@@ -71,7 +71,7 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         return self.ends == "clamped-free"
 
     @property
-    def most_modes(self) -> int:
+    def max_modes(self) -> int:
         return MAX_MODES
 
     @property
@@ -91,15 +91,15 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         """The same modal damping ratio for every elastic mode, none for rigid ones."""
         return np.where(np.arange(modes) < self.rigid_modes, 0.0, self.damping_ratio)
 
-    def damped(self, factor: float) -> "Beam":
+    def scale_damping(self, factor: float) -> "Beam":
         """With the damping ratio times a factor."""
         return msgspec.structs.replace(self, damping_ratio=self.damping_ratio * factor)
 
-    def tuned(self, factor: float) -> "Beam":
+    def scale_frequencies(self, factor: float) -> "Beam":
         """With all frequencies times a factor, by Young's modulus."""
         return msgspec.structs.replace(self, youngs_modulus_pa=self.youngs_modulus_pa * factor**2)
 
-    def weighed(self, factor: float) -> "Beam":
+    def scale_mass(self, factor: float) -> "Beam":
         """With the mass times a factor, at the same frequencies: density and Young's modulus."""
         return msgspec.structs.replace(
             self,

@@ -71,7 +71,7 @@ class CoupledModes:
         return self.structure.damping_ratios(modes)
 
     def shapes(self, positions_m: Float[np.ndarray, " stations"], modes: int) -> Float[np.ndarray, "stations modes"]:
-        return self.structure.shapes(positions_m, self.structure.most_modes) @ self.vectors[:, :modes]
+        return self.structure.shapes(positions_m, self.structure.max_modes) @ self.vectors[:, :modes]
 
 
 Meshed = Beam | Oscillator
@@ -80,7 +80,7 @@ Meshed = Beam | Oscillator
 
 def modes_wanted(body: Body, modes: int) -> int:
     """How many modes a body takes where `modes` are wanted: a beam all of them, others no more than they have."""
-    return modes if isinstance(body, Beam) else min(modes, body.most_modes)
+    return modes if isinstance(body, Beam) else min(modes, body.max_modes)
 
 
 def modes_of(rig: Rig, body: Body) -> Modes:
@@ -115,7 +115,7 @@ def coupled(rig: Rig, body: Structure) -> CoupledModes:
 
     (1 + sum m p p') q'' + (omega^2 + sum k p p' + k_r s s') q = 0
     """
-    count = body.most_modes
+    count = body.max_modes
     mass = np.eye(count)
     attached = np.zeros((count, count))
     for point in rig.masses:
@@ -144,7 +144,7 @@ def _solved(
     """
     lost = f"the modes of {body.name!r} are lost in rounding; check it and the masses, springs and clamps it carries"
     try:
-        squares, vectors = eigh(stiffness, mass, subset_by_index=[0, body.most_modes - 1])
+        squares, vectors = eigh(stiffness, mass, subset_by_index=[0, body.max_modes - 1])
     except np.linalg.LinAlgError as error:
         raise RigError(lost) from error
     squares[:floating] = 0.0  # rounding would give them a frequency

@@ -47,7 +47,7 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         return 0.0
 
     @property
-    def most_modes(self) -> int:
+    def max_modes(self) -> int:
         return 1
 
     @property
@@ -72,15 +72,15 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     def damping_ratios(self, modes: int) -> Float[np.ndarray, " modes"]:
         return np.full(self._one(modes), self.damping_ratio)
 
-    def damped(self, factor: float) -> "Oscillator":
+    def scale_damping(self, factor: float) -> "Oscillator":
         """With the damping ratio times a factor."""
         return msgspec.structs.replace(self, damping_ratio=self.damping_ratio * factor)
 
-    def tuned(self, factor: float) -> "Oscillator":
+    def scale_frequencies(self, factor: float) -> "Oscillator":
         """With the frequency times a factor, by the spring."""
         return msgspec.structs.replace(self, frequency_hz=self.frequency_hz * factor)
 
-    def weighed(self, factor: float) -> "Oscillator":
+    def scale_mass(self, factor: float) -> "Oscillator":
         """With the mass times a factor, at the same frequency."""
         return msgspec.structs.replace(self, mass_kg=self.mass_kg * factor)
 

@@ -82,7 +82,7 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     @property
     def kind(self) -> str:
-        known = f"modal basis, {self.most_modes} modes"
+        known = f"modal basis, {self.max_modes} modes"
         try:
             return f"{known}, {np.sum(self.translation() ** 2):.4g} kg"
         except RigError:
@@ -103,10 +103,10 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     @property
     def mass_kg(self) -> float:
         """About: one over the mean square of its shapes, which of a beam is its mass."""
-        return float(1 / np.mean(self.shapes(self.positions_m, self.most_modes) ** 2))
+        return float(1 / np.mean(self.shapes(self.positions_m, self.max_modes) ** 2))
 
     @property
-    def most_modes(self) -> int:
+    def max_modes(self) -> int:
         return len(self.natural_hz)
 
     @property
@@ -123,15 +123,15 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     def damping_ratios(self, modes: int) -> Float[np.ndarray, " modes"]:
         return np.array(self.ratios[: self._checked(modes)])
 
-    def damped(self, factor: float) -> "Structure":
+    def scale_damping(self, factor: float) -> "Structure":
         """With all damping ratios times a factor."""
         return msgspec.structs.replace(self, ratios=tuple(r * factor for r in self.ratios))
 
-    def tuned(self, factor: float) -> "Structure":
+    def scale_frequencies(self, factor: float) -> "Structure":
         """With all frequencies times a factor."""
         return msgspec.structs.replace(self, natural_hz=tuple(f * factor for f in self.natural_hz))
 
-    def weighed(self, factor: float) -> "Structure":
+    def scale_mass(self, factor: float) -> "Structure":
         """With the mass times a factor, at the same frequencies: its shapes are those of a unit mass."""
         lighter = float(np.sqrt(factor))
         rows = (msgspec.structs.replace(r, values=tuple(v / lighter for v in r.values)) for r in self.rows)
@@ -155,7 +155,7 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         Only rigid-body modes can tell it. Raises RigError where there are none, or their shapes do not add up to it.
         """
         rigid = self.rigid_modes
-        found = np.zeros(self.most_modes)
+        found = np.zeros(self.max_modes)
         shapes = np.array([row.values for row in self.rows])[:, :rigid]
         one = np.ones(len(self.rows))
         if 0 < rigid <= len(one):
@@ -186,8 +186,8 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         return found
 
     def _checked(self, modes: int) -> int:
-        if not 1 <= modes <= self.most_modes:
-            raise self._wrong(f"{modes} modes asked for; its modal basis has 1 to {self.most_modes}")
+        if not 1 <= modes <= self.max_modes:
+            raise self._wrong(f"{modes} modes asked for; its modal basis has 1 to {self.max_modes}")
         return modes
 
     def _wrong(self, sentence: str) -> RigError:

@@ -81,11 +81,11 @@ def _close_up(contact: Contact, reach_mm: float, caveat: str) -> rrb.Spatial2DVi
 def _phase(look: Look, contact: Contact) -> rrb.View | rrb.Container:
     """Force over relative displacement, all of it until the moment; behind it how often each displacement occurs."""
     reach_mm = look.reach_mm(contact)
-    occurrence = rrb.BarChartView(
-        origin=entity("occurrence", contact.name), name=f"{contact.name}: occurrence, % of the time over mm"
+    histogram = rrb.BarChartView(
+        origin=entity("histogram", contact.name), name=f"{contact.name}: histogram, % of the time over mm"
     )
     if not look.contact_force:
-        return occurrence
+        return histogram
     until_now = rr.VisibleTimeRange(
         TIMELINE, start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.cursor_relative()
     )
@@ -95,7 +95,7 @@ def _phase(look: Look, contact: Contact) -> rrb.View | rrb.Container:
         visual_bounds=rrb.VisualBounds2D(x_range=[-1.2 * reach_mm, 1.2 * reach_mm], y_range=[-reach_mm, reach_mm]),
         time_ranges=[until_now],
     )
-    return rrb.Tabs(force, occurrence, active_tab=0)
+    return rrb.Tabs(force, histogram, active_tab=0)
 
 
 def _plots(look: Look) -> list[rrb.View | rrb.Container]:

@@ -163,7 +163,7 @@ def _changes(play: Play) -> tuple[Int[np.ndarray, " closings"], Int[np.ndarray, 
 
 
 def send_phase(stream: rr.RecordingStream, play: Play) -> None:
-    """Contact force (upwards) over relative displacement (mm), frame by frame, over the laws; and the occurrence.
+    """Contact force (upwards) over relative displacement (mm), frame by frame, over the laws; and the histogram.
 
     A frame's line goes from its sample to the next frame's, so that the view, which shows all until the moment, grows.
     """
@@ -194,4 +194,4 @@ def send_phase(stream: rr.RecordingStream, play: Play) -> None:
     counts, edges = np.histogram(1e3 * play.relative_m, BINS, range=(-reach, reach))
     share = 100 * counts / max(play.relative_m.size, 1)
     middle = (edges[1:] + edges[:-1]) / 2
-    style(stream, entity("occurrence", name), rr.BarChart(share, abscissa=middle, color=LINES[0]))
+    style(stream, entity("histogram", name), rr.BarChart(share, abscissa=middle, color=LINES[0]))

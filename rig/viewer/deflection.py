@@ -34,7 +34,7 @@ class Deflection:
         """w(x) = phi(x) pinv(phi(stations)) w(stations), with as many modes as the body has stations."""
         rows = [i for i, s in enumerate(self.stations) if s.body == body.name]
         places = np.array([self.stations[i].position_m for i in rows])
-        modes = min(len(rows), body.most_modes)
+        modes = min(len(rows), body.max_modes)
         inverse = np.linalg.pinv(body.shapes(places, modes), rcond=1e-3)
         return np.asarray(body.shapes(positions_m, modes) @ inverse @ self.displacement_m[rows][:, samples])
 

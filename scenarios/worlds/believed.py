@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from rig.model.description import Body, Contact, Rig, Sensor, Station
 from rig.simulation.reference import BarrelCradle
-from scenarios.worlds.laws import Law
+from scenarios.worlds.laws import StopLaw
 from scenarios.worlds.machine import Accelerometer, Link, Machine, Place, TrueBeam
 from scenarios.worlds.truth import World
 
@@ -114,7 +114,7 @@ def _link(contact: Contact) -> Link:
         name=contact.name,
         at=_place(contact.at),
         against=_place(contact.against) if contact.against else None,
-        law=Law(
+        law=StopLaw(
             lower_m=law.lower_clearance_m,
             upper_m=law.upper_clearance_m,
             stiffness_below_n_per_m=law.stiffness_n_per_m,

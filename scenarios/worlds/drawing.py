@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from rig.model.description import Rig
 from scenarios.worlds.believed import believed_rig, nominal_machine
 from scenarios.worlds.kinds import Kind
-from scenarios.worlds.laws import Law
+from scenarios.worlds.laws import StopLaw
 from scenarios.worlds.library import EFFECTS, UNSEEN
 from scenarios.worlds.machine import MODES, Accelerometer, Link, Machine, Place, TrueBeam, with_hung
 from scenarios.worlds.outside import OUTSIDE
@@ -160,7 +160,7 @@ def _contact(contact: Link, rng: np.random.Generator) -> Link:
     return replace(contact, law=_near(law, float(wider), float(stiffer), float(rng.uniform(-0.05, 0.05))))
 
 
-def _near(law: Law, wider: float, stiffer: float, off_centre: float) -> Law:
+def _near(law: StopLaw, wider: float, stiffer: float, off_centre: float) -> StopLaw:
     return replace(
         law,
         lower_m=law.lower_m * wider,
@@ -176,7 +176,7 @@ def _with_something_hung(machine: Machine, rng: np.random.Generator) -> Machine:
     beam = machine.beams[int(rng.integers(len(machine.beams)))]
     mass_kg, omega = float(rng.uniform(0.5e-3, 2e-3)), 2 * np.pi * float(80 * 5 ** rng.uniform())
     damping = 2 * float(rng.uniform(0.05, 0.3)) * omega * mass_kg
-    law = Law(spring_n_per_m=mass_kg * omega**2, dashpot_n_s_per_m=damping)
+    law = StopLaw(spring_n_per_m=mass_kg * omega**2, dashpot_n_s_per_m=damping)
     return with_hung(machine, "hung", Place(beam.name, float(rng.uniform(0.1, 1.0)) * beam.length_m), mass_kg, law)
 
 

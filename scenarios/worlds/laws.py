@@ -16,7 +16,7 @@ TURN_M_PER_S = 0.02
 compiled = numba.njit(cache=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
 
 
-class Law(msgspec.Struct, frozen=True, kw_only=True):
+class StopLaw(msgspec.Struct, frozen=True, kw_only=True):
     """A force against the relative displacement x = eta - offset and its rate v::
 
         f = k |depth / d|^(n - 1) depth + k3 depth^3 + c v min(1, |depth| / 10 um)    (stop)
@@ -68,7 +68,7 @@ def depth_m(law, eta_m, time_s):
 @compiled
 @no_type_check
 def force_of(law, eta_m, rate_m_per_s, time_s):
-    """The force of a `Law` (its row) and its slopes over eta and over the rate."""
+    """The force of a `StopLaw` (its row) and its slopes over eta and over the rate."""
     x, v = eta_m - law[12], rate_m_per_s
     force = law[13] * x + law[15] * v
     slope, viscous = law[13], law[15]
@@ -98,7 +98,7 @@ def force_of(law, eta_m, rate_m_per_s, time_s):
     return force, slope, viscous
 
 
-def energy_j(law: Law, eta_m: float) -> float:
+def energy_j(law: StopLaw, eta_m: float) -> float:
     """What the elastic parts of the law store at time 0."""
     x = eta_m - law.offset_m
     depth = float(depth_m(law.row(), eta_m, 0.0))

@@ -4,12 +4,12 @@ import numpy as np
 from msgspec.structs import replace
 
 from scenarios.worlds.kinds import Kind, Size, place_of
-from scenarios.worlds.laws import Law
+from scenarios.worlds.laws import StopLaw
 from scenarios.worlds.machine import (
     Machine,
+    MachineTone,
     Place,
     Shaking,
-    Tone,
     with_beams,
     with_laws,
     with_link,
@@ -110,7 +110,7 @@ def _one_stop(machine: Machine, truth: EffectTruth) -> Machine:
     return with_laws(machine, _contact(truth), lambda law: _stiffened(law, below, above))
 
 
-def _stiffened(law: Law, below: float, above: float) -> Law:
+def _stiffened(law: StopLaw, below: float, above: float) -> StopLaw:
     return replace(
         law,
         stiffness_below_n_per_m=law.stiffness_below_n_per_m * below,
@@ -140,17 +140,17 @@ def _nonlinear_contact(machine: Machine, truth: EffectTruth) -> Machine:
 
 def _hardening_spring(machine: Machine, truth: EffectTruth) -> Machine:
     """Below zero the spring softens."""
-    law = Law(cubic_spring_n_per_m3=truth.parameters["cubic_n_per_m3"])
+    law = StopLaw(cubic_spring_n_per_m3=truth.parameters["cubic_n_per_m3"])
     return with_link(machine, truth.name, place_of(truth), law)
 
 
 def _ground_damper(machine: Machine, truth: EffectTruth) -> Machine:
-    law = Law(dashpot_n_s_per_m=truth.parameters["damping_n_s_per_m"])
+    law = StopLaw(dashpot_n_s_per_m=truth.parameters["damping_n_s_per_m"])
     return with_link(machine, truth.name, place_of(truth), law)
 
 
 def _ground_friction(machine: Machine, truth: EffectTruth) -> Machine:
-    return with_link(machine, truth.name, place_of(truth), Law(friction_n=truth.parameters["force_n"]))
+    return with_link(machine, truth.name, place_of(truth), StopLaw(friction_n=truth.parameters["force_n"]))
 
 
 def _preload(machine: Machine, truth: EffectTruth) -> Machine:
@@ -159,7 +159,7 @@ def _preload(machine: Machine, truth: EffectTruth) -> Machine:
 
 def _tone(machine: Machine, truth: EffectTruth) -> Machine:
     numbers = {field: truth.parameters[field] for field in ("cosine_n", "sine_n", "frequency_hz")}
-    return replace(machine, tones=(*machine.tones, Tone(at=place_of(truth), **numbers)))
+    return replace(machine, tones=(*machine.tones, MachineTone(at=place_of(truth), **numbers)))
 
 
 def _sensor_delay(machine: Machine, truth: EffectTruth) -> Machine:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import msgspec
 from msgspec.structs import replace
 
-from scenarios.worlds.laws import Law
+from scenarios.worlds.laws import StopLaw
 
 MODES = 24
 """Of a beam."""
@@ -63,10 +63,10 @@ class Link(msgspec.Struct, frozen=True, kw_only=True):
     name: str
     at: Place
     against: Place | None
-    law: Law
+    law: StopLaw
 
 
-class Tone(msgspec.Struct, frozen=True, kw_only=True):
+class MachineTone(msgspec.Struct, frozen=True, kw_only=True):
     """A force cosine_n cos(2 pi f t) + sine_n sin(2 pi f t) on a place, there before the record begins."""
 
     at: Place
@@ -120,14 +120,14 @@ class Machine(msgspec.Struct, frozen=True, kw_only=True):
     masses: tuple[LooseMass, ...] = ()
     links: tuple[Link, ...] = ()
     loads: tuple[tuple[Place, float], ...] = ()
-    tones: tuple[Tone, ...] = ()
+    tones: tuple[MachineTone, ...] = ()
     shaking: Shaking | None = None
 
     def beam(self, name: str) -> TrueBeam:
         return next(b for b in self.beams if b.name == name)
 
 
-def with_laws(machine: Machine, contact: str, change: Callable[[Law], Law]) -> Machine:
+def with_laws(machine: Machine, contact: str, change: Callable[[StopLaw], StopLaw]) -> Machine:
     """The machine with the law of one contact changed, or of all."""
     return replace(
         machine,
@@ -145,12 +145,12 @@ def with_sensors(machine: Machine, sensor: str, change: Callable[[Accelerometer]
     return replace(machine, sensors=tuple(change(s) if sensor in ("all", s.name) else s for s in machine.sensors))
 
 
-def with_link(machine: Machine, name: str, at: Place, law: Law) -> Machine:
+def with_link(machine: Machine, name: str, at: Place, law: StopLaw) -> Machine:
     """The machine with one more link to the ground."""
     return replace(machine, links=(*machine.links, Link(name=name, at=at, against=None, law=law)))
 
 
-def with_hung(machine: Machine, name: str, at: Place, mass_kg: float, law: Law) -> Machine:
+def with_hung(machine: Machine, name: str, at: Place, mass_kg: float, law: StopLaw) -> Machine:
     """The machine with a mass that hangs on a place of a beam by a law."""
     link = Link(name=name, at=at, against=Place(name), law=law)
     return replace(machine, masses=(*machine.masses, LooseMass(name, mass_kg)), links=(*machine.links, link))

@@ -4,27 +4,27 @@ import numpy as np
 from msgspec.structs import replace
 
 from scenarios.worlds.kinds import Kind, Size, place_of
-from scenarios.worlds.laws import Law
+from scenarios.worlds.laws import StopLaw
 from scenarios.worlds.machine import Machine, with_beams, with_hung, with_laws, with_link, with_sensors
 from scenarios.worlds.truth import EffectTruth, Expected
 
 
 def _quadratic_drag(machine: Machine, truth: EffectTruth) -> Machine:
-    law = Law(drag_n_s2_per_m2=truth.parameters["drag_n_s2_per_m2"])
+    law = StopLaw(drag_n_s2_per_m2=truth.parameters["drag_n_s2_per_m2"])
     return with_link(machine, truth.name, place_of(truth), law)
 
 
 def _third_contact(machine: Machine, truth: EffectTruth) -> Machine:
     """A stop on either side between a beam and the ground."""
     stiffness, gap_m = truth.parameters["stiffness_n_per_m"], truth.parameters["clearance_m"]
-    law = Law(lower_m=gap_m, upper_m=gap_m, stiffness_below_n_per_m=stiffness, stiffness_above_n_per_m=stiffness)
+    law = StopLaw(lower_m=gap_m, upper_m=gap_m, stiffness_below_n_per_m=stiffness, stiffness_above_n_per_m=stiffness)
     return with_link(machine, truth.name, place_of(truth), law)
 
 
 def _softening_support(machine: Machine, truth: EffectTruth) -> Machine:
     """A support k w0 tanh(w / w0) that yields."""
     stiffness, yield_m = truth.parameters["stiffness_n_per_m"], truth.parameters["yield_m"]
-    return with_link(machine, truth.name, place_of(truth), Law(yield_n=stiffness * yield_m, yield_m=yield_m))
+    return with_link(machine, truth.name, place_of(truth), StopLaw(yield_n=stiffness * yield_m, yield_m=yield_m))
 
 
 def _thermal_drift(machine: Machine, truth: EffectTruth) -> Machine:
@@ -43,7 +43,7 @@ def _loose_sensor(machine: Machine, truth: EffectTruth) -> Machine:
 def _rattling_mass(machine: Machine, truth: EffectTruth) -> Machine:
     """A loose mass in a cage on a beam: it strikes either wall, which damps, and a weak spring holds it in between."""
     mass_kg, play_m = truth.parameters["mass_kg"], truth.parameters["play_m"]
-    law = Law(
+    law = StopLaw(
         lower_m=play_m,
         upper_m=play_m,
         stiffness_below_n_per_m=2e4,

@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 
 from rig.errors import RigError
 from scenarios.worlds.beams import modes_of
-from scenarios.worlds.laws import Law, energy_j, force_of
+from scenarios.worlds.laws import StopLaw, energy_j, force_of
 from scenarios.worlds.machine import Link, Machine, Place
 from scenarios.worlds.stepping import advance
 
@@ -43,7 +43,7 @@ class Model:
 
 
 @dataclass(frozen=True)
-class Block:
+class SimulatedBlock:
     """Samples from start_s on: states (q, q'), forces of the links, accelerations at the sensors (absolute)."""
 
     start_s: float
@@ -150,13 +150,13 @@ def simulate(
     start_s: float,
     step_s: float = STEP_S,
     initial: Float[np.ndarray, "2 coordinates"] | None = None,
-) -> Iterator[Block]:
+) -> Iterator[SimulatedBlock]:
     """The motion from rest under the loads, or from an initial state, for every sample but the last.
 
     inputs are those of the `Model` in its order, one row a sample. Raises RigError if the forces of the links cannot be
     found or a sensor moves by more than 0.25 m.
     """
-    laws = np.array([link.law.row() for link in model.links]).reshape(-1, len(Law.__struct_fields__))
+    laws = np.array([link.law.row() for link in model.links]).reshape(-1, len(StopLaw.__struct_fields__))
     state = np.array([at_rest(model), np.zeros(len(model.omega))]) if initial is None else initial.copy()
     begun = zip(laws, *(model.rows @ x for x in state), strict=True)
     held = np.array([force_of(law, eta, rate, start_s)[0] for law, eta, rate in begun], dtype=float)
@@ -181,4 +181,4 @@ def simulate(
         acceleration = (
             of_state @ states.reshape(steps, -1).T + pushed @ known[:-1].T - (model.sensed @ model.rows.T) @ link_n.T
         )
-        yield Block(now_s, states, link_n, acceleration, closed)
+        yield SimulatedBlock(now_s, states, link_n, acceleration, closed)

@@ -4,8 +4,8 @@ import numpy as np
 
 from identify.gaps.results import Attribution, Cause, Gap, Left, Matters, Unknown, Value
 from scenarios.blind_diagnosis import Found
-from scenarios.scoreboard import Compared
-from scenarios.true_effect import Best, Effect
+from scenarios.scoreboard import ScoredCase
+from scenarios.true_effect import Best, TrueEffect
 from scenarios.worlds.believed import believed_rig, nominal_machine
 from scenarios.worlds.truth import Case, EffectTruth, Expected
 
@@ -13,7 +13,7 @@ MACHINE = nominal_machine(believed_rig("own", np.random.default_rng(1)))
 NOTHING = Attribution(
     channels={}, modal_equations={}, positions_m={}, band_hz=(), contact_state={}, time_s=(), surface={}
 )
-ABOVE, BELOW = Effect(made=5.0, gain=50.0, needed=32.0), Effect(made=0.5, gain=8.0, needed=32.0)
+ABOVE, BELOW = TrueEffect(made=5.0, gain=50.0, needed=32.0), TrueEffect(made=0.5, gain=8.0, needed=32.0)
 
 
 def effect(name, place=None, strength=1.0, **parameters):
@@ -119,4 +119,4 @@ def compared(truth, of, *limits, before=10.0, closes=0.9, usual=0.5, **costs):
     """limits: what each true effect achieves, above its limit if nothing is said."""
     if truth.kind in ("single", "pair"):
         limits = limits or (ABOVE,) * len(truth.effects)
-    return Compared(truth, found(of, truth.case, **costs), Best(before, closes, limits), usual)
+    return ScoredCase(truth, found(of, truth.case, **costs), Best(before, closes, limits), usual)

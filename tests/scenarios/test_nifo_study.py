@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from identify.signals.spectra import Averaging, blocks
 from scenarios import excitation_sweep, frequency_resolution, nifo_study
-from scenarios.nifo_study import LONG, Study, estimated, free_shares, needed_s
+from scenarios.nifo_study import LONG, Study, estimated, incoherent_shares, needed_s
 from scenarios.nifo_sweep import Point, ideal_range, shown
 
 STUDY = Study(settings=LONG, block_s=(1.0, 2.5))
@@ -85,7 +85,7 @@ def test_free_shares_of_signals_that_share_a_part():
     rng = np.random.default_rng(1)
     common, one, other = rng.standard_normal((3, 4000))
     cut = blocks(4000, 100.0, Averaging(block_s=1.0), (5.0, 40.0))
-    shares = free_shares([common + one, common + other, rng.standard_normal(4000)], cut)
+    shares = incoherent_shares([common + one, common + other, rng.standard_normal(4000)], cut)
     averages = len(cut.starts)
     left = np.sqrt((averages - 2) / averages)  # of what is fitted by two others from so many blocks
     assert shares == pytest.approx((np.sqrt(3) / 2 * left, np.sqrt(3) / 2 * left, left), abs=0.03)

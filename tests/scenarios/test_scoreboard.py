@@ -12,7 +12,7 @@ from scenarios.score_figures import drawn
 from scenarios.score_places import description_right, place_right
 from scenarios.score_table import limits_told, shown
 from scenarios.scoreboard import compared_cases, confusion, parameter_errors, scored, wilson
-from scenarios.true_effect import Best, Effect, named_now
+from scenarios.true_effect import Best, TrueEffect, named_now
 from tests.scenarios.blind_cases import (
     BELOW,
     case,
@@ -114,9 +114,11 @@ def test_costs_count_a_shared_null_reference_once():
 def test_a_limit_asks_for_what_matters_and_for_evidence():
     assert scored(COMPARED).limits["base_motion"] == pytest.approx(0.3 * 2)
     assert BELOW.limit(0.3) == pytest.approx(0.3 * max(np.sqrt(32 / 8), 1 / 0.5))
-    assert Effect(made=5.0, gain=50.0, needed=None).limit(1.0) == np.inf
-    assert [e.above for e in (Effect(5.0, 50.0, 32.0), Effect(0.9, 50.0, 32.0), Effect(5.0, 30.0, 32.0))] == [1, 0, 0]
-    assert not Effect(5.0, 50.0, None).above
+    assert TrueEffect(made=5.0, gain=50.0, needed=None).limit(1.0) == np.inf
+    assert [
+        e.above for e in (TrueEffect(5.0, 50.0, 32.0), TrueEffect(0.9, 50.0, 32.0), TrueEffect(5.0, 30.0, 32.0))
+    ] == [1, 0, 0]
+    assert not TrueEffect(5.0, 50.0, None).above
     assert not Best(10.0, 0.0, ()).above
 
 

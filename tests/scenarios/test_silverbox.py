@@ -16,7 +16,7 @@ from identify.gaps.decision.answer import Simulator, diagnose
 from rig.errors import RigError
 from rig.model.description import PointSpring
 from rig.simulation.excitation import BandLimitedGaussian, force_history
-from scenarios.silverbox import Judged, app, free_run, identified, one_mass, rms, simulated
+from scenarios.silverbox import JudgedRig, app, free_run, identified, one_mass, rms, simulated
 from scenarios.silverbox_data import FILE, SAMPLES, measured
 
 DATA = Path(os.environ.get("SILVERBOX", "silverbox"))
@@ -24,14 +24,14 @@ CUBIC_N_PER_M3, NOISE_DENSITY = 4e7, 1e-7
 
 
 @pytest.fixture(scope="module")
-def judged(tmp_path_factory) -> Judged:
+def judged(tmp_path_factory) -> JudgedRig:
     if not (DATA / FILE).exists():
         pytest.skip(f"no {FILE}: let the environment variable SILVERBOX name its folder")
     out = tmp_path_factory.mktemp("silverbox")
     result = CliRunner().invoke(app, ["--data", str(DATA), "--out", str(out)])
     assert result.exit_code == 0, result.output
     assert {p.name for p in out.glob("*.png")} == {"where.png", "arrow.png"}
-    return msgspec.json.decode((out / "silverbox.json").read_bytes(), type=Judged)
+    return msgspec.json.decode((out / "silverbox.json").read_bytes(), type=JudgedRig)
 
 
 def test_measured_data_is_diagnosed_as_a_hardening_spring(judged):
@@ -50,7 +50,7 @@ def duffing():
     """A linear rig, and two noisy records of it with a cubic spring and 0.5 % of mass that its owner does not know."""
     linear = one_mass(0.54, 68.3, 0.05, NOISE_DENSITY)
     cubic = PointSpring(station=linear.force_at, cubic_n_per_m3=CUBIC_N_PER_M3)
-    actual = replace(linear, bodies=(linear.bodies[0].weighed(1.005),), springs=(cubic,))
+    actual = replace(linear, bodies=(linear.bodies[0].scale_mass(1.005),), springs=(cubic,))
     rate = linear.sample_rate_hz
     forces = [
         force_history(BandLimitedGaussian(rms_n=220.0, low_hz=1.0, high_hz=150.0, seed=seed), 40.0, 1 / rate)

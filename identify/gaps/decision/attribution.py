@@ -9,7 +9,7 @@ from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.residual.linear import Linear
 from identify.gaps.residual.residual import Base, Residual
 from identify.gaps.residual.spectra import Record
-from identify.gaps.results import Attribution, Share, Surface
+from identify.gaps.results import Attribution, ResidualMap, Share
 
 BANDS_HZ = (0.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 100.0, 150.0, 200.0, 400.0, 1000.0, 4000.0)
 PARTS = 10
@@ -54,13 +54,13 @@ def attribution(base: Base, at: Residual, left: Misfit) -> Attribution:
     )
 
 
-def _of_masses(record: Record, at: Residual) -> dict[str, Surface]:
+def _of_masses(record: Record, at: Residual) -> dict[str, ResidualMap]:
     """The force that the linear model lacks, over the displacement and velocity of each single mass."""
     found = {}
     for response in at.model.responses:
         for i, sensor in enumerate(record.sensors):
             if response.body.is_mass and sensor.station.body == response.body.name:
-                lacking = at.model.residual[i] * at.model.spread[i] / response.accelerance[0]
+                lacking = at.model.residual[i] * at.model.deviation[i] / response.accelerance[0]
                 eta, rate, force = record.in_time(
                     np.stack([record.displaced[i], 1j * record.omega * record.displaced[i], lacking])
                 )
@@ -75,7 +75,7 @@ def _shared(sizes: dict[str, float]) -> dict[str, float]:
 
 def _modal(record: Record, model: Linear, at: Residual) -> dict[str, float]:
     """By modal equation: the residual accelerations turned into modal ones, in units of what the sensors' errors do."""
-    spread = np.sqrt(np.mean(model.spread**2, axis=1))
+    spread = np.sqrt(np.mean(model.deviation**2, axis=1))
     found = {}
     for response in model.responses:
         rows = [i for i, s in enumerate(record.sensors) if s.station.body == response.body.name]
@@ -124,7 +124,7 @@ def _surface(
     eta_m: Float[np.ndarray, " times"],
     rate_m_per_s: Float[np.ndarray, " times"],
     squares: Float[np.ndarray, " times"],
-) -> Surface:
+) -> ResidualMap:
     table, rows, columns = np.histogram2d(eta_m, rate_m_per_s, bins=CELLS, weights=squares)
     share = table / max(float(table.sum()), 1e-300)
-    return Surface(tuple(rows.tolist()), tuple(columns.tolist()), tuple(tuple(row) for row in share.tolist()))
+    return ResidualMap(tuple(rows.tolist()), tuple(columns.tolist()), tuple(tuple(row) for row in share.tolist()))

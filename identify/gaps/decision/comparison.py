@@ -72,7 +72,7 @@ def judged(
                 base, at = fit_nuisance(record, rig, rounds=1)
             except RigError:
                 continue
-            corrected = at.fitted_rig
+            corrected = at.corrected_rig
             left, without = misfit(record, reference, at), left_without(record, reference, base, at) or alone
         found.append(Judged(one, rig, corrected, left, without, priors[one.key]))
         progress((i + 1) / len(hypotheses))

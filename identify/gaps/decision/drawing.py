@@ -85,7 +85,7 @@ def _body(rig: Rig, body: Body, sensors: list[Sensor], tolerances: Tolerances, d
     heavier = 1 + tolerances.mass * next(draw)
     faster, lossier = tolerances.frequency * next(draw), tolerances.damping * next(draw)
     if body.is_mass:
-        return body.weighed(heavier).tuned(1 + faster).damped(float(np.exp(lossier)))
+        return body.scale_mass(heavier).scale_frequencies(1 + faster).scale_damping(float(np.exp(lossier)))
     modes, count = modes_of(rig, body), modes_wanted(body, MODES)
     own = [tolerances.of_mode(body.name, m + 1) for m in range(count)]
     factors = np.array([1 + faster + t.frequency * next(draw) for t in own])

@@ -40,7 +40,7 @@ def compared(
         edges = np.linspace(min(e.min() for e in eta), max(e.max() for e in eta), CELLS + 1)
         curves.append(
             Curve(
-                f"occurrence of the relative displacement of {contact.name}",
+                f"histogram of the relative displacement of {contact.name}",
                 "relative displacement, mm",
                 "share of the time per mm",
                 tuple(((edges[1:] + edges[:-1]) / 2).tolist()),

@@ -18,7 +18,7 @@ from identify.gaps.decision.null_reference import NullReference
 from identify.gaps.results import USUAL, Matters, Verdict
 from identify.gaps.search.attached import ATTACHED
 from identify.gaps.unknown.force import SAME_M
-from identify.gaps.unknown.location import Candidate
+from identify.gaps.unknown.location import ForcePlace
 from rig.model.description import Rig
 
 HALF = 0.5
@@ -75,7 +75,7 @@ def decided(
     return Decision(verdict, criterion, tuple(likely), of_unknown, nothing, best, p_before, p_after)
 
 
-def acts_where_they_do(force: Candidate, believed: Rig, rig: Rig) -> bool:
+def acts_where_they_do(force: ForcePlace, believed: Rig, rig: Rig) -> bool:
     """Whether an unmeasured force acts where effects do: at what they attached, at a contact or in a sensor that they
     changed. One force of another law is no companion of theirs, but their rival."""
     if force.kind == "sensor":

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from identify.gaps.page.axes import BLUE, INK, MOST_LABELS, lying_bars, short
-from identify.gaps.results import Attribution, Share, Surface
+from identify.gaps.results import Attribution, ResidualMap, Share
 
 _ROW_IN, _FRAME_IN, _HEIGHT_IN = 0.3, 1.0, 3.2
 
@@ -69,7 +69,7 @@ def _positions(figure: Any, bodies: Mapping[str, Mapping[str, float]]) -> None:
     figure.suptitle("Along the bodies (stations marked)", fontsize=10)
 
 
-def _surface(figure: Any, surface: Surface, contact: str) -> None:
+def _surface(figure: Any, surface: ResidualMap, contact: str) -> None:
     axes = figure.subplots()
     share = 100 * np.array(surface.share)
     cells = axes.pcolormesh(

@@ -10,7 +10,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 from scipy.sparse.linalg import SuperLU
 
-from identify.gaps.residual.linear import chain_of
+from identify.gaps.residual.linear import sensor_response_of
 from identify.gaps.residual.nuisance import LIMIT, at_contacts, counted
 from identify.gaps.residual.residual import Base, Residual, linear_of, residual_of, same_but_laws, same_but_sensors
 from identify.gaps.residual.spectra import Record
@@ -38,7 +38,7 @@ Build = Callable[[Values], Rig]
 class Fit:
     """The parameters at which the residual is least, and their covariance.
 
-    The samples count for `Record.strictness` times fewer.
+    The samples count for `Record.sample_ratio` times fewer.
     """
 
     values: Float[np.ndarray, " parameters"]
@@ -88,7 +88,7 @@ def derivative(base: Base, moved: Rig, at: Residual) -> Column:
     change = old.residual - new.residual
     inputs = np.concatenate([old.contact_n - new.contact_n, change[sensors:]])
     less = change[:sensors] + np.einsum("isl,il->sl", old.by_input, inputs)
-    left, less_n = old.projection.of(less * old.spread)
+    left, less_n = old.projection.of(less * old.deviation)
     less_force = record.in_time(less_n) + (old.holding_n - new.holding_n)[:, None]
     for by_one, contact in zip((new.slow_n_per_m - old.slow_n_per_m).T, at.contacts, strict=True):
         less_force += np.outer(by_one, contact.slow_m)
@@ -99,10 +99,10 @@ def derivative(base: Base, moved: Rig, at: Residual) -> Column:
 def _by_sensors(base: Base, moved: Rig, at: Residual) -> Column:
     """Other gains and delays: what the sensors would deliver of the same motion."""
     record, model = base.record, at.model
-    ratio = chain_of(record, moved) / chain_of(record, at.rig) - 1
-    explained = record.delivered - model.residual[: len(record.sensors)] * model.spread
+    ratio = sensor_response_of(record, moved) / sensor_response_of(record, at.rig) - 1
+    explained = record.delivered - model.residual[: len(record.sensors)] * model.deviation
     left, force = model.projection.of(ratio * explained)
-    less_eta = at_contacts(record, model, ratio * record.displaced / model.chain)
+    less_eta = at_contacts(record, model, ratio * record.displaced / model.sensor_response)
     contacts = _by_motion(record, at, record.in_time(force), less_eta)
     return counted(record, left), contacts
 
@@ -187,8 +187,8 @@ class Reduced:
 def reduced(base: Base, at: Residual) -> Reduced:
     """The nuisance parameters' part of the normal equations."""
     count = len(base.columns.parameters)
-    matrix = base.gram + base.record.strictness * np.eye(count)
-    gradient = base.columns.products(at.quiet.ravel()) - base.record.strictness * at.nuisance
+    matrix = base.gram + base.record.sample_ratio * np.eye(count)
+    gradient = base.columns.products(at.quiet.ravel()) - base.record.sample_ratio * at.nuisance
     found = []
     for j, contact in enumerate(at.contacts):
         solver, rows = contact.solver(), by_nuisance(base, at, j)
@@ -263,7 +263,7 @@ def fit(
         slow = slow + 1 if fell < settled else 0
         if slow and (share == 1 or slow == 2):
             break
-    covariance = base.record.strictness * np.linalg.pinv(normal.matrix)[count:, count:] * np.outer(inside, inside)
+    covariance = base.record.sample_ratio * np.linalg.pinv(normal.matrix)[count:, count:] * np.outer(inside, inside)
     return Fit(values, covariance, at)
 
 

@@ -11,7 +11,7 @@ from msgspec.structs import replace as changed
 from scipy.sparse import block_diag, csc_matrix, csr_matrix, vstack
 from scipy.sparse.linalg import SuperLU, splu
 
-from identify.contacts.joint import Observed, regressed
+from identify.contacts.joint import ContactRecord, regressed
 from identify.gaps.residual.linear import Linear
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.spectra import Record
@@ -34,7 +34,7 @@ EDGE = 8
 
 
 @dataclass(frozen=True)
-class Seen:
+class ContactObservation:
     """What a record says of one contact, whatever its law: how exactly its force is known, and its slow drift.
 
     trusted are the standard deviations of clearance and stiffness (relative) and of damping over stiffness (s).
@@ -43,16 +43,16 @@ class Seen:
     weights: Float[np.ndarray, " times"]
     closed: Float[np.ndarray, " times"]
     curve: Spline
-    strictness: float
+    sample_ratio: float
     trusted: tuple[float, float, float]
 
     @property
     def firm(self) -> float:
         """The weight of a tolerance's standard deviation."""
-        return float(self.strictness**0.5)
+        return float(self.sample_ratio**0.5)
 
 
-def seen_contacts(record: Record, model: Linear, levels: Sequence[float]) -> tuple[Seen, ...]:
+def seen_contacts(record: Record, model: Linear, levels: Sequence[float]) -> tuple[ContactObservation, ...]:
     """What the record says of its contacts, by the linear model of the rig that is believed.
 
     levels are the variances of the contact residuals, in units of what noise and unmodelled share make of them.
@@ -84,7 +84,9 @@ def seen_contacts(record: Record, model: Linear, levels: Sequence[float]) -> tup
             at = np.arange(record.taken.start, record.taken.stop) * record.factor
             slow = replace(drift, acceleration_m_per_s2=drift.acceleration_m_per_s2[at])
         found.append(
-            Seen(weights, closed.astype(float), spline(force.size, record.rate_hz, slow), record.strictness, trusted)
+            ContactObservation(
+                weights, closed.astype(float), spline(force.size, record.rate_hz, slow), record.sample_ratio, trusted
+            )
         )
     return tuple(found)
 
@@ -99,7 +101,7 @@ def _ringing(record: Record, force_n: Float[np.ndarray, " times"]) -> Float[np.n
 
 
 @dataclass(frozen=True)
-class Laid:
+class ContactSignals:
     """Force (N) and fine relative displacement and velocity of one contact, as a linear model has them."""
 
     force_n: Float[np.ndarray, " times"]
@@ -110,19 +112,21 @@ class Laid:
     spring_n_per_m: float
 
 
-def laid_out(record: Record, model: Linear) -> tuple[Laid, ...]:
+def laid_out(record: Record, model: Linear) -> tuple[ContactSignals, ...]:
     """What every contact's law is to be laid against."""
     finer = record.factor * record.finer
     eta, rate = record.finely(model.eta_m), record.finely(model.eta_m, 1)
     time_s = record.taken.start / record.rate_hz + np.arange(eta.shape[1]) / (record.rate_hz * finer)
     forces = record.in_time(model.contact_n) + model.holding_n[:, None]
     return tuple(
-        Laid(f, e, r, time_s, finer, s)
+        ContactSignals(f, e, r, time_s, finer, s)
         for f, e, r, s in zip(forces, eta, rate, np.diag(model.slow_n_per_m), strict=True)
     )
 
 
-def start_of(laid: Laid, seen: Seen, law: DeadZone, rate_hz: float) -> Float[np.ndarray, " unknowns"]:
+def start_of(
+    laid: ContactSignals, seen: ContactObservation, law: DeadZone, rate_hz: float
+) -> Float[np.ndarray, " unknowns"]:
     """The drift by the samples at which the contact is clearly closed; zero where they do not tell it.
 
     Clearance and stiffness are regressed along with it; the law gives its other terms.
@@ -131,7 +135,7 @@ def start_of(laid: Laid, seen: Seen, law: DeadZone, rate_hz: float) -> Float[np.
     eta, rate, time_s = (x[:: laid.finer] for x in (laid.eta_m, laid.rate_m_per_s, laid.time_s))
     force = laid.force_n - law.force_n(np.zeros_like(eta), rate)  # what acts in the gap too
     shifted = (law.upper_clearance_m - law.lower_clearance_m) / 2 + np.sign(force) * law.wear_m_per_s * time_s
-    observed = Observed(
+    observed = ContactRecord(
         eta_m=eta - shifted,
         velocity_m_per_s=rate,
         sample_rate_hz=rate_hz,
@@ -159,7 +163,7 @@ def _depth_m(law: DeadZone, force_n: Float[np.ndarray, " times"]) -> Float[np.nd
 
 
 @dataclass(frozen=True)
-class Contact:
+class ContactResidual:
     """A contact's law laid against its separated force, with its drift and the law's own tolerances as unknowns.
 
     unknowns are the drift's knots (m), then clearance, stiffness and damping in their tolerances. within is the law
@@ -167,8 +171,8 @@ class Contact:
     the prior.
     """
 
-    seen: Seen
-    laid: Laid
+    seen: ContactObservation
+    laid: ContactSignals
     law: DeadZone
     within: DeadZone
     unknowns: Float[np.ndarray, " unknowns"]
@@ -228,13 +232,13 @@ class Contact:
 
 
 def contact_residual(
-    laid: Laid,
-    seen: Seen,
+    laid: ContactSignals,
+    seen: ContactObservation,
     law: DeadZone,
     unknowns: Float[np.ndarray, " unknowns"],
     more_n: float | Float[np.ndarray, " times"] = 0.0,
     more_m: float | Float[np.ndarray, " times"] = 0.0,
-) -> Contact:
+) -> ContactResidual:
     """The residual at some drift and tolerances; more_n and more_m come on top of force and relative displacement.
 
     The law is evaluated finely and low-passed to the band of the force, so that its kinks do not alias.
@@ -256,7 +260,7 @@ def contact_residual(
     force = within.force_n(eta, rate, time_s) + unknowns[-1] * damped
     residual = laid.force_n + more_n - decimated(force, laid.finer) - laid.spring_n_per_m * slow
     held = -seen.firm * (unknowns[curve.knots :] + WALL * _beyond(unknowns))
-    return Contact(
+    return ContactResidual(
         seen=seen,
         laid=laid,
         law=law,

@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int
 
-from identify.gaps.residual.law import Contact, Seen
+from identify.gaps.residual.law import ContactObservation, ContactResidual
 from identify.gaps.residual.lines import cost_of_lines
 from identify.gaps.residual.residual import Base, Residual
 from identify.gaps.residual.scales import band_of_lines, by_band, posterior_level, second_levels
@@ -38,14 +38,14 @@ class Reference:
     noise: Float[np.ndarray, "bands sensors"]
     power: Float[np.ndarray, "bands sensors"]
     lines: Float[np.ndarray, " bands"]
-    seen: tuple[Seen, ...]
+    seen: tuple[ContactObservation, ...]
 
 
 def reference_of(base: Base) -> Reference:
     """From a base at the scales that the tolerances state."""
     record = base.record
     bands = second_levels(record, np.zeros((len(record.sensors), record.taken.stop - record.taken.start))).shape[1]
-    usual, noise, power = (by_band(record, x, bands) for x in (base.model.spread**2, record.noise, record.power))
+    usual, noise, power = (by_band(record, x, bands) for x in (base.model.deviation**2, record.noise, record.power))
     lines = np.bincount(band_of_lines(record, bands), minlength=bands).astype(float)
     return Reference(usual, noise, power, lines, base.seen)
 
@@ -151,23 +151,23 @@ def misfit(record: Record, reference: Reference, at: Residual) -> Misfit:
     contacts = [_of_contact(seen, contact, seconds) for contact, seen in zip(at.contacts, reference.seen, strict=True)]
     rows = np.array(contacts).reshape(len(contacts), 3, seconds)
     drift = sum(float(np.sum(c.residual[c.seen.weights.size : -3] ** 2)) for c in at.contacts)
-    lines = at.model.spread.shape[1]
+    lines = at.model.deviation.shape[1]
     inputs = float(np.sum(at.linear[len(record.sensors) :] ** 2))
     return Misfit(
         reference=reference,
-        left=levels * by_band(record, at.model.spread**2, bands),
+        left=levels * by_band(record, at.model.deviation**2, bands),
         contact_left=rows[:, 0].T,
         contact_n2=rows[:, 1].T,
         force_n2=rows[:, 2].T,
         pulls=at.pulls,
-        drift=drift / record.strictness,
-        freedom=(inputs + at.model.log_determinant * at.linear.shape[1] / lines) / record.strictness,
+        drift=drift / record.sample_ratio,
+        freedom=(inputs + at.model.log_determinant * at.linear.shape[1] / lines) / record.sample_ratio,
         sharp=cost_of_lines(at.linear[: len(record.sensors)], len(record.sensors) - len(at.contacts)),
-        samples=at.linear.shape[1] / record.strictness,
+        samples=at.linear.shape[1] / record.sample_ratio,
     )
 
 
-def _of_contact(seen: Seen, contact: Contact, seconds: int) -> list[list[float]]:
+def _of_contact(seen: ContactObservation, contact: ContactResidual, seconds: int) -> list[list[float]]:
     """Second by second: the level of its residual, its mean square beyond noise, and that of the force (N^2)."""
     weights = contact.seen.weights
     moving = weights > 0

@@ -35,14 +35,14 @@ class Projection:
 
     by_input: Complex[np.ndarray, "inputs sensors lines"]
     to_inputs: Complex[np.ndarray, "inputs sensors lines"]
-    spread: Float[np.ndarray, "sensors lines"]
+    deviation: Float[np.ndarray, "sensors lines"]
     contacts: int
 
     def of(
         self, change: Complex[np.ndarray, "some lines"], sensors: list[int] | slice = slice(None)
     ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
         """The residual and the contact forces that something makes which some sensors deliver beside what is known."""
-        weighted = (change / self.spread[sensors]).astype(self.by_input.dtype, copy=False)
+        weighted = (change / self.deviation[sensors]).astype(self.by_input.dtype, copy=False)
         inputs = np.einsum("isl,sl->il", self.to_inputs[:, sensors], weighted)
         left = _left(self.by_input, inputs, weighted, sensors)
         return np.concatenate([left, inputs[self.contacts :]]), inputs[: self.contacts]
@@ -56,18 +56,18 @@ class Projection:
 class Linear:
     """A rig's linear model laid against a record.
 
-    chain is what each sensor makes of an acceleration. by_input are the accelerations, in standard deviations, that
-    each unknown input makes: the contact forces, then a base that shakes, then the noise of the measured force.
-    residual is in standard deviations; where the base shakes, a last row holds its acceleration in those of its own
-    spectrum, and log_determinant is what that freedom costs. by_force are the accelerations that the measured force
-    alone makes at the sensors, pushes all known forces with their places.
+    sensor_response is what each sensor makes of an acceleration. by_input are the accelerations, in standard
+    deviations, that each unknown input makes: the contact forces, then a base that shakes, then the noise of the
+    measured force. residual is in standard deviations; where the base shakes, a last row holds its acceleration in
+    those of its own spectrum, and log_determinant is what that freedom costs. by_force are the accelerations that the
+    measured force alone makes at the sensors, pushes all known forces with their places.
     """
 
     record: Record
     rig: Rig
     responses: tuple[Response, ...]
-    chain: Complex[np.ndarray, "sensors lines"]
-    spread: Float[np.ndarray, "sensors lines"]
+    sensor_response: Complex[np.ndarray, "sensors lines"]
+    deviation: Float[np.ndarray, "sensors lines"]
     by_input: Complex[np.ndarray, "inputs sensors lines"]
     residual: Complex[np.ndarray, "rows lines"]
     contact_n: Complex[np.ndarray, "contacts lines"]
@@ -90,7 +90,7 @@ class Linear:
         """Of what the sensors deliver."""
         contacts = len(self.rig.contacts)
         to_inputs = _least_squares(self.by_input, self.by_input.conj(), contacts)[0]
-        return Projection(self.by_input, to_inputs, self.spread, contacts)
+        return Projection(self.by_input, to_inputs, self.deviation, contacts)
 
     @property
     def modal(self) -> tuple[Complex[np.ndarray, "modes lines"], ...]:
@@ -103,7 +103,7 @@ class Linear:
     def eta_m(self) -> Complex[np.ndarray, "contacts lines"]:
         """The relative displacements, without the slow part that integration loses."""
         record, places = self.record, places_of(self.record, self.rig)
-        displacements = record.displaced / self.chain
+        displacements = record.displaced / self.sensor_response
         eta = self.unseen_m(self.pushes, self.contact_n)
         for response in self.responses:
             eta += times(_across_weights(self.rig, response, places), displacements)
@@ -158,10 +158,10 @@ def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray
     model_error is the share of each acceleration that no model of this kind explains. The noise of the measured force
     is a further unknown input, with a prior of its own size.
     """
-    chain = chain_of(record, rig)
+    sensor_response = sensor_response_of(record, rig)
     responses = tuple(_response(record, rig, body) for body in rig.bodies)
     places = places_of(record, rig)
-    pushes = _pushes(record, rig, responses, places, chain)
+    pushes = _pushes(record, rig, responses, places, sensor_response)
     contacts = len(rig.contacts)
     made = _accelerations(rig, responses, places, [at for at, _ in pushes], record.omega.size)
     by_contacts, per_newton = made[len(pushes) :], made[0]
@@ -169,16 +169,16 @@ def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray
     known = by_force
     for by_push, (_, force_n) in zip(made[1 : len(pushes)], pushes[1:], strict=True):
         known = known + by_push * force_n
-    spread = np.sqrt(record.noise + model_error**2 * record.power)
-    spread = np.maximum(spread, 1e-9 * spread.max())
-    sensed = chain / spread
+    deviation = np.sqrt(record.noise + model_error**2 * record.power)
+    deviation = np.maximum(deviation, 1e-9 * deviation.max())
+    sensed = sensor_response / deviation
     unknown = [-by_contacts]
     if rig.base_motion is not None:
         unknown.append(_base(record, rig, responses, places)[None])
     if record.force_noise:
         unknown.append((np.sqrt(record.force_noise) / rig.force_sensor.gain * per_newton)[None])
     by_input = np.concatenate(unknown) * sensed
-    weighted = record.delivered / spread - known * sensed
+    weighted = record.delivered / deviation - known * sensed
     adjoint = np.einsum("isl,sl->il", by_input.conj(), weighted)
     inputs, log_determinant = _least_squares(by_input, adjoint[:, None], contacts)
     left = _left(by_input, inputs[:, 0], weighted)
@@ -186,8 +186,8 @@ def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray
         record=record,
         rig=rig,
         responses=responses,
-        chain=chain,
-        spread=spread,
+        sensor_response=sensor_response,
+        deviation=deviation,
         by_input=by_input,
         residual=np.concatenate([left, inputs[contacts:, 0]]),
         contact_n=inputs[:contacts, 0],
@@ -197,7 +197,7 @@ def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray
     )
 
 
-def chain_of(record: Record, rig: Rig) -> Complex[np.ndarray, "sensors lines"]:
+def sensor_response_of(record: Record, rig: Rig) -> Complex[np.ndarray, "sensors lines"]:
     """What each sensor makes of an acceleration: its gain and delay."""
     named, omega = {s.name: s for s in rig.sensors}, record.omega
     found = np.empty((len(record.sensors), omega.size), dtype=complex)
@@ -231,20 +231,20 @@ def _pushes(
     rig: Rig,
     responses: tuple[Response, ...],
     places: list[Station | None],
-    chain: Complex[np.ndarray, "sensors lines"],
+    sensor_response: Complex[np.ndarray, "sensors lines"],
 ) -> tuple[tuple[Station, Complex[np.ndarray, " lines"]], ...]:
     """The known forces: the measured one, tones, and springs and dampers to the ground by the measured motion."""
     lagged = record.force * np.exp(-1j * record.omega * rig.force_sensor.lag_s) / rig.force_sensor.gain
     tones = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in rig.tones]
     held = []
     if pushed_by_motion(rig):
-        held = ground_forces(record, rig, responses, places, record.displaced / chain)
+        held = ground_forces(record, rig, responses, places, record.displaced / sensor_response)
     return ((rig.force_at, lagged), *tones, *held)
 
 
 def _response(record: Record, rig: Rig, body: Body) -> Response:
     """With accelerometers alone, springs under a mass or a floating body act on its high-passed displacement only."""
-    modes, count = modes_of(rig, body), body.most_modes
+    modes, count = modes_of(rig, body), body.max_modes
     natural_hz, zeta = modes.frequencies_hz(count), modes.damping_ratios(count)
     loose = 1 if body.is_mass else body.rigid_modes
     high_passed = 0 if record.zero_known else loose
@@ -285,7 +285,9 @@ def bent(
 ) -> Complex[np.ndarray, "sensors lines"]:
     """What the sensors give beside, as springs and dampers to the ground are displaced less than the sensors say."""
     places: list[Station | None] = [s.station for s in record.sensors]
-    less = ground_force_changes(record, model.rig, model.responses, places, record.displaced / model.chain, displaced)
+    less = ground_force_changes(
+        record, model.rig, model.responses, places, record.displaced / model.sensor_response, displaced
+    )
     return -delivered_by(model, places, less)
 
 
@@ -293,10 +295,10 @@ def delivered_by(
     model: Linear, places: list[Station | None], forces: Sequence[tuple[Station, Complex[np.ndarray, " lines"]]]
 ) -> Complex[np.ndarray, "sensors lines"]:
     """What sensors at some places deliver of forces at others."""
-    found = np.zeros(model.chain.shape, dtype=complex)
+    found = np.zeros(model.sensor_response.shape, dtype=complex)
     for station, force_n in forces:
         for r in model.responses:
-            found += model.chain * (r.transfer(r.shapes(places), r.shapes([station]))[0] * force_n)
+            found += model.sensor_response * (r.transfer(r.shapes(places), r.shapes([station]))[0] * force_n)
     return found
 
 

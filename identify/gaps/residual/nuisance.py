@@ -103,15 +103,15 @@ def _projected(
     """With what the springs do whose displacement is not the measured one."""
     if change.displaced is None or not pushed_by_motion(model.rig):
         return projection.of(change.delivered, change.sensors)
-    displaced, delivered = np.zeros_like(model.chain), np.zeros_like(model.chain)
+    displaced, delivered = np.zeros_like(model.sensor_response), np.zeros_like(model.sensor_response)
     displaced[change.sensors], delivered[change.sensors] = change.displaced, change.delivered
     return projection.of(delivered + bent(record, model, displaced))
 
 
 def _of_sensors(record: Record, model: Linear) -> Iterator[_Change]:
     """Gain g, delay tau and the corner w of a first-order high-pass i omega / (i omega + w) of each sensor."""
-    explained = record.delivered - model.residual[: len(record.sensors)] * model.spread
-    displaced = record.displaced / model.chain
+    explained = record.delivered - model.residual[: len(record.sensors)] * model.deviation
+    displaced = record.displaced / model.sensor_response
     turning = 1j * record.omega
     for i, sensor in enumerate(record.sensors):
         own = record.tolerances.of_sensor(sensor.name)
@@ -129,13 +129,13 @@ def _of_sensors(record: Record, model: Linear) -> Iterator[_Change]:
 def _of_force(record: Record, model: Linear) -> Iterator[_Change]:
     """The measured force is gain times the true one."""
     if record.tolerances.force_gain:
-        change = -record.tolerances.force_gain * model.chain * model.by_force
+        change = -record.tolerances.force_gain * model.sensor_response * model.by_force
         yield _Change(Nuisance("force gain", THE_FORCE), list(range(len(change))), change)
 
 
 def _measured(record: Record, model: Linear) -> list[Complex[np.ndarray, "modes lines"]]:
     """The modal accelerations of each body: as modelled, plus what the sensors show beyond that."""
-    beyond = model.residual[: len(record.sensors)] * model.spread / model.chain
+    beyond = model.residual[: len(record.sensors)] * model.deviation / model.sensor_response
     found = []
     for response, motion in zip(model.responses, model.modal, strict=True):
         rows = [i for i, s in enumerate(record.sensors) if s.station.body == response.body.name]
@@ -164,7 +164,7 @@ def _of_positions(
         if tolerance:
             change = tolerance * slope[None]
             moved = record.twice_integrated * change
-            yield _Change(Nuisance("position", record.sensors[i].name), [i], model.chain[i] * change, moved)
+            yield _Change(Nuisance("position", record.sensors[i].name), [i], model.sensor_response[i] * change, moved)
 
 
 def _of_modes(
@@ -173,9 +173,9 @@ def _of_modes(
     """The mass of a body; its frequencies and its damping together, and of each mode by itself."""
     body, omega, believed = response.body, record.omega, record.tolerances
     rows = [i for i, s in enumerate(record.sensors) if s.station.body == body.name]
-    shapes, chain = response.shapes([record.sensors[i].station for i in rows]), model.chain[rows]
+    shapes, sensor_response = response.shapes([record.sensors[i].station for i in rows]), model.sensor_response[rows]
     if believed.mass:
-        yield _Change(Nuisance("mass", body.name), rows, -believed.mass * chain * times(shapes, motion))
+        yield _Change(Nuisance("mass", body.name), rows, -believed.mass * sensor_response * times(shapes, motion))
     natural_hz, zeta = response.modes.frequencies_hz(response.count), response.modes.damping_ratios(response.count)
     flexible = receptance(natural_hz, zeta, omega / (2 * np.pi)) * motion
     natural = 2 * np.pi * natural_hz[:, None]
@@ -190,10 +190,10 @@ def _of_modes(
     elastic = np.flatnonzero(flexing & near)
     for kind, change in per_unit.items():
         if common := float(getattr(believed, kind)):
-            yield _Change(Nuisance(kind, body.name), rows, common * chain * times(shapes, change))
+            yield _Change(Nuisance(kind, body.name), rows, common * sensor_response * times(shapes, change))
         for m in elastic if not body.is_mass else []:
             if own := float(getattr(believed.of_mode(body.name, int(m) + 1), kind)):
-                moved = own * chain * (shapes[:, m, None] * change[m])
+                moved = own * sensor_response * (shapes[:, m, None] * change[m])
                 yield _Change(Nuisance(kind, body.name, int(m) + 1), rows, moved)
 
 
@@ -231,9 +231,9 @@ def with_nuisance(
         return float(max(0.1, 1 + tolerance * fitted.get(Nuisance(kind, of), 0.0)))
 
     def body(one: Body) -> Body:
-        heavier = one.weighed(factor("mass", one.name, tolerances.mass))
-        tuned = heavier.tuned(factor("frequency", one.name, tolerances.frequency))
-        return tuned.damped(factor("damping", one.name, tolerances.damping))
+        heavier = one.scale_mass(factor("mass", one.name, tolerances.mass))
+        tuned = heavier.scale_frequencies(factor("frequency", one.name, tolerances.frequency))
+        return tuned.scale_damping(factor("damping", one.name, tolerances.damping))
 
     def sensor(one: Sensor) -> Sensor:
         own = tolerances.of_sensor(one.name)

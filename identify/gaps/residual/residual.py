@@ -1,6 +1,6 @@
 """The one residual of the diagnosis: a rig's model against a record, with the nuisance parameters free.
 
-cost = |linear residual|^2 + sum over contacts |contact residual|^2 + strictness |nuisance|^2 + log determinant
+cost = |linear residual|^2 + sum over contacts |contact residual|^2 + sample_ratio |nuisance|^2 + log determinant
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,15 @@ from jaxtyping import Float
 from msgspec.structs import replace
 
 from identify.gaps.residual.grounded import pushed_by_motion
-from identify.gaps.residual.law import Contact, Laid, Seen, contact_residual, laid_out, seen_contacts, start_of
+from identify.gaps.residual.law import (
+    ContactObservation,
+    ContactResidual,
+    ContactSignals,
+    contact_residual,
+    laid_out,
+    seen_contacts,
+    start_of,
+)
 from identify.gaps.residual.linear import Linear, linear_model
 from identify.gaps.residual.lines import standing_out, without_lines
 from identify.gaps.residual.nuisance import Columns, Nuisance, apply_nuisance, columns_of, counted, with_nuisance
@@ -31,7 +39,7 @@ class Base:
     rig: Rig
     scales: Scales
     model: Linear
-    seen: tuple[Seen, ...]
+    seen: tuple[ContactObservation, ...]
     put: Float[np.ndarray, " nuisances"] | None
 
     @cached_property
@@ -66,14 +74,14 @@ class Residual:
 
     rig: Rig
     model: Linear
-    laid: tuple[Laid, ...]
+    laid: tuple[ContactSignals, ...]
     bare: Float[np.ndarray, "rows times"]
     linear: Float[np.ndarray, "rows times"]
     quiet: Float[np.ndarray, "rows times"]
-    contacts: tuple[Contact, ...]
+    contacts: tuple[ContactResidual, ...]
     nuisance: Float[np.ndarray, " nuisances"]
     parameters: tuple[Nuisance, ...]
-    strictness: float
+    sample_ratio: float
 
     @property
     def rows(self) -> int:
@@ -86,7 +94,7 @@ class Residual:
         return np.concatenate([self.nuisance, *(c.unknowns[-3:] for c in self.contacts)])
 
     @property
-    def fitted_rig(self) -> Rig:
+    def corrected_rig(self) -> Rig:
         """The rig with what was fitted beside it: nuisance parameters and the contacts' tolerances."""
         found = with_nuisance(self.rig, self.parameters, self.nuisance, self.model.record.tolerances)
         laws = [c.fitted for c in self.contacts]
@@ -105,9 +113,9 @@ class Residual:
     @property
     def cost(self) -> float:
         return (
-            float(np.sum(self.quiet**2) + self.strictness * self.nuisance @ self.nuisance)
+            float(np.sum(self.quiet**2) + self.sample_ratio * self.nuisance @ self.nuisance)
             + sum(c.cost for c in self.contacts)
-            + self.model.log_determinant * self.linear.shape[1] / self.model.spread.shape[1]
+            + self.model.log_determinant * self.linear.shape[1] / self.model.deviation.shape[1]
         )
 
 
@@ -116,7 +124,7 @@ def base_of(
     rig: Rig,
     about: Residual | None = None,
     scales: Scales | None = None,
-    seen: tuple[Seen, ...] | None = None,
+    seen: tuple[ContactObservation, ...] | None = None,
 ) -> Base:
     """The linearisation about a rig, with the nuisance parameters of a residual of the record in it, if one is given.
 
@@ -185,7 +193,7 @@ def residual_of(
     slow_m = [s.curve.value @ u[: s.curve.knots] for s, u in zip(base.seen, unknowns, strict=True)]
     others = model.slow_n_per_m - np.diag(np.diag(model.slow_n_per_m))
 
-    def contact(j: int) -> Contact:
+    def contact(j: int) -> ContactResidual:
         law, told_by = rig.contacts[j].law, {j, *np.flatnonzero(others[j])}
         if same and same.contacts[j].law == law and all(same.contacts[i].unknowns is unknowns[i] for i in told_by):
             return same.contacts[j]
@@ -194,7 +202,7 @@ def residual_of(
         return contact_residual(laid[j], base.seen[j], law, unknowns[j], more_n, more_m)
 
     contacts = tuple(contact(j) for j in range(len(rig.contacts)))
-    return Residual(rig, model, laid, bare, linear, quiet, contacts, nuisance, parameters, record.strictness)
+    return Residual(rig, model, laid, bare, linear, quiet, contacts, nuisance, parameters, record.sample_ratio)
 
 
 def same_but_sensors(one: Rig, other: Rig) -> bool:

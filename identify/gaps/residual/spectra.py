@@ -116,7 +116,7 @@ class Record:
         return integrated(self.omega, -2, CORNER_HZ)
 
     @property
-    def strictness(self) -> float:
+    def sample_ratio(self) -> float:
         """How much more the tolerances weigh than samples do, as model errors last: samples for each that counts."""
         return max(1.0, len(self.sensors) * self.rate_hz / COUNTED_HZ)
 

@@ -39,7 +39,7 @@ def fit_base_excitation(
     model = linear_model(record, changed(base.rig, base_motion=everywhere), base.scales.discrepancy)
     contacts = len(base.rig.contacts)
     pattern = model.by_input[contacts]
-    by_contacts = base.model.projection.of(pattern * base.model.spread)[1]
+    by_contacts = base.model.projection.of(pattern * base.model.deviation)[1]
     pattern = pattern - np.einsum("isl,il->sl", model.by_input[:contacts], by_contacts)
     y = _lines(base, at)
     size = np.sum(np.abs(pattern) ** 2, axis=0)

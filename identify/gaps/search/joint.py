@@ -106,7 +106,7 @@ def _singles(begun: Search, nothing: Tried) -> list[Tried]:
 
 def _worth(base: Base, screened: Sequence[Screened], most: int) -> list[Screened]:
     """The best of a screening, as far as they are worth a fit."""
-    return [one for one in screened[:most] if one.gain > WORTH * base.record.strictness]
+    return [one for one in screened[:most] if one.gain > WORTH * base.record.sample_ratio]
 
 
 def _by_score(base: Base, at: Residual, candidates: Sequence[Candidate], left: Tried, most: int) -> list[Screened]:

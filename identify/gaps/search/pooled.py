@@ -60,7 +60,7 @@ class Linearised:
             derivative(self.base, build(values + signs[i] * move), self.at) for i, move in enumerate(np.diag(steps))
         ]
         own = [tuple(part / sign for part in (c[0], *c[1])) for c, sign in zip(columns, signs, strict=True)]
-        count, weight = len(self.said.tolerances), self.base.record.strictness
+        count, weight = len(self.said.tolerances), self.base.record.sample_ratio
         size, nuisances = count + len(own), len(self.base.columns.parameters)
         matrix, gradient = np.zeros((size, size)), np.zeros(size)
         if own:
@@ -83,7 +83,7 @@ class Linearised:
 def linearised(record: Record, reference: Reference, rig: Rig) -> Linearised:
     """The rig fitted to the record by its tolerances, at the scales that the record shows."""
     base, at = fit_nuisance(record, rig, rounds=1)
-    nuisances, weight = len(base.columns.parameters), record.strictness
+    nuisances, weight = len(base.columns.parameters), record.sample_ratio
     names = (*base.columns.parameters, *((c.name, k) for c in rig.contacts for k in range(3)))
     matrix, gradient = np.zeros((len(names), len(names))), np.zeros(len(names))
     matrix[:nuisances, :nuisances] = base.gram

@@ -23,7 +23,7 @@ KNOTS_S = 0.25
 
 
 @dataclass(frozen=True)
-class Course:
+class ForceHistory:
     """A located force in time: what laws of the motion at its place are regressed on.
 
     moved_m and rate_m_per_s are fine (`FINER`), along the whole transform; a pair's are relative. found_n is the free
@@ -123,7 +123,7 @@ def force_of(located: Located) -> Complex[np.ndarray, " alllines"]:
     return force
 
 
-def course_of(located: Located) -> Course:
+def course_of(located: Located) -> ForceHistory:
     """Of a force or a pair."""
     own, after = located.observed, located.after
     record, force = own.record, force_of(located)
@@ -138,7 +138,7 @@ def course_of(located: Located) -> Course:
     weights = own.count / (noise + LAW_ERROR**2 * spectrum * after.size**2)
     direction = located.response.conj() / np.maximum(after.size, 1e-300)[:, None]
     matrix, rest = normal(own, after.noise)
-    whole = Course(
+    whole = ForceHistory(
         located=located,
         moved_m=moved,
         rate_m_per_s=rate,
@@ -152,14 +152,14 @@ def course_of(located: Located) -> Course:
     return weighing(whole, weights)
 
 
-def softened(course: Course, law_error: float) -> Course:
+def softened(course: ForceHistory, law_error: float) -> ForceHistory:
     """With a law trusted to this share of the force only."""
     own, after = course.located.observed, course.located.after
     noise, spectrum = own.spread(after.noise), own.spread(after.spectrum)
     return weighing(course, own.count / (noise + law_error**2 * spectrum * after.size**2))
 
 
-def weighing(course: Course, weights: Float[np.ndarray, " lines"]) -> Course:
+def weighing(course: ForceHistory, weights: Float[np.ndarray, " lines"]) -> ForceHistory:
     """With other weights of the lines in the direction of the force."""
     less = course.weights - weights
     halves = _halves(course.nuisances)

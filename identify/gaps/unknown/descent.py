@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from identify.gaps.unknown.course import KNOTS_S, Course, softened
+from identify.gaps.unknown.course import KNOTS_S, ForceHistory, softened
 from identify.gaps.unknown.forms import Fine, Form
-from identify.gaps.unknown.law import Law, fitted, solved, tone_of
+from identify.gaps.unknown.law import ForceLaw, fitted, solved, tone_of
 from identify.signals.kinematics import CORNER_HZ
 
 STEPS, SETTLED = 8, 1e-4
@@ -16,7 +16,7 @@ TRUSTED = (1.0, 0.3, 0.1)
 """A law is first trusted to this share of the force: far from its numbers, details mislead."""
 
 
-def kept(course: Course, law: Law) -> float:
+def kept(course: ForceHistory, law: ForceLaw) -> float:
     """The share of the free force's gain on another record that a law keeps there, numbers as they are.
 
     A tone's phase is free, and so is the slow motion.
@@ -32,7 +32,7 @@ def kept(course: Course, law: Law) -> float:
     return course.gain(course.spectra(force)) / max(course.free_gain, 1e-300)
 
 
-def begun_at(course: Course, form: Form, only: float | None = None) -> "tuple[Descent, State]":
+def begun_at(course: ForceHistory, form: Form, only: float | None = None) -> "tuple[Descent, State]":
     """The first numbers, by a law of which little is trusted: from the best of a grid, without slow motion."""
     soft = softened(course, TRUSTED[0])
     largest = float(np.abs(course.moved_m * (course.finely(course.counted) > 0)).max())
@@ -49,7 +49,7 @@ def begun_at(course: Course, form: Form, only: float | None = None) -> "tuple[De
     return at, at.descended(state)
 
 
-def ended(course: Course, at: "Descent", state: "State") -> "State":
+def ended(course: ForceHistory, at: "Descent", state: "State") -> "State":
     """From the first numbers on, the law trusted more and more."""
     for law_error in TRUSTED[2:]:
         state = replace(at, course=softened(course, law_error)).descended(state)
@@ -61,14 +61,14 @@ class State:
     coefficients: Float[np.ndarray, " coefficients"]
     parameter: float
     knots: Float[np.ndarray, " knots"]
-    law: Law
+    law: ForceLaw
 
 
 @dataclass(frozen=True)
 class Descent:
     """Gauss-Newton of one form against one weighting of a course."""
 
-    course: Course
+    course: ForceHistory
     form: Form
     step: float
     within: tuple[float, float]
@@ -78,7 +78,7 @@ class Descent:
     def start(self, parameter: float) -> State:
         coefficients, gain, errors = solved(self.course, self.form, parameter)
         knots = np.zeros(len(self.prior))
-        law = Law(
+        law = ForceLaw(
             self.form,
             tuple((-coefficients).tolist()),
             tuple(errors.tolist()),
@@ -139,7 +139,7 @@ class Descent:
                 break
         errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         inside = course.counted > 0
-        law = Law(
+        law = ForceLaw(
             form,
             tuple((-coefficients).tolist()),
             tuple(errors[:kinds].tolist()),
@@ -158,7 +158,7 @@ class Descent:
         return np.asarray(scaled @ (rest / size) / size)
 
 
-def _at(course: Course, form: Form, largest_m: float, within: tuple[float, float]) -> Descent:
+def _at(course: ForceHistory, form: Form, largest_m: float, within: tuple[float, float]) -> Descent:
     """The slow motion lies below the corner of integration and is no larger than what is left of the motion."""
     knots = course.slow.shape[1]
     bend = np.diff(np.eye(knots), 2, axis=0) / (2 * np.pi * CORNER_HZ * KNOTS_S) ** 2

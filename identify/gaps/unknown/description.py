@@ -4,23 +4,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from identify.gaps.unknown.course import Course, softened
+from identify.gaps.unknown.course import ForceHistory, softened
 from identify.gaps.unknown.descent import begun_at, ended
 from identify.gaps.unknown.forms import FORMS
-from identify.gaps.unknown.law import Law, fitted, solved, tone_of
+from identify.gaps.unknown.law import ForceLaw, fitted, solved, tone_of
 
 AS_GOOD = 0.02
 """A law keeps enough if no other keeps more of the free force's gain by more than this."""
 FINISHED = 2
 
 
-def laws(course: Course) -> tuple[Law, ...]:
+def laws(course: ForceHistory) -> tuple[ForceLaw, ...]:
     """Every law with its best numbers, those that keep most first.
 
     Those that need the slow motion are tried if no other serves; the best of them only to the end.
     """
     quick = [_toned(course), *(fitted(course, form) for form in FORMS if not form.slow)]
-    slow: list[Law] = []
+    slow: list[ForceLaw] = []
     if max(law.share for law in quick) < 1 - AS_GOOD:
         begun = sorted((begun_at(course, form) for form in FORMS if form.slow), key=lambda one: -one[1].law.share)
         finished = [ended(course, *one).law for one in begun[:FINISHED]]
@@ -30,14 +30,14 @@ def laws(course: Course) -> tuple[Law, ...]:
     return tuple(sorted(quick + slow, key=lambda law: -law.share))
 
 
-def shortest(found: tuple[Law, ...], least: float) -> Law | None:
+def shortest(found: tuple[ForceLaw, ...], least: float) -> ForceLaw | None:
     """The shortest law that keeps about as much as the best, if that is at least this share of the free force's."""
     enough = [law for law in found if law.share >= found[0].share - AS_GOOD]
     best = min(enough, key=lambda law: (law.form.length, -law.share))
     return best if best.share >= least else None
 
 
-def _toned(course: Course) -> Law:
+def _toned(course: ForceHistory) -> ForceLaw:
     """At the line where the free force is strongest, and a little beside; a tone is a tone to the last line."""
     course = softened(course, 0.0)
     form = tone_of(course)

@@ -9,13 +9,13 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from identify.gaps.residual.spectra import Record
-from identify.gaps.results import Surface, Value
-from identify.gaps.unknown.course import FINER, Course, course_of, explained_share, force_of
+from identify.gaps.results import ResidualMap, Value
+from identify.gaps.unknown.course import FINER, ForceHistory, course_of, explained_share, force_of
 from identify.gaps.unknown.descent import kept
 from identify.gaps.unknown.description import laws, shortest
 from identify.gaps.unknown.evidence import explained
 from identify.gaps.unknown.forms import Against
-from identify.gaps.unknown.law import Law
+from identify.gaps.unknown.law import ForceLaw
 from identify.gaps.unknown.location import Kind, Located, located, response_of
 from identify.gaps.unknown.nuisance import drift_accelerations, observed
 from identify.gaps.unknown.observed import BAND_HZ, Observed
@@ -79,7 +79,7 @@ class UnknownForce(msgspec.Struct, frozen=True, kw_only=True):
     law_parameters: dict[str, Value]
     law_share: float
     validation_law_share: float
-    surface: Surface | None
+    surface: ResidualMap | None
     spectrum_hz: tuple[float, ...]
     spectrum: tuple[float, ...]
     """One-sided, by bands of 2 Hz: N^2/Hz, of a sensor (m/s^2)^2/Hz."""
@@ -107,7 +107,7 @@ class Sought:
     def delivered(self) -> Complex[np.ndarray, "sensors alllines"]:
         """What the sensors of the validation record deliver of it, at its likeliest course."""
         own, candidate = self.held.observed, self.held.candidate
-        found = np.zeros(own.model.chain.shape, dtype=complex)
+        found = np.zeros(own.model.sensor_response.shape, dtype=complex)
         if candidate.kind == "distributed":
             for body, growth in zip(candidate.bodies, self.held.growth, strict=True):
                 found += growth * drift_accelerations(own, body)
@@ -116,7 +116,7 @@ class Sought:
         else:
             for station, sign in zip(candidate.stations, (1.0, -1.0), strict=False):
                 found += sign * own.accelerance(station) * force_of(self.held)
-        return own.model.chain * found
+        return own.model.sensor_response * found
 
     def described(self) -> UnknownForce:
         """With its law, and when it acts."""
@@ -171,8 +171,8 @@ def _told(
     there: Located,
     again: Located,
     held: Located,
-    course: Course | None,
-    law: Law | None,
+    course: ForceHistory | None,
+    law: ForceLaw | None,
     law_share: float,
     shown: float,
 ) -> UnknownForce:
@@ -224,7 +224,7 @@ def _told(
     )
 
 
-def _parameters(law: Law) -> dict[str, Value]:
+def _parameters(law: ForceLaw) -> dict[str, Value]:
     names = ("amplitude of cosine", "amplitude of sine") if law.form.name == "tone" else ("coefficient", "cubic")
     found = {
         name: Value(value, error, unit)
@@ -248,7 +248,7 @@ def _band(own: Observed, power: Float[np.ndarray, " bands"]) -> tuple[float, flo
     return float(low / (2 * np.pi)), float(high / (2 * np.pi))
 
 
-def _times(course: Course) -> tuple[float, tuple[float, ...]]:
+def _times(course: ForceHistory) -> tuple[float, tuple[float, ...]]:
     """The share of the force's mean square while a contact is closed, zero if one nearly always is; its rms in equal
     parts of the time."""
     own = course.located.observed
@@ -264,7 +264,7 @@ def _times(course: Course) -> tuple[float, tuple[float, ...]]:
     return share if np.mean(closed) < MOSTLY else 0.0, tuple(parts)
 
 
-def _before(course: Course) -> float:
+def _before(course: ForceHistory) -> float:
     record = course.located.observed.record
     found, excited = course.found_n[record.taken], record.time_s > record.excited_s
     if np.mean(~excited) * found.size < QUIET_S * record.rate_hz:
@@ -272,7 +272,7 @@ def _before(course: Course) -> float:
     return float(np.sqrt(np.mean(found[~excited] ** 2) / max(float(np.mean(found[excited] ** 2)), 1e-300)))
 
 
-def _when(in_contact: float, by_time: tuple[float, ...], kind: Kind, law: Law | None) -> When:
+def _when(in_contact: float, by_time: tuple[float, ...], kind: Kind, law: ForceLaw | None) -> When:
     if kind == "distributed":
         return "growing with time"
     if law is None and in_contact > IN_BAND:
@@ -284,11 +284,11 @@ def _when(in_contact: float, by_time: tuple[float, ...], kind: Kind, law: Law | 
     return "always"
 
 
-def _surface(course: Course) -> Surface:
+def _surface(course: ForceHistory) -> ResidualMap:
     """The mean of the force against the motion, where it is known."""
     inside = course.counted == 1
     w, v = course.moved_m[::FINER][inside], course.rate_m_per_s[::FINER][inside]
     force, rows, columns = np.histogram2d(w, v, bins=CELLS, weights=-course.found_n[inside])
     count = np.histogram2d(w, v, bins=(rows, columns))[0]
     mean = force / np.maximum(count, 1)
-    return Surface(tuple(rows.tolist()), tuple(columns.tolist()), tuple(tuple(row) for row in mean.tolist()))
+    return ResidualMap(tuple(rows.tolist()), tuple(columns.tolist()), tuple(tuple(row) for row in mean.tolist()))

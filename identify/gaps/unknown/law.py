@@ -6,12 +6,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize_scalar
 
-from identify.gaps.unknown.course import Course
+from identify.gaps.unknown.course import ForceHistory
 from identify.gaps.unknown.forms import Fine, Form, formula
 
 
 @dataclass(frozen=True)
-class Law:
+class ForceLaw:
     """A form with its numbers: the force on the body is minus the coefficients times the shapes.
 
     share is how much of the free force's gain in -2 ln L it keeps. offset_m is the mean of the slow motion, spread_m
@@ -32,7 +32,7 @@ class Law:
         return formula(self.form, self.coefficients, self.parameter)
 
 
-def tone_of(course: Course) -> Form:
+def tone_of(course: ForceHistory) -> Form:
     def shapes(_: Fine, __: Fine, hz: float) -> list[Fine]:
         phase = 2 * np.pi * hz * course.fine_s
         return [np.cos(phase), np.sin(phase)]
@@ -40,7 +40,7 @@ def tone_of(course: Course) -> Form:
     return Form("tone", "time", "{0} cos(2 pi f t) + {1} sin(2 pi f t), f = {p}", ("N", "N"), shapes, "f", "Hz")
 
 
-def fitted(course: Course, form: Form, within: tuple[float, float] | None = None) -> Law:
+def fitted(course: ForceHistory, form: Form, within: tuple[float, float] | None = None) -> ForceLaw:
     """Coefficients by least squares, the parameter by bounded minimisation."""
     low, high = within or form.range_share
     parameter, error = 0.0, 0.0
@@ -54,7 +54,7 @@ def fitted(course: Course, form: Form, within: tuple[float, float] | None = None
         curved = (2 * beside[1] - beside[0] - beside[2]) / step**2
         error = float(np.sqrt(2 / curved)) if curved > 0 else float("inf")
     coefficients, gain, errors = solved(course, form, parameter)
-    return Law(
+    return ForceLaw(
         form,
         tuple((-coefficients).tolist()),
         tuple(errors.tolist()),
@@ -66,7 +66,7 @@ def fitted(course: Course, form: Form, within: tuple[float, float] | None = None
 
 
 def solved(
-    course: Course, form: Form, parameter: float
+    course: ForceHistory, form: Form, parameter: float
 ) -> tuple[Float[np.ndarray, " coefficients"], float, Float[np.ndarray, " coefficients"]]:
     """Coefficients of the force on the body, what they gain, and their standard errors."""
     shapes = np.stack(form.shapes(course.moved_m, course.rate_m_per_s, parameter))

@@ -21,7 +21,7 @@ FLAT_PRIOR = 1e4
 
 
 @dataclass(frozen=True)
-class Candidate:
+class ForcePlace:
     """What may act unmeasured: a force at `stations[0]`, less the same at `stations[1]` of a pair; or a sensor's signal
     of its own; or a modulus of the `bodies` that drifts.
     """
@@ -40,7 +40,7 @@ class Located:
     is the relative change of the modulus of each body over the record, with its standard errors.
     """
 
-    candidate: Candidate
+    candidate: ForcePlace
     gain: float
     error_m: float
     before: Explained
@@ -52,7 +52,7 @@ class Located:
     growth_errors: tuple[float, ...] = ()
 
 
-def response_of(own: Observed, candidate: Candidate) -> Complex[np.ndarray, "lines rows"]:
+def response_of(own: Observed, candidate: ForcePlace) -> Complex[np.ndarray, "lines rows"]:
     """What a candidate does to the residual per newton; a sensor's per m/s^2."""
     if candidate.kind == "sensor":
         row = [s.name for s in own.record.sensors].index(candidate.sensor)
@@ -66,7 +66,7 @@ def response_of(own: Observed, candidate: Candidate) -> Complex[np.ndarray, "lin
     return own.seen(found)
 
 
-def located(own: Observed, near: Candidate | None = None, within_m: float = 0.1) -> Located:
+def located(own: Observed, near: ForcePlace | None = None, within_m: float = 0.1) -> Located:
     """The best candidate of all; `near` looks at its kind only, no further than `within_m` from it."""
     before = without(own)
     places = [c for c in candidates(own.record.rig) if near is None or _beside(c, near, within_m)]
@@ -87,19 +87,19 @@ def located(own: Observed, near: Candidate | None = None, within_m: float = 0.1)
     return _refined(replace(first, of_kinds={one.candidate.kind: one.gain for one in best}))
 
 
-def candidates(rig: Rig) -> Iterator[Candidate]:
+def candidates(rig: Rig) -> Iterator[ForcePlace]:
     """Places at every 0.05 m, pairs of bodies side by side, sensors."""
     for body in rig.bodies:
         for place in _places(body.length_m):
-            yield Candidate("force", (Station(body.name, place),))
+            yield ForcePlace("force", (Station(body.name, place),))
     for one, other in combinations(rig.bodies, 2):
         shift = offset_m(rig, one.name, other.name)
         for place in _places(one.length_m):
             if 0 <= place + shift <= other.length_m:
-                yield Candidate("pair", (Station(one.name, place), Station(other.name, place + shift)))
+                yield ForcePlace("pair", (Station(one.name, place), Station(other.name, place + shift)))
     if len(rig.sensors) > 1:
         for sensor in rig.sensors:
-            yield Candidate("sensor", sensor=sensor.name)
+            yield ForcePlace("sensor", sensor=sensor.name)
 
 
 def offset_m(rig: Rig, one: str, other: str) -> float:
@@ -112,11 +112,11 @@ def offset_m(rig: Rig, one: str, other: str) -> float:
     return float(np.median(shifts)) if shifts else 0.0
 
 
-def moved(candidate: Candidate, by_m: float) -> Candidate:
+def moved(candidate: ForcePlace, by_m: float) -> ForcePlace:
     return replace(candidate, stations=tuple(Station(s.body, s.position_m + by_m) for s in candidate.stations))
 
 
-def reach_m(rig: Rig, candidate: Candidate) -> tuple[float, float]:
+def reach_m(rig: Rig, candidate: ForcePlace) -> tuple[float, float]:
     """How far a candidate may move to either side."""
     lengths = [rig.body(s.body).length_m for s in candidate.stations]
     return (
@@ -131,7 +131,7 @@ def _places(length_m: float) -> list[float]:
     return [float(x) for x in np.linspace(0, length_m, max(2, round(length_m / SPACING_M) + 1))]
 
 
-def _beside(candidate: Candidate, near: Candidate, within_m: float) -> bool:
+def _beside(candidate: ForcePlace, near: ForcePlace, within_m: float) -> bool:
     if candidate.kind != near.kind or candidate.sensor != near.sensor:
         return False
     return all(
@@ -140,7 +140,7 @@ def _beside(candidate: Candidate, near: Candidate, within_m: float) -> bool:
     )
 
 
-def _located(own: Observed, candidate: Candidate, before: Explained, after: Explained) -> Located:
+def _located(own: Observed, candidate: ForcePlace, before: Explained, after: Explained) -> Located:
     gain = before.criterion - after.criterion
     return Located(candidate, gain, 0.0, before, after, own, response_of(own, candidate), {})
 
@@ -182,7 +182,7 @@ def _vertex(x: list[float], y: list[float]) -> float:
     return float(np.clip(-b / (2 * a), x[0], x[-1])) if a > 0 else x[int(np.argmin(y))]
 
 
-def _distributed(own: Observed, before: Explained, near: Candidate | None) -> Located | None:
+def _distributed(own: Observed, before: Explained, near: ForcePlace | None) -> Located | None:
     """A modulus that drifts, of one body or of all; the one body where others add little."""
     names = near.bodies if near else tuple(b.name for b in own.record.rig.bodies if b.length_m)
     columns = {name: drifting(own, name) for name in names}
@@ -207,6 +207,6 @@ def _distributed(own: Observed, before: Explained, near: Candidate | None) -> Lo
             rest = np.zeros(own.residual.shape, dtype=complex)
             covariance = np.linalg.inv(normal(wider, after.noise)[0])
             errors = tuple(float(e) for e in np.sqrt(np.diag(covariance)[-len(bodies) :]) * scale)
-            found = Candidate("distributed", bodies=bodies)
+            found = ForcePlace("distributed", bodies=bodies)
             best = Located(found, gain, 0.0, before, after, wider, rest, {}, growth, errors)
     return best

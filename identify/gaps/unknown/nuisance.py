@@ -26,7 +26,7 @@ def nuisances(
     """Names, columns D by one tolerance each, and how much each stretches the data."""
     record, model, tolerances = own.record, own.model, own.record.tolerances
     by_force = own.accelerance(model.rig.force_at) / model.rig.force_sensor.gain
-    omega, deviation = record.omega, own.model.spread
+    omega, deviation = record.omega, own.model.deviation
     names: list[str] = []
     columns: list[Complex[np.ndarray, "lines rows"]] = []
     stretch: list[float] = []
@@ -40,17 +40,17 @@ def nuisances(
     ) -> None:
         """Accelerations pattern times course, which is read from those measured."""
         pattern = pattern * ones
-        column = own.gated(model.chain * pattern * course / deviation)
+        column = own.gated(model.sensor_response * pattern * course / deviation)
         if np.any(column):
             names.append(name)
             columns.append(column.astype(np.complex64))  # they are many
-            back = own.rowed((read[:, None] * deviation / model.chain.conj())[:, own.lines])
-            there = own.rowed((model.chain * pattern / deviation)[:, own.lines])
+            back = own.rowed((read[:, None] * deviation / model.sensor_response.conj())[:, own.lines])
+            there = own.rowed((model.sensor_response * pattern / deviation)[:, own.lines])
             stretch.append(2 * float(np.sum(back.conj() * there).real))
 
     take("gain of the force", tolerances.force_gain * by_force, record.force, np.zeros(len(record.sensors)))
     singly = np.eye(len(record.sensors))
-    for sensor, single, delivered in zip(record.sensors, singly, record.delivered / model.chain, strict=True):
+    for sensor, single, delivered in zip(record.sensors, singly, record.delivered / model.sensor_response, strict=True):
         exact = tolerances.of_sensor(sensor.name)
         corner = 2 * np.pi * exact.high_pass_hz if sensor.quantity == "acceleration" else 0.0
         turned = np.stack([-exact.delay_s * 1j * omega, -corner / (1j * omega + max(corner, 1e-12))])
@@ -88,7 +88,7 @@ def nuisances(
 
 def drifting(own: Observed, body: str) -> Complex[np.ndarray, "lines rows"]:
     """The residual by a modulus of a body that grows by its own size over the record."""
-    return own.gated(own.model.chain * drift_accelerations(own, body) / own.model.spread)
+    return own.gated(own.model.sensor_response * drift_accelerations(own, body) / own.model.deviation)
 
 
 def drift_accelerations(own: Observed, body: str) -> Complex[np.ndarray, "sensors alllines"]:
@@ -100,7 +100,7 @@ def drift_accelerations(own: Observed, body: str) -> Complex[np.ndarray, "sensor
     length = record.length // record.factor
     tau = np.arange(length) / (record.samples / record.factor) - 0.5
     tau[tau > 0.5] = 0.0
-    found = np.zeros(model.chain.shape, dtype=complex)
+    found = np.zeros(model.sensor_response.shape, dtype=complex)
     twice = integrated(record.omega, -2, CORNER_HZ)
     for response, motion in zip(model.responses, own.modal, strict=True):
         if response.body.name == body and not response.body.is_mass:

@@ -82,7 +82,9 @@ class Observed:
 
     def seen(self, accelerations: Complex[np.ndarray, "sensors alllines"]) -> Complex[np.ndarray, "lines rows"]:
         """What accelerations at the sensors are in the whitened residual, were it not gated."""
-        return self.whitened(self.rowed((self.model.chain * accelerations / self.model.spread)[:, self.lines]))
+        return self.whitened(
+            self.rowed((self.model.sensor_response * accelerations / self.model.deviation)[:, self.lines])
+        )
 
     def gated(self, standard: Complex[np.ndarray, "sensors alllines"]) -> Complex[np.ndarray, "lines rows"]:
         """Standardised deliveries of the sensors as rows of the whitened residual."""
@@ -104,7 +106,7 @@ class Observed:
 
     def accelerance(self, station: Station) -> Complex[np.ndarray, "sensors alllines"]:
         """Accelerations at the sensors by a force at a place."""
-        found = np.zeros(self.model.chain.shape, dtype=complex)
+        found = np.zeros(self.model.sensor_response.shape, dtype=complex)
         places: list[Station | None] = [s.station for s in self.record.sensors]
         for response in self.model.responses:
             if response.body.name == station.body:
@@ -261,7 +263,7 @@ def _measured(
     """Modal accelerations: the lowest by the sensors, the others, and what the sensors show too badly, as modelled."""
     inverse = inverse_of(record, response)
     low = len(inverse)
-    rest = record.delivered / model.chain - response.shapes([s.station for s in record.sensors]) @ modelled
+    rest = record.delivered / model.sensor_response - response.shapes([s.station for s in record.sensors]) @ modelled
     return np.concatenate([modelled[:low] + inverse @ rest, modelled[low:]])
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.fft import next_fast_len, rfft
 
-from identify.gaps.residual.law import Contact
+from identify.gaps.residual.law import ContactResidual
 from identify.gaps.residual.residual import Residual
 from identify.gaps.residual.spectra import Record
 from identify.signals.spectra import decimated
@@ -45,7 +45,7 @@ def breathing(record: Record, at: Residual) -> Breathing | None:
     return max(clear, key=lambda b: b.share, default=None)
 
 
-def _of(record: Record, name: str, contact: Contact) -> Breathing | None:
+def _of(record: Record, name: str, contact: ContactResidual) -> Breathing | None:
     """By the periodogram of the samples at which the contact presses, refined about its peak."""
     weights = contact.seen.weights
     tangent, side = decimated(

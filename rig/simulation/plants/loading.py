@@ -103,7 +103,7 @@ def check_softening(
 def _static_stiffness(rig: Rig, station: Station) -> float:
     """Zero of a body that floats."""
     body = rig.body(station.body)
-    modes, count = modes_of(rig, body), body.most_modes
+    modes, count = modes_of(rig, body), body.max_modes
     omega = 2 * np.pi * modes.frequencies_hz(count)
     if not np.all(omega > 0):
         return 0.0

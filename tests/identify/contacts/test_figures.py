@@ -14,7 +14,7 @@ from rig.model.contact_law import dead_zone
 from rig.recording import read
 from rig.simulation.reference import BarrelCradle, Sdof
 
-NAMES = {"outputs", "surface", "section", "separated", "occurrence", "stiffness", "frf"}
+NAMES = {"outputs", "surface", "section", "separated", "histogram", "stiffness", "frf"}
 UNIT = re.compile(r",\s(1e-3 kg.* m|kg m.*/Hz|N/kg.*|s\$\^2\$|1/mm|m/s|N/m|s|Hz|mm|N|%|degrees)$")
 
 
@@ -118,11 +118,11 @@ def test_the_frf_and_the_stiffness_are_those_found(drawn):
 def test_the_time_axis_lies_within_the_record(drawn):
     found, figures, _ = drawn
     duration_s = found.motion.force_n.size / found.motion.sample_rate_hz
-    for name in ("outputs", "occurrence"):
+    for name in ("outputs", "histogram"):
         axes = figures[name].axes[0]
         (measured,) = lines(axes, "as measured, with contact" if name == "outputs" else "$\\eta$")
         time_s = np.asarray(measured.get_xdata())
         assert 0 <= time_s[0] < time_s[-1] <= duration_s
-        if name == "occurrence":
+        if name == "histogram":
             rows = np.round(time_s * found.motion.sample_rate_hz).astype(int)
             np.testing.assert_allclose(measured.get_ydata(), 1e3 * found.eta_m[0][rows])

@@ -84,9 +84,9 @@ def test_the_papers_methods_are_as_good_as_the_paper(known):
         assert stiffness.mean_n_per_m.value == pytest.approx(TRUE.stiffness_1_n_per_m, rel=PAPER[stiffness.contact][1])
     for found in surface.clearances:
         assert found.clearance_m.value == pytest.approx(TRUE.clearance_1_m, rel=PAPER[found.contact][0])
-    for found in known.report.surface.occurrence:
+    for found in known.report.surface.histogram:
         assert found.clearance_m.value == pytest.approx(TRUE.clearance_1_m, rel=0.1)  # its density is an assumption
-    assert len(nifo.stiffness) == len(surface.clearances) == len(known.report.surface.occurrence) == 2
+    assert len(nifo.stiffness) == len(surface.clearances) == len(known.report.surface.histogram) == 2
 
 
 def test_every_body_and_equation_is_reported(known):
@@ -161,7 +161,7 @@ def test_a_contact_that_is_never_reached_is_not_answered(tmp_path):
     assert silent.name == "stop"
     assert "excite the rig more strongly" in silent.reason
     assert found.stops == (None,)
-    assert found.report.surface.occurrence == ()
+    assert found.report.surface.histogram == ()
 
 
 @pytest.fixture(scope="module")

@@ -19,8 +19,8 @@ from identify.gaps.results import (
     Matters,
     MeanForce,
     NextExperiment,
+    ResidualMap,
     Share,
-    Surface,
     Unknown,
     Value,
 )
@@ -40,7 +40,7 @@ def surface(scale):
     eta, rate = np.linspace(-8e-3, 8e-3, 13), np.linspace(-1.5, 1.5, 13)
     middle = (eta[1:] + eta[:-1])[:, None] / 16e-3, (rate[1:] + rate[:-1])[None, :] / 3.0
     size = np.where(np.abs(middle[0]) > 0.5, np.exp(-scale * middle[1] ** 2), 0.0)
-    return Surface(*tuples(eta, rate), tuples(*(size / size.sum())))
+    return ResidualMap(*tuples(eta, rate), tuples(*(size / size.sum())))
 
 
 def attribution():
@@ -72,7 +72,7 @@ def curves():
         Curve("power spectral density, barrel_6", label, "(m/s^2)^2/Hz", *tuples(hz, *mass), logarithmic=True),
         Curve("FRF (H1), barrel_6 over force", label, "(m/s^2)/N", *tuples(hz, *np.sqrt(mass)), logarithmic=True),
         Curve(
-            "occurrence of the relative displacement of contact_1",
+            "histogram of the relative displacement of contact_1",
             "relative displacement, mm",
             "share of the time per mm",
             *tuples(mm, *play),

@@ -32,7 +32,7 @@ def test_exact_tolerances_draw_the_rig_itself(rig):
     assert actual.contacts == rig.contacts
     assert not any(corners_hz)
     for one, believed in zip(actual.bodies, rig.bodies, strict=True):
-        count = min(8, one.most_modes)
+        count = min(8, one.max_modes)
         np.testing.assert_allclose(one.frequencies_hz(count), believed.frequencies_hz(count), rtol=1e-12)
         places = np.array([s.station.position_m for s in rig.sensors if s.station.body == one.name])
         np.testing.assert_allclose(one.shapes(places, count), believed.shapes(places, count), rtol=1e-9, atol=1e-12)

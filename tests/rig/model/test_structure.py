@@ -87,7 +87,7 @@ def test_a_basis_is_read_from_json_and_written_again():
 def test_a_basis_that_cannot_be_is_refused_in_one_sentence(old, new, sentence):
     assert old in BASIS
     empty = b'{"name":"r","bodies":[%s],"contacts":[],"force_at":{"body":"fin"},"sensors":[],"sample_rate_hz":100}'
-    assert from_json(empty % BASIS, "rig.json").body("fin").most_modes == 2
+    assert from_json(empty % BASIS, "rig.json").body("fin").max_modes == 2
     with pytest.raises(RigError) as caught:
         from_json(empty % BASIS.replace(old, new, 1), "rig.json")
     assert str(caught.value).startswith("rig.json: not a rig description: ")
@@ -234,8 +234,8 @@ def test_a_recording_and_an_import_are_refused_where_a_row_is_missing(tmp_path):
 
 @pytest.mark.parametrize("body", [*Sdof().rig().bodies, *MACHINE.bodies, *as_data(MACHINE).bodies], ids=type)
 def test_a_heavier_body_keeps_its_frequencies(body):
-    heavier = body.weighed(1.21)
-    modes = min(6, body.most_modes)
+    heavier = body.scale_mass(1.21)
+    modes = min(6, body.max_modes)
     places_m = np.array([0.0, 0.3 * body.length_m])
     np.testing.assert_allclose(heavier.frequencies_hz(modes), body.frequencies_hz(modes))
     np.testing.assert_allclose(heavier.shapes(places_m, modes), body.shapes(places_m, modes) / 1.1)

@@ -6,7 +6,7 @@ from msgspec.structs import replace
 from scipy.signal import welch
 
 from scenarios.worlds.instruments import measured
-from scenarios.worlds.machine import ForceCell, Place, Shaking, Tone, with_sensors
+from scenarios.worlds.machine import ForceCell, MachineTone, Place, Shaking, with_sensors
 from scenarios.worlds.simulator import model_of
 from tests.scenarios.worlds.examples import alone, beam
 
@@ -93,7 +93,7 @@ def test_a_lateral_motion_adds_its_share_and_is_not_the_motion():
 
 
 def test_a_tone_is_there_from_the_start():
-    tone = Tone(at=Place("bar", 0.8), cosine_n=0.3, sine_n=-0.4, frequency_hz=50.0)
+    tone = MachineTone(at=Place("bar", 0.8), cosine_n=0.3, sine_n=-0.4, frequency_hz=50.0)
     found = record(replace(BAR, tones=(tone,)), 1.5).acceleration_m_per_s2[0, : int(0.9 * RATE_HZ)]
     spectrum = np.abs(np.fft.rfft(found * np.hanning(found.size)))
     assert np.argmax(spectrum) * RATE_HZ / found.size == pytest.approx(50.0, abs=1.2)

@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from scenarios.worlds.laws import Law, depth_m, energy_j, force_of
+from scenarios.worlds.laws import StopLaw, depth_m, energy_j, force_of
 
-STOP = Law(lower_m=1e-3, upper_m=2e-3, stiffness_below_n_per_m=1e5, stiffness_above_n_per_m=2e5)
+STOP = StopLaw(lower_m=1e-3, upper_m=2e-3, stiffness_below_n_per_m=1e5, stiffness_above_n_per_m=2e5)
 LAWS = {
     "stop": STOP,
-    "off centre": Law(**{f: getattr(STOP, f) for f in STOP.__struct_fields__} | {"offset_m": 4e-4}),
-    "hertz": Law(
+    "off centre": StopLaw(**{f: getattr(STOP, f) for f in STOP.__struct_fields__} | {"offset_m": 4e-4}),
+    "hertz": StopLaw(
         **{f: getattr(STOP, f) for f in STOP.__struct_fields__} | {"exponent": 1.5, "reference_depth_m": 5e-4}
     ),
-    "cubic stop": Law(lower_m=1e-3, upper_m=1e-3, cubic_stop_n_per_m3=3e10),
-    "spring": Law(spring_n_per_m=300.0, cubic_spring_n_per_m3=-1e6),
-    "yielding": Law(yield_n=3.0, yield_m=2e-3),
-    "damped": Law(
+    "cubic stop": StopLaw(lower_m=1e-3, upper_m=1e-3, cubic_stop_n_per_m3=3e10),
+    "spring": StopLaw(spring_n_per_m=300.0, cubic_spring_n_per_m3=-1e6),
+    "yielding": StopLaw(yield_n=3.0, yield_m=2e-3),
+    "damped": StopLaw(
         lower_m=1e-3,
         upper_m=1e-3,
         damping_n_s_per_m=50.0,
@@ -49,11 +49,11 @@ def test_the_energy_is_the_work_of_the_force_at_rest(law):
 
 
 def test_stops_stand_where_they_should_and_move():
-    worn = Law(lower_m=1e-3, upper_m=2e-3, wear_m_per_s=1e-5, offset_m=5e-4)
+    worn = StopLaw(lower_m=1e-3, upper_m=2e-3, wear_m_per_s=1e-5, offset_m=5e-4)
     assert depth_m(worn.row(), 2.5e-3 + 1e-6, 0.0) == pytest.approx(1e-6)
     assert depth_m(worn.row(), -0.5e-3 - 1e-6, 0.0) == pytest.approx(-1e-6)
     assert depth_m(worn.row(), 2.6e-3 + 1e-6, 10.0) == pytest.approx(1e-6)
-    breathing = Law(lower_m=1e-3, upper_m=1e-3, breath_m=1e-4, breath_hz=5.0)
+    breathing = StopLaw(lower_m=1e-3, upper_m=1e-3, breath_m=1e-4, breath_hz=5.0)
     assert depth_m(breathing.row(), 1.2e-3, 0.05) == pytest.approx(1e-4)
     assert depth_m(breathing.row(), 1.2e-3, 0.15) == pytest.approx(3e-4)
 
@@ -66,7 +66,7 @@ def test_a_hertzian_stop_has_the_believed_stiffness_at_its_reference_depth():
 
 
 def test_damping_sets_in_over_ten_micrometres():
-    law = Law(lower_m=1e-3, upper_m=1e-3, damping_n_s_per_m=100.0).row()
+    law = StopLaw(lower_m=1e-3, upper_m=1e-3, damping_n_s_per_m=100.0).row()
     assert force_of(law, 1e-3 + 5e-6, 0.1, 0.0)[0] == pytest.approx(5.0)
     assert force_of(law, 1e-3 + 5e-5, 0.1, 0.0)[0] == pytest.approx(10.0)
     assert force_of(law, 0.9e-3, 0.1, 0.0)[0] == 0.0

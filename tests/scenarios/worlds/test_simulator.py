@@ -9,12 +9,12 @@ from rig.simulation.excitation import BandLimitedGaussian, force_history
 from rig.simulation.motion import joined
 from rig.simulation.plants import modal
 from scenarios.worlds.believed import believed_rig, nominal_machine
-from scenarios.worlds.laws import Law, energy_j
+from scenarios.worlds.laws import StopLaw, energy_j
 from scenarios.worlds.machine import Place, with_hung
 from scenarios.worlds.simulator import STEP_S, at_rest, model_of, propagator
 from tests.scenarios.worlds.examples import alone, beam, inputs, ran, to_ground
 
-STOP = Law(lower_m=1e-3, upper_m=1e-3, stiffness_below_n_per_m=1e5, stiffness_above_n_per_m=1e5)
+STOP = StopLaw(lower_m=1e-3, upper_m=1e-3, stiffness_below_n_per_m=1e5, stiffness_above_n_per_m=1e5)
 FORCE = BandLimitedGaussian(rms_n=15.0, low_hz=0.5, high_hz=100.0, seed=3)
 RIG = believed_rig("own", np.random.default_rng(1))
 
@@ -74,7 +74,7 @@ def test_a_shaken_cantilever_follows_its_ground_slowly_and_a_free_one_stays():
 
 def test_a_hung_mass_has_its_own_frequency_and_momentum_is_kept():
     mass_kg, hertz = 2e-3, 120.0
-    law = Law(spring_n_per_m=mass_kg * (2 * np.pi * hertz) ** 2)
+    law = StopLaw(spring_n_per_m=mass_kg * (2 * np.pi * hertz) ** 2)
     heavy = beam(clamped=False, density_kg_per_m3=7850e3)
     machine = with_hung(alone(heavy), "hung", Place("bar", 0.5), mass_kg, law)
     model = model_of(machine)
@@ -104,7 +104,7 @@ def test_a_loaded_rig_rests_where_its_forces_balance(load_n):
 def test_friction_stops_a_floating_mass():
     """From v a mass m comes to rest after m v^2 / (2 F), but for the rounding of the law at low speed."""
     bar = beam(clamped=False, density_kg_per_m3=5 * 7850.0)
-    machine = alone(bar, 0.5, links=[to_ground(Law(friction_n=50.0), position_m=0.5)])
+    machine = alone(bar, 0.5, links=[to_ground(StopLaw(friction_n=50.0), position_m=0.5)])
     model = model_of(machine)
     mass_kg = bar.mass_per_length_kg_per_m
     start = np.zeros((2, len(model.omega)))

@@ -63,7 +63,9 @@ def test_a_mode_whose_frequency_is_off_leaves_its_column_exactly_by_the_measured
     rig = settings.rig()
     force_n = force_history(settings.force(), settings.duration_s, 1 / rig.sample_rate_hz)
     stiffer = 3.0  # standard deviations: a fifth of the resonance's width
-    bodies = tuple(b.tuned(1 + stiffer * LABORATORY.frequency) if b.name == "barrel" else b for b in rig.bodies)
+    bodies = tuple(
+        b.scale_frequencies(1 + stiffer * LABORATORY.frequency) if b.name == "barrel" else b for b in rig.bodies
+    )
     record = record_of(modal(rig, replace(rig, bodies=bodies), force_n, 1))
     base = base_of(record, rig)
     names = [p.name for p in base.columns.parameters]
@@ -82,7 +84,7 @@ def test_the_fitted_rig_leaves_by_itself_what_was_left_beside_the_nuisance_param
     held = [p.mode is None and p.kind not in ("position", "high-pass") for p in base.columns.parameters]
     values = np.where(held, 0.3 * np.random.default_rng(1).standard_normal(len(held)), 0.0)
     at, believed = residual_of(base, rig, values), residual_of(base, rig)
-    there = residual_of(base_of(record, at.fitted_rig), at.fitted_rig)
+    there = residual_of(base_of(record, at.corrected_rig), at.corrected_rig)
     assert np.linalg.norm(there.linear - at.linear) < 0.05 * np.linalg.norm(believed.linear - at.linear)
 
 

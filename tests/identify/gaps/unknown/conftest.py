@@ -132,5 +132,5 @@ def two():
 
 
 @pytest.fixture
-def damped():
+def scale_damping():
     return World(damping_ratio=0.05)

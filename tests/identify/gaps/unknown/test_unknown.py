@@ -9,7 +9,7 @@ from msgspec.structs import replace as changed
 
 from identify.gaps.unknown import UnknownForce, likeliest_force, sentence
 from identify.gaps.unknown.evidence import explained, without
-from identify.gaps.unknown.location import Candidate, located, response_of
+from identify.gaps.unknown.location import ForcePlace, located, response_of
 from identify.gaps.unknown.nuisance import observed
 from identify.gaps.unknown.observed import force_noise
 from rig.errors import RigError
@@ -138,7 +138,7 @@ def test_the_criterion_falls_most_at_the_true_place(world):
     before = without(own)
 
     def criterion(at_m):
-        return explained(own, response_of(own, Candidate("force", (Station("beam", at_m),))), before).criterion
+        return explained(own, response_of(own, ForcePlace("force", (Station("beam", at_m),))), before).criterion
 
     there = criterion(place_m)
     assert there < before.criterion
