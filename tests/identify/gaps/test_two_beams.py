@@ -1,0 +1,76 @@
+"""Two beams that meet at two contacts, by accelerometers alone: the whole road, on short records."""
+
+from functools import reduce
+
+import pytest
+from msgspec.structs import replace
+
+from identify.gaps.decision.answer import Simulator, diagnose
+from identify.gaps.decision.null_reference import null_reference
+from rig.effects import effect_named
+from rig.model.contact_law import DeadZone
+from rig.model.description import Contact, Station
+from rig.model.tolerances import LABORATORY
+from rig.simulation.excitation import force_history
+from rig.simulation.reference import BarrelCradle
+from rig.simulation.replay import modal
+
+SETTINGS = BarrelCradle(
+    sensors="acceleration", stations=4, duration_s=14.0, noise_density=1e-3, sample_rate_hz=2048.0, high_hz=60.0
+)
+RIG = SETTINGS.rig()
+
+
+def records(actual=RIG):
+    """Two records of a rig that is described as RIG."""
+    made = []
+    for seed in (1, 2):
+        force_n = force_history(replace(SETTINGS, seed=seed).force(), SETTINGS.duration_s, 1 / RIG.sample_rate_hz)
+        made.append(modal(RIG, actual, force_n, seed))
+    return made
+
+
+@pytest.fixture(scope="module")
+def nulls(tmp_path_factory):
+    path = tmp_path_factory.mktemp("nulls") / "nulls.json"
+    null_reference(records()[1], LABORATORY, modal, "modal", kept=path)
+    return path
+
+
+def diagnosed(actual, nulls):
+    return diagnose(*records(actual), Simulator("modal", modal), nulls)
+
+
+def test_the_believed_rig_has_no_gap(nulls):
+    gap, corrected = diagnosed(RIG, nulls)
+    assert gap.verdict == "no_gap"
+    assert corrected == RIG
+
+
+@pytest.mark.parametrize(
+    ("effects", "parameter", "value"),
+    [
+        (
+            ("base_motion:acceleration_rms_m_per_s2=0.3,low_hz=10,high_hz=20",),
+            "base_motion.acceleration_rms_m_per_s2",
+            0.3,
+        ),
+        (("contact_clearance:factor=1.2,contact=contact_1", "added_mass:mass_kg=0.2"), "added_mass.mass_kg", 0.2),
+    ],
+)
+def test_effects_are_named_with_their_size(nulls, effects, parameter, value):
+    actual = reduce(lambda rig, text: effect_named(text).applied_to(rig), effects, RIG)
+    gap, _ = diagnosed(actual, nulls)
+    assert set(gap.causes[0].effects) == {text.split(":")[0] for text in effects}
+    found = gap.causes[0].parameters[parameter]
+    assert abs(found.value - value) < 4 * found.standard_error
+
+
+def test_what_the_library_lacks_is_unknown_and_described(nulls):
+    """A third contact, of the cradle with the ground."""
+    law = DeadZone(lower_clearance_m=1e-3, upper_clearance_m=1e-3, stiffness_n_per_m=3e4)
+    third = Contact(name="third", at=Station("cradle", 0.75), against=None, law=law)
+    gap, corrected = diagnosed(replace(RIG, contacts=(*RIG.contacts, third)), nulls)
+    assert gap.verdict == "unknown"
+    assert "cradle" in gap.unknown.sentence
+    assert corrected == RIG
