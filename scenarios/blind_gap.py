@@ -100,6 +100,7 @@ def score(
     groups = worlds | {"all": every} if len(worlds) > 1 else worlds
     boards = {name: scored(compared) for name, compared in groups.items()}
     reliability = {name: calibrated(compared) for name, compared in groups.items()}
+    out.mkdir(parents=True, exist_ok=True)
     write_json({"worlds": boards, "calibration": reliability}, out / "score.json")
     figures = score_figures.drawn(every, out)
     console = _wide_console()

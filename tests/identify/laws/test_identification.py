@@ -217,8 +217,8 @@ def test_what_cannot_be_searched_is_refused(wrong, words):
 
 def test_the_command_writes_the_law_and_a_figure_and_keeps_what_is_there(clearance, monkeypatch, tmp_path):
     made = Laws(LawReport(rig="one mass", laws=(clearance.result,), unanswered=()), (clearance,))
-    monkeypatch.setattr("identify.commands.cli.read", lambda _: None)
-    monkeypatch.setattr("identify.laws.identify_law", lambda *_, **__: made)
+    monkeypatch.setattr("identify.api._recording", lambda _: None)
+    monkeypatch.setattr("identify.api.identify_law", lambda *_, **__: made)
     command = ["law", "some.mcap", "--out", str(tmp_path), "--json"]
     printed = CliRunner().invoke(app, command)
     assert printed.exit_code == 0

@@ -132,5 +132,5 @@ def two():
 
 
 @pytest.fixture
-def scale_damping():
+def damped():
     return World(damping_ratio=0.05)
