@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import msgspec
 from threadpoolctl import threadpool_limits
@@ -29,7 +29,6 @@ from rig.recording import Recording, read
 Source = Recording | str | Path
 Row = dict[str, str | float]
 Progress = Callable[[float], None]
-Figure = TypeVar("Figure")
 
 
 @dataclass(frozen=True)
@@ -118,17 +117,22 @@ class LawResult:
             for tried in one.candidates
         ]
 
-    def figure(self, name: str = "law") -> Picture:
+    @cached_property
+    def figures(self) -> dict[str, Picture]:
+        """All figures by their names: one, if a law was found."""
         from identify.laws.figures import drawn
 
-        return _named({"law": lambda: Picture(drawn(self.found.found))} if self.found.found else {}, name)()
+        return {"law": Picture(drawn(self.found.found))} if self.found.found else {}
+
+    def figure(self, name: str = "law") -> Picture:
+        return _named(self.figures, name)
 
     def save(self, folder: str | Path) -> None:
         """Writes law.png and law.json."""
         out = Path(folder)
         out.mkdir(parents=True, exist_ok=True)
-        if self.found.found:
-            self.figure().save(out / "law.png")
+        for name, picture in self.figures.items():
+            picture.save(out / f"{name}.png")
         write_json(self.report, out / "law.json")
 
     def __str__(self) -> str:
@@ -241,36 +245,35 @@ def gap(
     """Where the believed rig differs from reality, which effect causes it, how far the gap shrinks with it.
 
     The validation is not fitted: one of the recordings, or another; without it the last of several, or the last part of
-    a single one. `nulls` keeps the null reference, which takes half a minute, for the next time. Raises RigError if the
-    recordings do not fit together or allow no diagnosis.
+    a single one. `nulls` is a file, or a folder for it, that keeps the null reference for the next time. Raises
+    RigError if the recordings do not fit together or allow no diagnosis.
     """
     every = [recordings] if isinstance(recordings, Recording | str | Path) else list(recordings)
-    read_in: dict[Path, Recording] = {}
-    for one in every:
-        if isinstance(one, str | Path) and Path(one).resolve() in read_in:
-            raise RigError(f"{one}: is given twice; give each recording once")
-        if isinstance(one, str | Path):
-            read_in[Path(one).resolve()] = _recording(one)
-    given = [_known(one, read_in) for one in every]
+    known = {_identity(one): one for one in every}
+    if len(known) < len(every):
+        raise RigError("a recording is given twice; give each once")
+    given = {identity: _recording(one) for identity, one in known.items()}
+    first = next(iter(given.values()))
+    kept = None if nulls is None else Path(nulls)
+    if kept and kept.is_dir():
+        kept /= f"{first.rig.name}-{simulator}.nulls.json"
     with threadpool_limits(1):  # the matrices are small
         found, corrected = diagnose(
-            given,
-            None if validation is None else _known(validation, read_in),
+            list(given.values()),
+            None if validation is None else given.get(_identity(validation)) or _recording(validation),
             simulator_named(simulator),
-            None if nulls is None else Path(nulls),
+            kept,
             progress,
             _believed(tolerances),
             matters or Matters(),
             next_experiment,
         )
-    return GapResult(found, corrected, _title(every, given[0]))
+    return GapResult(found, corrected, _title(every, first))
 
 
-def _known(source: Source, read_in: Mapping[Path, Recording]) -> Recording:
-    """A recording, read from its file unless it was."""
-    if isinstance(source, Recording):
-        return source
-    return read_in.get(Path(source).resolve()) or _recording(source)
+def _identity(source: Source) -> Path | int:
+    """By which one recording is known again."""
+    return id(source) if isinstance(source, Recording) else Path(source).resolve()
 
 
 def _recording(source: Source) -> Recording:
@@ -297,7 +300,7 @@ def _silent(unanswered: Sequence[Unanswered]) -> list[str]:
     return [f"{one.name}: not told by this record: {one.reason}" for one in unanswered]
 
 
-def _named(figures: Mapping[str, Figure], name: str) -> Figure:
+def _named(figures: Mapping[str, Picture], name: str) -> Picture:
     if name not in figures:
         raise RigError(f"there is no figure {name!r}; there are {', '.join(figures)}")
     return figures[name]

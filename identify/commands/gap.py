@@ -11,7 +11,6 @@ from rich.console import Console
 from identify.api import gap as diagnosed
 from identify.gaps.results import Matters
 from rig.commands.command_line import Force, Json, progress_bar, refuse_existing
-from rig.recording import read
 
 
 def gap(
@@ -67,7 +66,6 @@ def gap(
     """
     if out is not None:
         refuse_existing(out / "gap.json", force)
-    kept = nulls or real[0].with_name(f"{read(real[0]).rig.name}-{simulator}.nulls.json")
     stages = {"nulls": (0.0, 0.6), "causes": (0.6, 0.4)}
     with progress_bar(f"diagnosing {', '.join(path.name for path in real)}") as progress:
 
@@ -79,7 +77,7 @@ def gap(
             real,
             validate,
             simulator=simulator,
-            nulls=kept,
+            nulls=nulls or real[0].parent,
             tolerances=tolerances,
             matters=Matters(matters / 100, matters_contact / 100),
             next_experiment=next_experiment,

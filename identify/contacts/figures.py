@@ -1,7 +1,6 @@
 """The figures of an identification. Takes results, computes no estimate."""
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,11 +23,11 @@ def drawn(found: Identification, marks: Marks, marks_name: str) -> dict[str, byt
     marks are drawn as what `marks_name` says they are: the true values where they are known, else those of rig.json.
     Each is a PNG file.
     """
-    return {name: png(partial(_drawing, draw, found, marks, marks_name)) for name, draw in _FIGURES.items()}
 
+    def one(draw: Callable[..., None]) -> bytes:
+        return png(lambda figure: draw(figure, found, marks, marks_name))
 
-def _drawing(draw: Callable[..., None], found: Identification, marks: Marks, marks_name: str, figure: Any) -> None:
-    draw(figure, found, marks, marks_name)
+    return {name: one(draw) for name, draw in _FIGURES.items()}
 
 
 def stretches_drawn(report: ContactReport, parts: Sequence[Stretch]) -> bytes:

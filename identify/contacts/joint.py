@@ -96,7 +96,7 @@ def law_force_n(
     eta_m: Float[np.ndarray, " samples"],
     rate_m_per_s: Float[np.ndarray, " samples"],
 ) -> Float[np.ndarray, " samples"]:
-    """k depth + c rate, the latter setting in over the first 10 um: `rig.contact.DeadZone`, with any sign of c."""
+    """k depth + c rate, the latter setting in over the first 10 um: `DeadZone`, with any sign of c."""
     lower, upper, stiffness, damping = parameters
     depth = dead_zone(eta_m, float(lower), float(upper))
     return np.asarray(stiffness * depth + damping * rate_m_per_s * damping_share(depth))

@@ -39,7 +39,7 @@ class ContactPosition(Effect, frozen=True):
         return replace(contact, against=self._along(rig, against, self.shift_m))
 
     def _along(self, rig: Rig, station: Station, shift_m: float) -> Station:
-        if not rig.body(station.body).is_uniform:
+        if station.body not in [beam.name for beam in rig.beams]:
             raise self.nowhere(
                 rig, f"beam at {station.position_m} m of {station.body!r} that a contact could move along"
             )

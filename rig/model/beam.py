@@ -1,7 +1,7 @@
 """Uniform Bernoulli-Euler beams with analytic modes (the assumed modes of equations 13 to 16 of the paper)."""
 
 from functools import lru_cache
-from typing import Literal
+from typing import ClassVar, Literal
 
 import msgspec
 import numpy as np
@@ -21,6 +21,8 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     Modes are mass-normalised: the integral of rho A phi_i phi_k over the length is 1 for i = k and 0 otherwise.
     A free-free beam has two rigid modes, translation then rotation, as modes 1 and 2 (frequency and damping 0).
     """
+
+    is_mass: ClassVar[bool] = False
 
     name: str
     ends: Literal["clamped-free", "free-free"]
@@ -55,15 +57,6 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     @property
     def kind(self) -> str:
         return self.ends
-
-    @property
-    def is_mass(self) -> bool:
-        return False
-
-    @property
-    def is_uniform(self) -> bool:
-        """A beam of one section, known by its material."""
-        return True
 
     @property
     def clamped(self) -> bool:

@@ -1,5 +1,7 @@
 """One mass on a linear spring to the ground: the body of the one-mass rig (figure 1 of the paper)."""
 
+from typing import ClassVar
+
 import msgspec
 import numpy as np
 from jaxtyping import Float
@@ -9,6 +11,9 @@ from rig.errors import RigError
 
 class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="oscillator"):
     """A mass with a natural frequency and a damping ratio; seen as a body, it has one mode, 1/sqrt(mass) everywhere."""
+
+    is_mass: ClassVar[bool] = True
+    clamped: ClassVar[bool] = False
 
     name: str
     mass_kg: float
@@ -28,19 +33,6 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     @property
     def kind(self) -> str:
         return "mass on a spring"
-
-    @property
-    def is_mass(self) -> bool:
-        """A single mass, without length."""
-        return True
-
-    @property
-    def is_uniform(self) -> bool:
-        return False
-
-    @property
-    def clamped(self) -> bool:
-        return False
 
     @property
     def length_m(self) -> float:

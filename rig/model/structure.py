@@ -1,6 +1,7 @@
 """A body of any shape as its modal basis: modes from a finite-element model or an experimental modal analysis."""
 
 from functools import lru_cache
+from typing import ClassVar
 
 import msgspec
 import numpy as np
@@ -30,6 +31,9 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     at the given places is a shape exact: a cubic spline (scipy.interpolate.CubicSpline) stands for it between them,
     a straight line beyond the first and the last.
     """
+
+    is_mass: ClassVar[bool] = False
+    clamped: ClassVar[bool] = False
 
     name: str
     length_m: float
@@ -87,18 +91,6 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
             return f"{known}, {np.sum(self.translation() ** 2):.4g} kg"
         except RigError:
             return known
-
-    @property
-    def is_mass(self) -> bool:
-        return False
-
-    @property
-    def is_uniform(self) -> bool:
-        return False
-
-    @property
-    def clamped(self) -> bool:
-        return False
 
     @property
     def mass_kg(self) -> float:

@@ -34,7 +34,6 @@ def test_a_channel_that_is_not_there_is_refused_with_those_that_are(file):
 
 
 def test_a_channel_as_pandas(file):
-    pytest.importorskip("pandas")
     series = rig.read(file)["force"].to_pandas()
     assert (series.name, series.index.name) == ("force, N", "time_s")
 

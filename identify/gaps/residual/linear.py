@@ -12,13 +12,14 @@ sensors less contacts tell it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Complex, Float
 
 from identify.gaps.residual.grounded import ground_force_changes, ground_forces, pushed_by_motion
+from identify.gaps.residual.projection import Projection, least_squares, left_by
 from identify.gaps.residual.response import Response, dynamics_of, times, weights_of
 from identify.gaps.residual.spectra import Record
 from rig.model.description import Body, Rig, Station
@@ -26,30 +27,6 @@ from rig.model.modes import modes_of, participation
 
 FREE = 1e-3
 """What floats is held by so little (s^-2) that its compliance has an inverse: as at 0.005 Hz."""
-
-
-@dataclass(frozen=True)
-class Projection:
-    """What the unknown inputs explain best of accelerations, line by line: `to_inputs` gives them from accelerations in
-    standard deviations, `by_input` the accelerations that they make; the first are the contact forces."""
-
-    by_input: Complex[np.ndarray, "inputs sensors lines"]
-    to_inputs: Complex[np.ndarray, "inputs sensors lines"]
-    deviation: Float[np.ndarray, "sensors lines"]
-    contacts: int
-
-    def of(
-        self, change: Complex[np.ndarray, "some lines"], sensors: list[int] | slice = slice(None)
-    ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
-        """The residual and the contact forces that something makes which some sensors deliver beside what is known."""
-        weighted = (change / self.deviation[sensors]).astype(self.by_input.dtype, copy=False)
-        inputs = np.einsum("isl,sl->il", self.to_inputs[:, sensors], weighted)
-        left = _left(self.by_input, inputs, weighted, sensors)
-        return np.concatenate([left, inputs[self.contacts :]]), inputs[: self.contacts]
-
-    def single(self) -> "Projection":
-        """In single precision, half as large and twice as fast: enough for derivatives."""
-        return replace(self, by_input=self.by_input.astype(np.complex64), to_inputs=self.to_inputs.astype(np.complex64))
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +66,7 @@ class Linear:
     def projection(self) -> Projection:
         """Of what the sensors deliver."""
         contacts = len(self.rig.contacts)
-        to_inputs = _least_squares(self.by_input, self.by_input.conj(), contacts)[0]
+        to_inputs = least_squares(self.by_input, self.by_input.conj(), contacts)[0]
         return Projection(self.by_input, to_inputs, self.deviation, contacts)
 
     @property
@@ -180,8 +157,8 @@ def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray
     by_input = np.concatenate(unknown) * sensed
     weighted = record.delivered / deviation - known * sensed
     adjoint = np.einsum("isl,sl->il", by_input.conj(), weighted)
-    inputs, log_determinant = _least_squares(by_input, adjoint[:, None], contacts)
-    left = _left(by_input, inputs[:, 0], weighted)
+    inputs, log_determinant = least_squares(by_input, adjoint[:, None], contacts)
+    left = left_by(by_input, inputs[:, 0], weighted)
     return Linear(
         record=record,
         rig=rig,
@@ -316,45 +293,3 @@ def _base(
     density = base.acceleration_rms_m_per_s2**2 / (base.high_hz - base.low_hz)
     size = np.sqrt(density * record.samples * record.sample_rate_hz / 2)
     return np.asarray(follows * size * ((hz >= base.low_hz) & (hz <= base.high_hz)))
-
-
-def _least_squares(
-    by_input: Complex[np.ndarray, "inputs sensors lines"],
-    right: Complex[np.ndarray, "inputs many lines"],
-    contacts: int,
-) -> tuple[Complex[np.ndarray, "inputs many lines"], float]:
-    """The solution of the normal equations of the inputs, line by line; those behind the contacts have a prior of one.
-
-    By elimination: the matrix is Hermitian and positive. The logarithm is that of the determinant by which the inputs
-    with a prior widen the residual's distribution: of their pivots.
-    """
-    inputs = len(by_input)
-    normal = np.empty((inputs, *by_input.shape[::2]), dtype=complex)
-    for i, column in enumerate(by_input.conj()):
-        normal[i, i:] = np.einsum("sl,jsl->jl", column, by_input[i:])
-        normal[i, i] += 1e-10 * normal[i, i].real + 1e-300 + (i >= contacts)
-    found, log_determinant = right.copy(), 0.0
-    for i in range(inputs):
-        for j in range(i + 1, inputs):
-            ratio = normal[i, j].conj() / normal[i, i]
-            normal[j, j:] -= ratio * normal[i, j:]
-            found[j] -= ratio * found[i]
-    for i in reversed(range(inputs)):
-        for j in range(i + 1, inputs):
-            found[i] -= normal[i, j] * found[j]
-        found[i] /= normal[i, i]
-        if i >= contacts:
-            log_determinant += float(np.sum(np.log(normal[i, i].real)))
-    return found, log_determinant
-
-
-def _left(
-    by_input: Complex[np.ndarray, "inputs sensors lines"],
-    inputs: Complex[np.ndarray, "inputs lines"],
-    weighted: Complex[np.ndarray, "some lines"],
-    sensors: list[int] | slice = slice(None),
-) -> Complex[np.ndarray, "sensors lines"]:
-    """What some weighted accelerations are without that of the inputs."""
-    left = -np.einsum("isl,il->sl", by_input, inputs)
-    left[sensors] += weighted
-    return left

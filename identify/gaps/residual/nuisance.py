@@ -9,7 +9,8 @@ from jaxtyping import Complex, Float
 from msgspec.structs import replace
 
 from identify.gaps.residual.grounded import pushed_by_motion
-from identify.gaps.residual.linear import Linear, Projection, bent
+from identify.gaps.residual.linear import Linear, bent
+from identify.gaps.residual.projection import Projection
 from identify.gaps.residual.response import Response, times
 from identify.gaps.residual.spectra import Record
 from identify.structure.modal import receptance

@@ -43,7 +43,7 @@ def within_a_step(step_s: float) -> Float[np.ndarray, "10 16"]:
 @_compiled
 @no_type_check  # numba compiles the plain functions only
 def _struck(laws, j, eta, rate, time_s):
-    """The contact law but for its friction, see rig.contact."""
+    """The contact law but for its friction, see `DeadZone`."""
     worn = laws[j, WEAR] * time_s
     depth = max(eta - laws[j, UPPER] - worn, 0.0) + min(eta + laws[j, LOWER] + worn, 0.0)
     size = abs(depth)
@@ -57,7 +57,7 @@ def _struck(laws, j, eta, rate, time_s):
 @_compiled
 @no_type_check
 def _force(laws, j, eta, rate, time_s):
-    """The contact law, see rig.contact."""
+    """The contact law, see `DeadZone`."""
     force = _struck(laws, j, eta, rate, time_s)
     for _ in range(laws[j, FRICTION] != 0.0):
         force += laws[j, FRICTION] * np.tanh(rate / FRICTION_SPEED_M_PER_S)
