@@ -21,7 +21,7 @@ from identify.signals.kinematics import Use
 from identify.signals.spectra import Averaging
 from rig.errors import RigError
 from rig.files import write_bytes, write_json
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig
 from rig.model.tolerances import Tolerances, tolerances_named
 from rig.recording import Recording, read
@@ -53,7 +53,7 @@ class ContactResult:
 
     found: Identification = field(repr=False)
     title: str
-    laws: Mapping[str, DeadZone]
+    laws: Mapping[str, ContactLaw]
     laws_name: str = "rig.json"
 
     @property

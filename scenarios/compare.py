@@ -11,7 +11,7 @@ from identify.contacts import Identification, identify_contact
 from identify.contacts.report import write_results
 from identify.signals.kinematics import Use
 from rig.commands.command_line import progress_bar
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import ContactLaw
 from rig.recording import read, read_truth, truth_path
 from rig.simulation.plants import plant_named
 from rig.simulation.record import record
@@ -23,7 +23,7 @@ class Comparison:
     """An identification and the contact laws that made its recording, by contact."""
 
     found: Identification
-    true: dict[str, DeadZone]
+    true: dict[str, ContactLaw]
 
     def errors_percent(self, contact: str) -> tuple[float, float]:
         """Of the clearance and the stiffness."""

@@ -21,7 +21,7 @@ from identify.contacts.estimates import Contacts, find_contacts
 from identify.contacts.joint import Joint
 from identify.signals.tolerances import jittered
 from rig.commands.command_line import run
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import DeadZone
 from rig.model.description import Rig
 from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import Recording, Signals, channel_groups, read

@@ -15,7 +15,7 @@ from identify.gaps.decision.answer import Simulator, diagnose
 from rig.commands.command_line import progress_bar, run
 from rig.effects.added_mass import AddedMass
 from rig.files import write_bytes
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import DeadZone
 from rig.model.description import Contact, Rig, Sensor, Station, to_json
 from rig.model.oscillator import Oscillator
 from rig.recording import Recording, read

@@ -11,7 +11,7 @@ from identify.contacts.joint import Joint
 from identify.contacts.results import ContactReport, Stretch
 from identify.pages.style import BLUE, GREEN, GREY, RED, png
 from identify.structure.modal import receptance
-from rig.model.contact_law import dead_zone
+from rig.model.contact_laws import penetration_m
 
 Marks = Mapping[str, tuple[float, float]]
 """Reference values by contact: clearance (m) and stiffness (N/m), drawn as dashed lines."""
@@ -148,7 +148,7 @@ def _separated(figure: Any, found: Identification, marks: Marks, marks_name: str
         if isinstance(answer, Joint):
             lower, upper, stiffness, _ = answer.parameters
             span = np.linspace(eta.min(), eta.max(), 400)
-            law = stiffness * dead_zone(span, lower, upper)
+            law = stiffness * penetration_m(span, lower, upper)
             axes.plot(1e3 * span, law, color=RED, lw=1.2, label="law found (without damping)")
         _mark_stops(axes, found, j, marks, marks_name)
         axes.set(xlabel=f"$\\eta$ of {contact.name}, mm", title=contact.name)

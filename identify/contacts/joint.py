@@ -12,7 +12,7 @@ from scipy.stats import norm, t
 from identify.signals.drift import Drift, Spline, spline
 from identify.signals.spectra import decimated, oversampled
 from rig.errors import RigError
-from rig.model.contact_law import damping_share, dead_zone
+from rig.model.contact_laws import DeadZone
 
 PARTS = 16
 STEPS = 30
@@ -96,10 +96,20 @@ def law_force_n(
     eta_m: Float[np.ndarray, " samples"],
     rate_m_per_s: Float[np.ndarray, " samples"],
 ) -> Float[np.ndarray, " samples"]:
-    """k depth + c rate, the latter setting in over the first 10 um: `DeadZone`, with any sign of c."""
-    lower, upper, stiffness, damping = parameters
-    depth = dead_zone(eta_m, float(lower), float(upper))
-    return np.asarray(stiffness * depth + damping * rate_m_per_s * damping_share(depth))
+    """Stiffness and damping times what a `DeadZone` makes of one of each; the damping may have any sign."""
+    by_stiffness, by_damping = _by_stiffness_and_damping(parameters, eta_m, rate_m_per_s)
+    return np.asarray(parameters[2] * by_stiffness + parameters[3] * by_damping)
+
+
+def _by_stiffness_and_damping(
+    parameters: Float[np.ndarray, "4"], eta_m: Float[np.ndarray, " samples"], rate: Float[np.ndarray, " samples"]
+) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
+    lower, upper = parameters[:2].tolist()
+    spring, damper = (
+        DeadZone(lower_clearance_m=lower, upper_clearance_m=upper, stiffness_n_per_m=k, damping_n_s_per_m=c)
+        for k, c in ((1.0, 0.0), (0.0, 1.0))
+    )
+    return spring.force_n(eta_m), damper.force_n(eta_m, rate)
 
 
 def fit_joint(seen: ContactRecord, nuisance_signals: Sequence[NuisanceSignal] = ()) -> Joint:
@@ -236,9 +246,8 @@ def _linearised(
     eta, velocity = seen.eta_m + curve.value @ knots, seen.velocity_m_per_s + curve.rate @ knots
     above, below = eta > upper, eta < -lower
     outside = (above | below).astype(float)
-    into = dead_zone(eta, lower, upper)
-    damped = velocity * damping_share(into)
-    parts = np.stack([stiffness * below, -stiffness * above, into, damped, stiffness * outside])
+    by_stiffness, by_damping = _by_stiffness_and_damping(law, eta, velocity)
+    parts = np.stack([stiffness * below, -stiffness * above, by_stiffness, by_damping, stiffness * outside])
     low_passed = decimated(parts, seen.factor)[:, : seen.force_n.size]
     fine = max(1, round(FINE_HZ / seen.sample_rate_hz))
     finer = oversampled(np.stack([eta, velocity]), fine)

@@ -12,7 +12,7 @@ from identify.contacts.results import ContactEstimate, Estimate
 from identify.pages import page
 from identify.pages.wording import interval, number
 from rig.files import write_bytes, write_json
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import ContactLaw
 
 _CAPTIONS = {
     "separated": "The contact forces over the relative displacements, separated without assuming a law, and the law "
@@ -24,7 +24,7 @@ _CAPTIONS = {
     "frf": "The linear FRF that NIFO finds beside the contacts, and that of rig.json.",
     "outputs": "The main modal coordinate as measured, and as it would be without contacts.",
 }
-Laws = Mapping[str, DeadZone]
+Laws = Mapping[str, ContactLaw]
 
 
 def write_results(found: Identification, out: Path, title: str, laws: Laws, laws_name: str) -> None:
@@ -93,7 +93,7 @@ def _values(found: Identification, laws: Laws, laws_name: str) -> str:
     return note + "".join(tables)
 
 
-def _rows(found: ContactEstimate, law: DeadZone) -> Iterator[tuple[str, ...]]:
+def _rows(found: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]]:
     """A row a quantity: what was identified, what stands beside it, and by how much the two differ."""
     for name, estimate, beside, unit, scale in (
         ("clearance", found.clearance_m, law.clearance_m, "mm", 1e3),

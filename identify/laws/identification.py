@@ -16,7 +16,7 @@ from identify.laws.results import ContactLaw, LawReport, TriedLaw
 from identify.laws.symbolic import Formula, pyoperon, search
 from identify.signals.kinematics import Use
 from rig.errors import RigError
-from rig.model.contact_law import dead_zone
+from rig.model.contact_laws import penetration_m
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 
@@ -131,7 +131,7 @@ def _law(contacts: Contacts, contact: int, seconds: float, seed: int) -> FoundLa
     laws: dict[str, Callable[[np.ndarray], np.ndarray]] = {PIECEWISE: pieces}
     if joint is not None:
         lower, upper, stiffness, _ = (float(p) for p in joint.parameters)
-        laws[DEAD_ZONE] = lambda e: stiffness * dead_zone(e, lower, upper)
+        laws[DEAD_ZONE] = lambda e: stiffness * penetration_m(e, lower, upper)
     laws |= {CUBIC: polynomial(record, taught, 3), FORMULA: formula}
     candidates = tuple(TriedLaw(name, record.error_n(law, held_out)) for name, law in laws.items())
     best = candidates[_first_as_good([c.held_out_error_n for c in candidates], finest)]

@@ -8,7 +8,7 @@ from scipy.optimize import least_squares, minimize
 
 from identify.signals.spectra import decimated
 from identify.structure.modal import ModalEquation
-from rig.model.contact_law import dead_zone
+from rig.model.contact_laws import penetration_m
 
 PARTS = 16
 """Into how many parts a record is cut for standard errors."""
@@ -75,7 +75,7 @@ def fit_surface(
 
     def columns(stops: Float[np.ndarray, " stops"]) -> Float[np.ndarray, "samples columns"]:
         zones = [
-            equation.shape_at_contacts[j] * decimated(dead_zone(eta_m[j], stops[2 * i], stops[2 * i + 1]), factor)
+            equation.shape_at_contacts[j] * decimated(penetration_m(eta_m[j], stops[2 * i], stops[2 * i + 1]), factor)
             for i, j in enumerate(seen)
         ]
         return np.stack([*linear, *zones], axis=1)
@@ -132,7 +132,7 @@ def clearance_from_occurrence(eta_m: Float[np.ndarray, " samples"]) -> Stops:
             exponent = (
                 -p[0] * x
                 - p[1] * x**2 / 2
-                - np.exp(min(p[2], 20.0)) * (dead_zone(middles, lower, upper) / scale) ** 2 / 2
+                - np.exp(min(p[2], 20.0)) * (penetration_m(middles, lower, upper) / scale) ** 2 / 2
             )
             top = exponent.max()
             return float(-(counts @ exponent) + top + np.log(np.exp(exponent - top).sum()))

@@ -11,7 +11,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.signal import resample
 
 from rig.errors import RigError
-from rig.model.contact_law import dead_zone
+from rig.model.contact_laws import penetration_m
 
 POWERS = {"hann": 2, "sin4": 4, "sin6": 6}
 OVERSAMPLING = 8
@@ -139,7 +139,7 @@ def window(name: str, length: int, sample_rate_hz: float) -> Float[np.ndarray, "
 
 def penetration(eta_m: Float[np.ndarray, " samples"], lower_m: float, upper_m: float) -> Float[np.ndarray, " samples"]:
     """The dead zone of a band-limited relative displacement, band-limited again, so that its kinks do not alias."""
-    return decimated(dead_zone(oversampled(eta_m, OVERSAMPLING), lower_m, upper_m), OVERSAMPLING)[: eta_m.size]
+    return decimated(penetration_m(oversampled(eta_m, OVERSAMPLING), lower_m, upper_m), OVERSAMPLING)[: eta_m.size]
 
 
 def oversampled(signals: Float[np.ndarray, "*rows samples"], times: int) -> Float[np.ndarray, "*rows more"]:

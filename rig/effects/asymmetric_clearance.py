@@ -5,6 +5,7 @@ from typing import Annotated, ClassVar
 from msgspec.structs import replace
 
 from rig.effects.base import Effect, Parameter, Scale
+from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig
 
 
@@ -31,6 +32,7 @@ class AsymmetricClearance(Effect, frozen=True):
         return self.with_laws(
             rig,
             self.contact,
+            ContactLaw,
             lambda law: replace(
                 law,
                 lower_clearance_m=law.lower_clearance_m - self.shift_m,

@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import ClassVar, get_args, get_type_hints
+from typing import ClassVar, TypeVar, get_args, get_type_hints
 
 import msgspec
 import numpy as np
@@ -13,13 +13,14 @@ from msgspec.structs import replace
 
 from rig.errors import RigError
 from rig.model.beam import Beam
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import ContactLaw
 from rig.model.description import Body, Rig, Sensor, Station, contact_stations
 from rig.model.modes import Modes, modes_of
 
 PLACES = 11
 """Along a beam, where its softest place is looked for."""
 
+Law = TypeVar("Law", bound=ContactLaw)
 Place = Mapping[str, str | None]
 """Where an effect acts, by the names of its fields (contact, body, beam, sensor, ...); None: all of them together."""
 
@@ -102,7 +103,7 @@ class Scale:
         """The frequencies that a record tells: two periods long at least, and below its sensors' filters."""
         return 2 / self.duration_s, 0.4 * self.rig.sample_rate_hz
 
-    def _laws(self) -> list[DeadZone]:
+    def _laws(self) -> list[ContactLaw]:
         return [c.law for c in self.rig.contacts if self.place.get("contact") in (None, c.name)]
 
     def _body(self) -> Body:
@@ -188,12 +189,20 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     def nowhere(self, rig: Rig, wanted: str) -> RigError:
         return RigError(f"effect {self.name}: rig {rig.name!r} has no {wanted}; choose another place or another effect")
 
-    def with_laws(self, rig: Rig, contact: str | None, change: Callable[[DeadZone], DeadZone]) -> Rig:
-        """The rig with the law of one contact changed; of every contact if none is named."""
-        changed = [c for c in rig.contacts if contact in (None, c.name)]
+    def with_laws(self, rig: Rig, contact: str | None, kind: type[Law], change: Callable[[Law], Law]) -> Rig:
+        """The rig with the law of one contact changed; of every contact if none is named.
+
+        Raises RigError if there is no such contact or its law is of another kind.
+        """
+        changed = {c.name: c.law for c in rig.contacts if contact in (None, c.name)}
         if not changed:
             raise self.nowhere(rig, "contact" if contact is None else f"contact {contact!r}")
-        return replace(rig, contacts=tuple(replace(c, law=change(c.law)) if c in changed else c for c in rig.contacts))
+        laws = {}
+        for name, law in changed.items():
+            if not isinstance(law, kind):
+                raise self.nowhere(rig, f"{kind.__struct_config__.tag} at {name!r}")
+            laws[name] = change(law)
+        return replace(rig, contacts=tuple(replace(c, law=laws.get(c.name, c.law)) for c in rig.contacts))
 
     def body_of(self, rig: Rig, name: str | None) -> Body:
         """The body of that name; the one that the force drives if none is named."""

@@ -5,6 +5,7 @@ from typing import Annotated, ClassVar
 from msgspec.structs import replace
 
 from rig.effects.base import Effect, Parameter, Scale
+from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig
 
 
@@ -29,5 +30,6 @@ class ClearanceWear(Effect, frozen=True):
         return self.with_laws(
             rig,
             self.contact,
+            ContactLaw,
             lambda law: replace(law, wear_m_per_s=law.wear_m_per_s + self.growth_per_minute * law.clearance_m / 60),
         )

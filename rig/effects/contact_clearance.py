@@ -5,6 +5,7 @@ from typing import Annotated, ClassVar
 from msgspec.structs import replace
 
 from rig.effects.base import Effect, Parameter
+from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig
 
 
@@ -20,6 +21,7 @@ class ContactClearance(Effect, frozen=True):
         return self.with_laws(
             rig,
             self.contact,
+            ContactLaw,
             lambda law: replace(
                 law,
                 lower_clearance_m=law.lower_clearance_m * self.factor,

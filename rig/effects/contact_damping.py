@@ -5,6 +5,7 @@ from typing import Annotated, ClassVar
 from msgspec.structs import replace
 
 from rig.effects.base import Effect, Parameter, Scale
+from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig
 
 
@@ -31,5 +32,6 @@ class ContactDamping(Effect, frozen=True):
         return self.with_laws(
             rig,
             self.contact,
+            ContactLaw,
             lambda law: replace(law, damping_n_s_per_m=law.damping_n_s_per_m + self.damping_n_s_per_m),
         )

@@ -5,6 +5,7 @@ from typing import Annotated, ClassVar
 from msgspec.structs import replace
 
 from rig.effects.base import Effect, Parameter
+from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig
 
 
@@ -18,5 +19,8 @@ class ContactStiffness(Effect, frozen=True):
 
     def applied_to(self, rig: Rig) -> Rig:
         return self.with_laws(
-            rig, self.contact, lambda law: replace(law, stiffness_n_per_m=law.stiffness_n_per_m * self.factor)
+            rig,
+            self.contact,
+            ContactLaw,
+            lambda law: replace(law, stiffness_n_per_m=law.stiffness_n_per_m * self.factor),
         )

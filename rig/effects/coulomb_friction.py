@@ -5,6 +5,7 @@ from typing import Annotated, ClassVar
 from msgspec.structs import replace
 
 from rig.effects.base import Effect, Parameter, Scale
+from rig.model.contact_laws import DeadZone
 from rig.model.description import Rig
 
 
@@ -26,4 +27,6 @@ class CoulombFriction(Effect, frozen=True):
         return cls.placed(scale, force_n=0.1 * scale.force_rms_n)
 
     def applied_to(self, rig: Rig) -> Rig:
-        return self.with_laws(rig, self.contact, lambda law: replace(law, friction_n=law.friction_n + self.force_n))
+        return self.with_laws(
+            rig, self.contact, DeadZone, lambda law: replace(law, friction_n=law.friction_n + self.force_n)
+        )

@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from rig.effects.base import Effect, Parameter, Scale
 from rig.errors import RigError
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import DeadZone
 from rig.model.description import Rig
 
 
@@ -29,7 +29,7 @@ class HertzStop(Effect, frozen=True):
             raise RigError(
                 f"effect {self.name}: reference_force_n is {self.reference_force_n}; give a value above zero"
             )
-        return self.with_laws(rig, self.contact, self._changed)
+        return self.with_laws(rig, self.contact, DeadZone, self._changed)
 
     def _changed(self, law: DeadZone) -> DeadZone:
         if not law.stiffness_n_per_m > 0:

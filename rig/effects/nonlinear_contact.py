@@ -5,6 +5,7 @@ from typing import Annotated, ClassVar
 from msgspec.structs import replace
 
 from rig.effects.base import Effect, Parameter, Scale
+from rig.model.contact_laws import DeadZone
 from rig.model.description import Rig
 
 
@@ -27,7 +28,10 @@ class NonlinearContact(Effect, frozen=True):
 
     def applied_to(self, rig: Rig) -> Rig:
         return self.with_laws(
-            rig, self.contact, lambda law: replace(law, cubic_n_per_m3=law.cubic_n_per_m3 + self.cubic_n_per_m3)
+            rig,
+            self.contact,
+            DeadZone,
+            lambda law: replace(law, cubic_n_per_m3=law.cubic_n_per_m3 + self.cubic_n_per_m3),
         )
 
 

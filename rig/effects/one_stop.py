@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal
 from msgspec.structs import replace
 
 from rig.effects.base import Effect, Parameter
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import DeadZone
 from rig.model.description import Rig
 
 
@@ -26,7 +26,7 @@ class OneStop(Effect, frozen=True):
         return [{**place, "side": side} for place in found for side in ("upper", "lower")]
 
     def applied_to(self, rig: Rig) -> Rig:
-        return self.with_laws(rig, self.contact, self._changed)
+        return self.with_laws(rig, self.contact, DeadZone, self._changed)
 
     def _changed(self, law: DeadZone) -> DeadZone:
         if self.side == "lower":

@@ -1,7 +1,7 @@
 """A rig as a value: bodies, contacts, the exciting force and the sensors. It travels in every recording as rig.json."""
 
 from collections.abc import Iterable
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from rig.errors import RigError
 from rig.model.beam import Beam
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import AnyLaw, DeadZone
 from rig.model.oscillator import Oscillator
 from rig.model.structure import Structure
 from rig.model.tolerances import Tolerances
@@ -35,12 +35,12 @@ class Station(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Contact(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A dead zone between two stations; the relative displacement is `at` minus `against` (None: the ground)."""
+    """Two stations that meet; the relative displacement is `at` minus `against` (None: the ground)."""
 
     name: str
     at: Station
     against: Station | None
-    law: DeadZone
+    law: AnyLaw
 
 
 class Sensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -100,6 +100,11 @@ class PointSpring(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
             _check_finite("point spring", field, getattr(self, field))
         _check_number("point spring", "rotational_n_m_per_rad", self.rotational_n_m_per_rad)
 
+    @property
+    def law(self) -> DeadZone:
+        """What of its force no linear model of the body has, k3 w^3, as of a contact without clearance."""
+        return _without_stops(cubic_n_per_m3=self.cubic_n_per_m3)
+
 
 class PointDamper(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A damper from a body to the base: the force c v + F tanh(v / v0) against the velocity, v0 = 0.02 m/s."""
@@ -111,6 +116,11 @@ class PointDamper(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     def __post_init__(self) -> None:
         for field in ("damping_n_s_per_m", "friction_n"):
             _check_number("point damper", field, getattr(self, field))
+
+    @property
+    def law(self) -> DeadZone:
+        """Its force, as of a contact without stiffness."""
+        return _without_stops(open_damping_n_s_per_m=self.damping_n_s_per_m, friction_n=self.friction_n)
 
 
 class Clamp(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -266,6 +276,10 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
             raise RigError(f"{what} stands at {station.position_m} m, off {body.name!r}; give 0 to {body.length_m} m")
 
 
+def _without_stops(**numbers: float) -> DeadZone:
+    return DeadZone(lower_clearance_m=0.0, upper_clearance_m=0.0, stiffness_n_per_m=0.0, **numbers)
+
+
 def _check_carried(body: Body) -> None:
     """Raises RigError if it is not known how a moving base carries the body."""
     if isinstance(body, Structure):
@@ -315,12 +329,21 @@ def to_json(rig: Rig) -> bytes:
     return msgspec.json.format(msgspec.json.encode(rig), indent=2)
 
 
+def _with_laws_named(read: Any) -> Any:
+    """Older files do not say which law a contact has: there was the dead zone alone."""
+    contacts = read.get("contacts") if isinstance(read, dict) else None
+    for contact in contacts if isinstance(contacts, list) else []:
+        if isinstance(contact, dict) and isinstance(contact.get("law"), dict):
+            contact["law"].setdefault("type", "dead_zone")
+    return read
+
+
 def from_json(text: bytes, source: str) -> Rig:
     """The rig described by a JSON text; `source` names it in the error.
 
     Raises RigError with the place and the reason if the text is no valid rig.
     """
     try:
-        return msgspec.json.decode(text, type=Rig)
+        return msgspec.convert(_with_laws_named(msgspec.json.decode(text)), Rig)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise RigError(f"{source}: not a rig description: {error}; see rig/recording/README.md") from error

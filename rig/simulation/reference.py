@@ -6,7 +6,7 @@ import msgspec
 
 from rig.errors import RigError
 from rig.model.beam import Beam
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import DeadZone
 from rig.model.description import Contact, Quantity, Rig, Sensor, Station
 from rig.model.oscillator import Oscillator
 from rig.simulation.excitation import Excitation, excitation_of

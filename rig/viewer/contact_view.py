@@ -10,7 +10,7 @@ import rerun as rr
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy.ndimage import binary_dilation
 
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import ContactLaw
 from rig.model.description import Contact
 from rig.viewer.blueprint import TRAIL_S, entity
 from rig.viewer.drawing import CLOSED, FAINT, FOUND, FREE, LINES, STEEL, Colour, pixels, send, send_lines, style
@@ -33,7 +33,7 @@ class Play:
     """
 
     contact: Contact
-    others: Mapping[str, DeadZone]
+    others: Mapping[str, ContactLaw]
     time_s: Float[np.ndarray, " samples"]
     relative_m: Float[np.ndarray, " samples"]
     force_n: Float[np.ndarray, " samples"] | None
@@ -104,7 +104,7 @@ def _readings(play: Play) -> list[str]:
     return words
 
 
-def _send_dashed_walls(stream: rr.RecordingStream, path: str, law: DeadZone, across: float, name: str) -> None:
+def _send_dashed_walls(stream: rr.RecordingStream, path: str, law: ContactLaw, across: float, name: str) -> None:
     ends = np.linspace(-across, across, 2 * DASHES).reshape(DASHES, 2)
     levels = (-1e3 * law.upper_clearance_m, 1e3 * law.lower_clearance_m)
     dashes = [[[a, level], [b, level]] for level in levels for a, b in ends]

@@ -5,7 +5,7 @@ from pathlib import Path
 import msgspec
 
 from rig.errors import RigError
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import DeadZone
 from rig.model.description import Rig
 
 

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int
 
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import ContactLaw
 from rig.model.description import Body, Contact, Rig, Station
 from rig.viewer.deflection import Deflection
 
@@ -84,7 +84,7 @@ class Stage:
         y, z = 0.04 * self.extent_m * np.array([[-1, 1, 1, -1, -1], [-2, -2, 2, 2, -2]])
         return np.stack([np.full(5, self.left_m[body.name]), self.depth(body.name) + y, z], axis=1)
 
-    def fork(self, contact: Contact, law: DeadZone) -> Float[np.ndarray, "frames 4 3"]:
+    def fork(self, contact: Contact, law: ContactLaw) -> Float[np.ndarray, "frames 4 3"]:
         """The two jaws that a contact's station plays between, on the body it strikes or, beside it, the ground."""
         tip, half = self.point(contact.at), self._half(self.rig.body(contact.at.body))
         jaws = np.repeat(tip[:, None], 4, axis=1)

@@ -11,7 +11,7 @@ import rerun as rr
 
 from rig.errors import RigError
 from rig.files import atomic_write
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import ContactLaw
 from rig.model.description import Contact
 from rig.recording import Recording
 from rig.viewer.blueprint import Look, blueprint, entity
@@ -30,7 +30,7 @@ def write_rrd(
     path: Path,
     magnification: float | None = None,
     *,
-    identified: Mapping[str, DeadZone] = MappingProxyType({}),
+    identified: Mapping[str, ContactLaw] = MappingProxyType({}),
     progress: Callable[[float], None] = lambda _: None,
 ) -> None:
     """Writes the recording for the rerun viewer; `truth`, where there is one, adds what only a simulator knows.
@@ -94,7 +94,7 @@ def write_rrd(
             stream.disconnect()
 
 
-def _others(contact: Contact, recording: Recording, identified: Mapping[str, DeadZone]) -> dict[str, DeadZone]:
+def _others(contact: Contact, recording: Recording, identified: Mapping[str, ContactLaw]) -> dict[str, ContactLaw]:
     """What is drawn over the walls: what rig.json believes where they are not that, and what was identified."""
     believed = recording.rig.contact(contact.name).law
     others = {} if believed == contact.law else {"believed": believed}

@@ -16,7 +16,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import DeadZone
 from rig.simulation.excitation import QUIET_S, force_history
 from rig.simulation.motion import Motion, joined
 from rig.simulation.plants import ancf

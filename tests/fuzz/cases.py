@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from rig.errors import RigError
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import DeadZone
 from rig.model.description import (
     BaseMotion,
     Clamp,

@@ -7,7 +7,6 @@ from jaxtyping import Complex, Float
 
 from identify.gaps.residual.response import Response, times, weights_of
 from identify.gaps.residual.spectra import FINE_HZ, Record
-from rig.model.contact_law import FRICTION_SPEED_M_PER_S
 from rig.model.description import PointDamper, PointMass, PointSpring, Rig, Station
 
 Spectrum = Complex[np.ndarray, " lines"]
@@ -23,14 +22,14 @@ def ground_forces(
     found = []
     for spring, w in zip(springs, moved, strict=False):
         (fine,) = _finely(record, 3, w)
-        found.append((spring.station, -spring.cubic_n_per_m3 * _coarsely(record, fine**3)))
+        found.append((spring.station, -_coarsely(record, spring.law.force_n(fine))))
     for damper, w in zip(dampers, moved[len(springs) :], strict=True):
         velocity = 1j * record.omega * w
-        force_n = -damper.damping_n_s_per_m * velocity
         if damper.friction_n:
             (fine,) = _finely(record, _often(record), velocity)
-            force_n = force_n - damper.friction_n * _coarsely(record, np.tanh(fine / FRICTION_SPEED_M_PER_S))
-        found.append((damper.station, force_n))
+            found.append((damper.station, -_coarsely(record, damper.law.force_n(np.zeros_like(fine), fine))))
+        else:
+            found.append((damper.station, -damper.damping_n_s_per_m * velocity))
     return found
 
 
@@ -48,14 +47,15 @@ def ground_force_changes(
     found = []
     for spring, w, more in zip(springs, *both, strict=False):
         fine, change = _finely(record, 3, w, more)
-        found.append((spring.station, -3 * spring.cubic_n_per_m3 * _coarsely(record, fine**2 * change)))
+        found.append((spring.station, -_coarsely(record, spring.law.by_eta_n_per_m(fine) * change)))
     for damper, w, more in zip(dampers, *(moved[len(springs) :] for moved in both), strict=True):
-        force_n = -damper.damping_n_s_per_m * 1j * record.omega * more
+        change = 1j * record.omega * more
         if damper.friction_n:
-            fine, change = _finely(record, _often(record), 1j * record.omega * w, 1j * record.omega * more)
-            steepness = (1 - np.tanh(fine / FRICTION_SPEED_M_PER_S) ** 2) / FRICTION_SPEED_M_PER_S
-            force_n = force_n - damper.friction_n * _coarsely(record, steepness * change)
-        found.append((damper.station, force_n))
+            fine, finely_changed = _finely(record, _often(record), 1j * record.omega * w, change)
+            steepness = damper.law.by_rate_n_s_per_m(np.zeros_like(fine), fine)
+            found.append((damper.station, -_coarsely(record, steepness * finely_changed)))
+        else:
+            found.append((damper.station, -damper.damping_n_s_per_m * change))
     return found
 
 

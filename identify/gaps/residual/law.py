@@ -18,7 +18,7 @@ from identify.gaps.residual.spectra import Record
 from identify.signals.drift import Spline, spline
 from identify.signals.spectra import decimated
 from rig.errors import RigError
-from rig.model.contact_law import DeadZone, damping_share
+from rig.model.contact_laws import ContactLaw
 
 WALL = 100.0
 """Beyond `LIMIT` standard deviations these weigh so many times more: something else is wrong."""
@@ -31,6 +31,8 @@ DEEP, DEPTHS = 3.0, 2000
 """Penetrations at which a law is inverted: up to so many times that of a linear stop, and how many."""
 EDGE = 8
 """A contact force so few samples before a record ends rings on: the low-pass of its law lacks what follows."""
+
+Fine = Float[np.ndarray, " fine"]
 
 
 @dataclass(frozen=True)
@@ -125,7 +127,7 @@ def laid_out(record: Record, model: Linear) -> tuple[ContactSignals, ...]:
 
 
 def start_of(
-    laid: ContactSignals, seen: ContactObservation, law: DeadZone, rate_hz: float
+    laid: ContactSignals, seen: ContactObservation, law: ContactLaw, rate_hz: float
 ) -> Float[np.ndarray, " unknowns"]:
     """The drift by the samples at which the contact is clearly closed; zero where they do not tell it.
 
@@ -150,14 +152,14 @@ def start_of(
     return start
 
 
-def _depth_m(law: DeadZone, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
-    """The penetration at which the law's elastic force is as large; zero for a law without stiffness."""
-    stiffness = max(law.stiffness_n_per_m, law.lower_stiffness_n_per_m)
+def _depth_m(law: ContactLaw, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
+    """The penetration at which the law's force at rest is as large; zero for a law without stiffness."""
+    stiffness, _ = law.steepest
     found = np.zeros_like(force_n)
     if stiffness:
         depth = np.linspace(0.0, DEEP * np.max(np.abs(force_n)) / stiffness, DEPTHS)
-        for sign in (-1, 1):
-            elastic = np.maximum.accumulate(sign * law.elastic_n(sign * depth))
+        for sign, clearance in ((-1, law.lower_clearance_m), (1, law.upper_clearance_m)):
+            elastic = np.maximum.accumulate(sign * law.force_n(sign * (clearance + depth)))
             found += sign * np.interp(np.maximum(sign * force_n, 0.0), elastic, depth)
     return found
 
@@ -167,16 +169,16 @@ class ContactResidual:
     """A contact's law laid against its separated force, with its drift and the law's own tolerances as unknowns.
 
     unknowns are the drift's knots (m), then clearance, stiffness and damping in their tolerances. within is the law
-    with those, at a fine depth and velocity. residual is force less law, in standard deviations, above the residuals of
-    the prior.
+    with the first two, damped_n what one tolerance of damping adds to it. residual is force less law, in standard
+    deviations, above the residuals of the prior.
     """
 
     seen: ContactObservation
     laid: ContactSignals
-    law: DeadZone
-    within: DeadZone
+    law: ContactLaw
+    within: ContactLaw
     unknowns: Float[np.ndarray, " unknowns"]
-    depth_m: Float[np.ndarray, " fine"]
+    eta_m: Float[np.ndarray, " fine"]
     damped_n: Float[np.ndarray, " fine"]
     residual: Float[np.ndarray, " rows"]
 
@@ -184,12 +186,12 @@ class ContactResidual:
     def cost(self) -> float:
         return float(self.residual @ self.residual)
 
-    @property
+    @cached_property
     def tangent_n_per_m(self) -> Float[np.ndarray, " fine"]:
-        return self.within.tangent_n_per_m(self.depth_m)
+        return self.within.by_eta_n_per_m(self.eta_m, self.laid.time_s)
 
     @property
-    def fitted(self) -> DeadZone:
+    def fitted(self) -> ContactLaw:
         """The law with clearance, stiffness and damping as they were fitted within their tolerances."""
         more = self.unknowns[-1] * self.seen.trusted[2] * self.law.stiffness_n_per_m
         return changed(self.within, damping_n_s_per_m=max(0.0, float(self.law.damping_n_s_per_m + more)))
@@ -208,9 +210,10 @@ class ContactResidual:
         """By how much the residual falls with each unknown."""
         weights, curve = self.seen.weights, self.seen.curve
         by_clearance, by_stiffness, _ = self.seen.trusted
+        at_rest, stiffness = changed(self.within, damping_n_s_per_m=0.0), self.law.stiffness_n_per_m
         fine = [
-            -self.tangent_n_per_m * np.sign(self.depth_m) * by_clearance * self.law.clearance_m,
-            by_stiffness * self.law.spring_n(self.depth_m),
+            -self.tangent_n_per_m * np.sign(self.eta_m) * by_clearance * self.law.clearance_m,
+            by_stiffness * more_n(at_rest, self.eta_m, 0.0, self.laid.time_s, stiffness_n_per_m=stiffness),
             self.damped_n,
         ]
         by_law = decimated(np.stack(fine), self.laid.finer).T
@@ -234,17 +237,17 @@ class ContactResidual:
 def contact_residual(
     laid: ContactSignals,
     seen: ContactObservation,
-    law: DeadZone,
+    law: ContactLaw,
     unknowns: Float[np.ndarray, " unknowns"],
-    more_n: float | Float[np.ndarray, " times"] = 0.0,
-    more_m: float | Float[np.ndarray, " times"] = 0.0,
+    added_n: float | Float[np.ndarray, " times"] = 0.0,
+    added_m: float | Float[np.ndarray, " times"] = 0.0,
 ) -> ContactResidual:
-    """The residual at some drift and tolerances; more_n and more_m come on top of force and relative displacement.
+    """The residual at some drift and tolerances; added_n and added_m come on top of force and relative displacement.
 
     The law is evaluated finely and low-passed to the band of the force, so that its kinks do not alias.
     """
     curve, knots = seen.curve, unknowns[: seen.curve.knots]
-    slow, slow_rate = curve.value @ knots + more_m, curve.rate @ knots
+    slow, slow_rate = curve.value @ knots + added_m, curve.rate @ knots
     eta = laid.eta_m + _finely(np.broadcast_to(slow, laid.force_n.shape), laid.finer)
     rate = laid.rate_m_per_s + _finely(slow_rate, laid.finer)
     clearance, stiffness, _ = (unknowns[curve.knots :] * seen.trusted).tolist()
@@ -254,11 +257,10 @@ def contact_residual(
         upper_clearance_m=law.upper_clearance_m * max(0.0, 1 + clearance),
         stiffness_n_per_m=law.stiffness_n_per_m * max(0.01, 1 + stiffness),
     )
-    time_s = laid.time_s if law.wear_m_per_s else 0.0  # without wear two numbers are the stops, not two courses
-    depth = within.penetration_m(eta, time_s)
-    damped = seen.trusted[2] * law.stiffness_n_per_m * rate * damping_share(depth)
-    force = within.force_n(eta, rate, time_s) + unknowns[-1] * damped
-    residual = laid.force_n + more_n - decimated(force, laid.finer) - laid.spring_n_per_m * slow
+    damping = seen.trusted[2] * law.stiffness_n_per_m
+    damped = more_n(within, eta, rate, laid.time_s, damping_n_s_per_m=damping)
+    force = within.force_n(eta, rate, laid.time_s) + unknowns[-1] * damped
+    residual = laid.force_n + added_n - decimated(force, laid.finer) - laid.spring_n_per_m * slow
     held = -seen.firm * (unknowns[curve.knots :] + WALL * _beyond(unknowns))
     return ContactResidual(
         seen=seen,
@@ -266,10 +268,18 @@ def contact_residual(
         law=law,
         within=within,
         unknowns=unknowns,
-        depth_m=depth,
+        eta_m=eta,
         damped_n=damped,
         residual=np.concatenate([seen.weights * residual, curve.target - curve.curvature @ knots, held]),
     )
+
+
+def more_n(
+    law: ContactLaw, eta_m: Fine, rate_m_per_s: Fine | float, time_s: Fine, **numbers: float
+) -> Float[np.ndarray, " fine"]:
+    """What the force gains where numbers that it is proportional to grow by so much."""
+    more = changed(law, **{name: getattr(law, name) + by for name, by in numbers.items()})
+    return more.force_n(eta_m, rate_m_per_s, time_s) - law.force_n(eta_m, rate_m_per_s, time_s)
 
 
 def _beside(

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from rig.model.contact_law import dead_zone
+from rig.model.contact_laws import penetration_m
 
 Against = Literal["displacement", "velocity", "velocity squared", "acceleration", "time", "clearance", "none"]
 Fine = Float[np.ndarray, " fine"]
@@ -94,7 +94,7 @@ FORMS: tuple[Form, ...] = (
         "clearance",
         "{0} (|w| - d) sign(w) beyond d = {p}",
         ("N/m",),
-        lambda w, _, p: [dead_zone(w, p, p)],
+        lambda w, _, p: [penetration_m(w, p, p)],
         "d",
         "m",
         (0.02, 0.95),

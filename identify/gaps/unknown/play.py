@@ -49,7 +49,7 @@ def _of(record: Record, name: str, contact: ContactResidual) -> Breathing | None
     """By the periodogram of the samples at which the contact presses, refined about its peak."""
     weights = contact.seen.weights
     tangent, side = decimated(
-        np.stack([contact.tangent_n_per_m, contact.tangent_n_per_m * np.sign(contact.depth_m)]), contact.laid.finer
+        np.stack([contact.tangent_n_per_m, contact.tangent_n_per_m * np.sign(contact.eta_m)]), contact.laid.finer
     )
     pressed = (weights > 0) & (tangent > STEEP * max(float(tangent.max()), 1e-300))
     if np.count_nonzero(pressed) < FEW:

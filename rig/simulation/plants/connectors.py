@@ -2,9 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, no_type_check
 
-from rig.model.contact_law import DAMPING_DEPTH_M, FRICTION_SPEED_M_PER_S, DeadZone
+from rig.model.contact_laws import ContactLaw, elementary
 from rig.model.description import Station
 from rig.simulation.plants.mesh import Mesh
 
@@ -46,33 +47,32 @@ Extra = GroundedForce | ChangingModulus | Section
 """What only a simulated reality has, beyond its Rig."""
 
 
-def add_contact(exu: Any, mbs: Any, against: int, at: int, law: DeadZone) -> int:
-    """A connector whose force is the dead zone; the markers' numbers are given, the connector's returned."""
-    symbolic = exu.symbolic
+def add_contact(exu: Any, mbs: Any, against: int, at: int, law: ContactLaw) -> int:
+    """A connector whose force is the law's; the markers' numbers are given, the connector's returned."""
+    _let_formulas_record(exu.symbolic)
 
     @no_type_check  # recorded symbolically from the plain function
-    def dead_zone(_system, t, _number, eta, rate, stiffness, damping, _offset):
-        def beyond(depth, size, ratio):
-            share = symbolic.IfThenElse(size < DAMPING_DEPTH_M, size / DAMPING_DEPTH_M, symbolic.Real(1.0))
-            secant = ratio * stiffness
-            if law.exponent != 1.0:
-                secant = secant * symbolic.pow(size / law.reference_depth_m, law.exponent - 1.0)
-            elastic = (secant + law.cubic_n_per_m3 * depth * depth) * depth if law.cubic_n_per_m3 else secant * depth
-            return elastic + damping * rate * share
+    def force_n(_system, t, _number, eta, rate, _stiffness, _damping, _offset):
+        return law.formula(law, eta, rate, t)
 
-        worn = law.wear_m_per_s * t
-        below, above = eta + (law.lower_clearance_m + worn), eta - (law.upper_clearance_m + worn)
-        inside = symbolic.IfThenElse(
-            below < 0.0, beyond(below, -1.0 * below, law.lower_stiffness_ratio), symbolic.Real(0.0)
-        )
-        force = symbolic.IfThenElse(above > 0.0, beyond(above, above, 1.0), inside)
-        if law.open_damping_n_s_per_m:
-            force = force + law.open_damping_n_s_per_m * rate
-        if law.friction_n:
-            force = force + law.friction_n * symbolic.tanh(rate / FRICTION_SPEED_M_PER_S)
-        return force
+    return _connected(mbs, against, at, force_n, law.stiffness_n_per_m, law.damping_n_s_per_m)
 
-    return _connected(mbs, against, at, dead_zone, law.stiffness_n_per_m, law.damping_n_s_per_m)
+
+@cache
+def _let_formulas_record(symbolic: Any) -> None:
+    """Has Exudyn's symbolic numbers pass through formulas of contact laws, which it then evaluates compiled."""
+
+    @no_type_check
+    def beyond(eta, low, high):
+        return symbolic.max(eta - high, 0.0) + symbolic.min(eta - low, 0.0)
+
+    @no_type_check
+    def select(condition, chosen, otherwise):
+        return symbolic.IfThenElse(condition, symbolic.Real(1.0) * chosen, symbolic.Real(1.0) * otherwise)
+
+    meant = {"beyond": beyond, "select": select, "smaller": symbolic.min, "magnitude": symbolic.abs}
+    for name, function in (meant | {"power": symbolic.pow, "tanh": symbolic.tanh}).items():
+        getattr(elementary, name).register(symbolic.Real, function)
 
 
 def add_grounded(exu: Any, mbs: Any, ground: int, at: int, extra: GroundedForce) -> int:

@@ -5,7 +5,7 @@ from jaxtyping import Complex, Float
 from scipy.interpolate import CubicSpline
 
 from rig.errors import RigError
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import ContactLaw
 from rig.model.description import RISE_S, Contact, Rig, Station, contact_stations
 from rig.model.modes import modes_of
 from rig.simulation.excitation import noise_spectrum
@@ -58,19 +58,10 @@ def base_motion(rig: Rig, samples: int, step_s: float) -> dict[str, Float[np.nda
 def connections(rig: Rig) -> tuple[Contact, ...]:
     """The contacts, then cubic springs and dampers, each a dead zone to the ground without clearance and stiffness."""
 
-    def grounded(name: str, station: Station, **law: float) -> Contact:
-        zone = DeadZone(lower_clearance_m=0.0, upper_clearance_m=0.0, stiffness_n_per_m=0.0, **law)
-        return Contact(name=name, at=station, against=None, law=zone)
-
-    springs = (s for s in rig.springs if s.cubic_n_per_m3)
-    return (
-        *rig.contacts,
-        *(grounded(f"spring {i}", s.station, cubic_n_per_m3=s.cubic_n_per_m3) for i, s in enumerate(springs)),
-        *(
-            grounded(f"damper {i}", d.station, open_damping_n_s_per_m=d.damping_n_s_per_m, friction_n=d.friction_n)
-            for i, d in enumerate(rig.dampers)
-        ),
-    )
+    springs = [s for s in rig.springs if s.cubic_n_per_m3]
+    grounded = [(f"spring {i}", s.station, s.law) for i, s in enumerate(springs)]
+    grounded += [(f"damper {i}", d.station, d.law) for i, d in enumerate(rig.dampers)]
+    return (*rig.contacts, *(Contact(name=n, at=at, against=None, law=law) for n, at, law in grounded))
 
 
 def softening_limits_m(rig: Rig) -> Float[np.ndarray, " connections"]:
@@ -82,7 +73,7 @@ def softening_limits_m(rig: Rig) -> Float[np.ndarray, " connections"]:
     limits = []
     touched = {station.body for contact in rig.contacts for station in contact_stations(contact)}
     for connection in connections(rig):
-        cubic, station = connection.law.cubic_n_per_m3, connection.at
+        cubic, station = getattr(connection.law, "cubic_n_per_m3", 0.0), connection.at
         free = cubic < 0 and station.body not in touched
         limits.append(np.sqrt(_static_stiffness(rig, station) / -cubic) if free else np.inf)
     return np.array(limits)
@@ -113,7 +104,7 @@ def _static_stiffness(rig: Rig, station: Station) -> float:
 def equilibrium(
     squares: Float[np.ndarray, " modes"],
     across: Float[np.ndarray, "connections modes"],
-    laws: tuple[DeadZone, ...],
+    laws: tuple[ContactLaw, ...],
     load: Float[np.ndarray, " modes"],
 ) -> Float[np.ndarray, " modes"]:
     """Where the rig rests under a static load, in modal coordinates, `squares` being omega^2.
@@ -126,16 +117,14 @@ def equilibrium(
     if not load.any():
         return q
 
-    def depths(at: Float[np.ndarray, " modes"]) -> list[tuple[DeadZone, Float[np.ndarray, " one"]]]:
-        return [(law, law.penetration_m(np.array([eta]))) for law, eta in zip(laws, across @ at, strict=True)]
-
     def energy(at: Float[np.ndarray, " modes"]) -> float:
-        stored = sum(float(law.energy_j(depth)[0]) for law, depth in depths(at))
+        stored = sum(float(law.energy_j(eta)) for law, eta in zip(laws, across @ at, strict=True))
         return float(squares @ at**2 / 2 + stored - load @ at)
 
     def slopes(at: Float[np.ndarray, " modes"]) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"]]:
-        forces = np.array([law.elastic_n(depth)[0] for law, depth in depths(at)])
-        tangent = np.array([law.tangent_n_per_m(depth)[0] for law, depth in depths(at)])
+        both = list(zip(laws, across @ at, strict=True))
+        forces = np.array([float(law.force_n(eta)) for law, eta in both])
+        tangent = np.array([float(law.by_eta_n_per_m(eta)) for law, eta in both])
         return squares * at + forces @ across - load, np.diag(squares) + (across.T * tangent) @ across
 
     for hold in 100.0 * 0.7 ** np.arange(60):  # stiffness that ties every mode to where it was before

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy.linalg import expm
 
 from rig.errors import RigError
-from rig.model.contact_law import FRICTION_SPEED_M_PER_S
+from rig.model.contact_laws import ContactLaw
 from rig.model.description import Body, Rig, Station, contact_stations, stations_of
 from rig.model.modes import Modes, modes_of, modes_wanted, participation
 from rig.simulation.motion import Course, Motion, Progress, Projected
@@ -38,7 +38,7 @@ class _Model:
     zeta: Float[np.ndarray, " modes"]
     rows: dict[Station, Float[np.ndarray, " modes"]]
     across: Float[np.ndarray, "contacts modes"]
-    laws: Float[np.ndarray, "contacts columns"]
+    laws: tuple[ContactLaw, ...]
     gains: Float[np.ndarray, "inputs modes"]
     at_rest: Float[np.ndarray, " modes"]
     holding_n: Float[np.ndarray, " contacts"]
@@ -59,6 +59,7 @@ def simulate(rig: Rig, force_n: Course, step_s: float, progress: Progress, modes
     Yields blocks of at most 2^13 samples. Raises RigError if a contact is too stiff for the step, a softening
     spring lets go, or the result is not finite.
     """
+    from rig.simulation.plants.compiled_laws import table_of  # numba only where something is simulated
     from rig.simulation.plants.stepping import advance, within_a_step
 
     limits_m = softening_limits_m(rig)
@@ -68,7 +69,7 @@ def simulate(rig: Rig, force_n: Course, step_s: float, progress: Progress, modes
     driven, pushed = (
         (response[:, None] * g[:, None]).reshape(3, len(g), 2 * model.omega.size) for g in (model.gains, -model.across)
     )
-    constants = (propagate, driven, model.across, pushed, *_reach(model, pushed, step_s), model.laws)
+    constants = (propagate, driven, model.across, pushed, *_reach(model, pushed, step_s), table_of(model.laws))
     within = within_a_step(step_s)
     shapes = np.array([model.rows[s] for s in stations_of(rig)]).reshape(-1, model.omega.size)
     last = np.append(model.at_rest, np.zeros(model.omega.size))
@@ -150,8 +151,6 @@ def _without_alias(
 
 def _model(rig: Rig, moving_base: bool, modes: int) -> _Model:
     """The rig with what acts on it."""
-    from rig.simulation.plants.stepping import LAW
-
     bodies = [(b, modes_of(rig, b), modes_wanted(b, modes)) for b in rig.bodies]
     omega = 2 * np.pi * np.concatenate([shapes.frequencies_hz(n) for _, shapes, n in bodies])
     zeta = np.concatenate([shapes.damping_ratios(n) for _, shapes, n in bodies])
@@ -164,7 +163,7 @@ def _model(rig: Rig, moving_base: bool, modes: int) -> _Model:
     across = across.reshape(len(contacts), omega.size)
     static = np.zeros(omega.size) + sum(load.force_n * rows[load.station] for load in rig.loads)
     at_rest = equilibrium(omega**2, across, laws, static)
-    holding = [law.force_n(np.array([eta]), np.zeros(1))[0] for law, eta in zip(laws, across @ at_rest, strict=True)]
+    holding = [float(law.force_n(eta)) for law, eta in zip(laws, across @ at_rest, strict=True)]
     gains = [rows[rig.force_at]]
     if rig.loads:
         gains.append(static)
@@ -176,7 +175,7 @@ def _model(rig: Rig, moving_base: bool, modes: int) -> _Model:
         zeta=zeta,
         rows=rows,
         across=across,
-        laws=np.array([[getattr(law, field) for field in LAW] for law in laws]).reshape(len(laws), len(LAW)),
+        laws=laws,
         gains=np.array(gains),
         at_rest=at_rest,
         holding_n=np.array(holding, dtype=float),
@@ -212,12 +211,9 @@ def _reach(
 
     Raises RigError if a force would change itself by half or more.
     """
-    from rig.simulation.plants.stepping import DAMPING, FRICTION, LOWER_STIFFNESS, OPEN, STIFFNESS
-
     parts = pushed[1:].reshape(2, len(model.across), 2, model.omega.size)
     reach = np.ascontiguousarray(np.einsum("ji,fkxi->fxjk", model.across, parts))
-    stiffness = np.maximum(model.laws[:, STIFFNESS], model.laws[:, LOWER_STIFFNESS])
-    slope = model.laws[:, DAMPING] + model.laws[:, OPEN] + model.laws[:, FRICTION] / FRICTION_SPEED_M_PER_S
+    stiffness, slope = np.array([law.steepest for law in model.laws]).reshape(-1, 2).T
     loop = np.abs(reach[0, 0]) @ stiffness + np.abs(reach[0, 1]) @ slope
     if np.any(loop > 0.5):
         raise RigError(

@@ -6,29 +6,14 @@ import numba
 import numpy as np
 from jaxtyping import Float
 
-from rig.model.contact_law import DAMPING_DEPTH_M, FRICTION_SPEED_M_PER_S
+from rig.simulation.plants.compiled_laws import FAST, force_n
 
 TOLERANCE_N = 1e-9
 REFRESH = 1e-4
 """How much the end forces must change, of the largest, for their bends within the step to be looked at again."""
-LAW = (
-    "lower_clearance_m",
-    "upper_clearance_m",
-    "stiffness_n_per_m",
-    "lower_stiffness_n_per_m",
-    "damping_n_s_per_m",
-    "cubic_n_per_m3",
-    "friction_n",
-    "wear_m_per_s",
-    "exponent",
-    "reference_depth_m",
-    "open_damping_n_s_per_m",
-)
-"""The columns of the table `laws`, of a `DeadZone` each; in this order they are numbered below."""
-LOWER, UPPER, STIFFNESS, LOWER_STIFFNESS, DAMPING, CUBIC, FRICTION, WEAR, EXPONENT, REFERENCE, OPEN = range(len(LAW))
 FORCE, ETA, RATE, BEND = range(4)
 """The rows of `held` and of what becomes of it: force, eta and eta' of every contact, and the bend of the force."""
-_compiled = numba.njit(cache=True, inline="always", fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
+_compiled = numba.njit(cache=True, inline="always", **FAST)
 
 
 def within_a_step(step_s: float) -> Float[np.ndarray, "10 16"]:
@@ -42,54 +27,26 @@ def within_a_step(step_s: float) -> Float[np.ndarray, "10 16"]:
 
 @_compiled
 @no_type_check  # numba compiles the plain functions only
-def _struck(laws, j, eta, rate, time_s):
-    """The contact law but for its friction, see `DeadZone`."""
-    worn = laws[j, WEAR] * time_s
-    depth = max(eta - laws[j, UPPER] - worn, 0.0) + min(eta + laws[j, LOWER] + worn, 0.0)
-    size = abs(depth)
-    stiffness = laws[j, LOWER_STIFFNESS] if depth < 0.0 else laws[j, STIFFNESS]
-    for _ in range(laws[j, EXPONENT] != 1.0):  # under an if, the compiler would evaluate it for every contact
-        stiffness *= (size / laws[j, REFERENCE]) ** (laws[j, EXPONENT] - 1.0)
-    damping = laws[j, DAMPING] * min(1.0, size / DAMPING_DEPTH_M) + laws[j, OPEN]
-    return (stiffness + laws[j, CUBIC] * depth * depth) * depth + damping * rate
-
-
-@_compiled
-@no_type_check
-def _force(laws, j, eta, rate, time_s):
-    """The contact law, see `DeadZone`."""
-    force = _struck(laws, j, eta, rate, time_s)
-    for _ in range(laws[j, FRICTION] != 0.0):
-        force += laws[j, FRICTION] * np.tanh(rate / FRICTION_SPEED_M_PER_S)
-    return force
-
-
-@_compiled
-@no_type_check
-def _touches(laws, j, held, eta1, rate1, time_s, step_s):
+def _touches(law, held, j, eta1, rate1, time_s, step_s):
     """Whether there may be a force between two moments: the cubic between them stays within this of its ends."""
     apart = 0.15 * step_s * (abs(held[RATE, j]) + abs(rate1))
-    worn = laws[j, WEAR] * (time_s - step_s)
-    above = max(held[ETA, j], eta1) + apart > laws[j, UPPER] + worn
-    below = min(held[ETA, j], eta1) - apart < -laws[j, LOWER] - worn
-    return above or below or laws[j, FRICTION] != 0.0 or laws[j, OPEN] != 0.0
+    worn = law.wear_m_per_s * (time_s - step_s)
+    above = max(held[ETA, j], eta1) + apart > law.upper_clearance_m + worn
+    below = min(held[ETA, j], eta1) - apart < -law.lower_clearance_m - worn
+    return above or below or law.acts_in_the_gap != 0
 
 
 @_compiled
 @no_type_check
-def _bend(laws, j, old, new, time_s, step_s, within):
+def _bend(law, j, old, new, time_s, step_s, within):
     """The mean of the force over the step that ends at a time, less that of the straight line between its ends."""
     eta0, rate0, eta1, rate1 = old[ETA, j], old[RATE, j], new[ETA, j], new[RATE, j]
-    begin_s, friction = time_s - step_s, laws[j, FRICTION]
+    begin_s = time_s - step_s
     mean = 0.0
     for m in range(within.shape[1]):
         eta = within[2, m] * eta0 + within[3, m] * rate0 + within[4, m] * eta1 + within[5, m] * rate1
         rate = within[6, m] * eta0 + within[7, m] * rate0 + within[8, m] * eta1 + within[9, m] * rate1
-        mean += within[1, m] * _struck(laws, j, eta, rate, begin_s + within[0, m] * step_s)
-    if friction != 0.0:
-        for m in range(within.shape[1]):
-            rate = within[6, m] * eta0 + within[7, m] * rate0 + within[8, m] * eta1 + within[9, m] * rate1
-            mean += within[1, m] * friction * np.tanh(rate / FRICTION_SPEED_M_PER_S)
+        mean += within[1, m] * force_n(law, eta, rate, begin_s + within[0, m] * step_s)
     return mean - (old[FORCE, j] + new[FORCE, j]) / 2
 
 
@@ -122,7 +79,7 @@ def _sweep(new, eta, rate, reach, relief, laws, time_s):
         for k in range(eta.size):
             e += reach[0, 0, j, k] * new[FORCE, k] + reach[1, 0, j, k] * new[BEND, k]
             r += reach[0, 1, j, k] * new[FORCE, k] + reach[1, 1, j, k] * new[BEND, k]
-        force = _force(laws, j, e, r, time_s)
+        force = force_n(laws[j], e, r, time_s)
         more = force - new[FORCE, j]
         if force != 0.0:
             more *= relief[j]
@@ -143,7 +100,7 @@ def _solve(held, new, eta, rate, touches, reach, relief, laws, time_s, step_s, w
         if iteration == 0 or change > REFRESH * largest:
             for j in range(eta.size):
                 if touches[j]:
-                    new[BEND, j] = _bend(laws, j, held, new, time_s, step_s, within)
+                    new[BEND, j] = _bend(laws[j], j, held, new, time_s, step_s, within)
 
 
 @_compiled
@@ -171,7 +128,8 @@ def advance(
     held (4, contacts) goes with the first row and is left as goes with the last. inputs and bends (inputs, samples + 1)
     are the known forces. propagate (2, 2, modes) advances a mode; driven, pushed (3, inputs or contacts, 2 modes) are
     what a force at the start and at the end of a step, and its bend, add to a state; reach (2, 2, contacts, contacts)
-    what an end force and a bend add to every eta and eta'. relief is the share of a change that its own reach leaves.
+    what an end force and a bend add to every eta and eta'. relief is the share of a change that its own reach leaves;
+    laws is the table of `compiled_laws`.
     """
     modes, contacts = across.shape[1], across.shape[0]
     new, eta, rate = np.empty(held.shape), np.empty(contacts), np.empty(contacts)
@@ -185,7 +143,7 @@ def advance(
             for i in range(modes):
                 e += across[j, i] * states[n + 1, i]
                 r += across[j, i] * states[n + 1, modes + i]
-            touches[j] = _touches(laws, j, held, e, r, time_s, step_s)
+            touches[j] = _touches(laws[j], held, j, e, r, time_s, step_s)
             touching |= touches[j]
             eta[j], rate[j] = e, r
             new[FORCE, j], new[ETA, j], new[RATE, j], new[BEND, j] = held[FORCE, j], e, r, 0.0

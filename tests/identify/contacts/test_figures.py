@@ -10,7 +10,7 @@ from matplotlib.image import imread
 
 from identify.contacts import figures as drawing
 from identify.contacts import identify_contact
-from rig.model.contact_law import dead_zone
+from rig.model.contact_laws import penetration_m
 from rig.recording import read
 from rig.simulation.reference import BarrelCradle, Sdof
 
@@ -99,7 +99,7 @@ def test_the_section_shows_the_dead_zone(drawn):
     for j, axes in enumerate(data_axes(figures["section"])):
         (fit,) = lines(axes, "dead zone as fitted")
         stops = found.surface.stops[j]
-        expected = found.surface.stiffness_n_per_m[j] * dead_zone(
+        expected = found.surface.stiffness_n_per_m[j] * penetration_m(
             1e-3 * np.asarray(fit.get_xdata()), stops.lower_m, stops.upper_m
         )
         left = np.asarray(fit.get_ydata()) - expected

@@ -11,7 +11,7 @@ import pytest
 import identify
 from identify.contacts import identify_contact
 from rig.errors import RigError
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import DeadZone
 from rig.model.description import PointMass, Station
 from rig.model.tolerances import EXACT
 from rig.recording import Recording, read, truth_path

@@ -5,7 +5,7 @@ import pytest
 
 from identify.contacts.joint import ContactRecord, regressed
 from identify.signals.drift import Drift, spline
-from rig.model.contact_law import dead_zone
+from rig.model.contact_laws import penetration_m
 
 
 @pytest.mark.parametrize("ringing", [0.0, 0.2])
@@ -14,7 +14,7 @@ def test_a_force_that_rings_while_the_contact_is_open_does_not_spoil_the_start(r
     time_s = np.arange(round(20 * rate_hz)) / rate_hz
     slow_m = 4e-4 * np.sin(2 * np.pi * 0.2 * time_s)
     eta_m = 5.4e-3 * np.sin(2 * np.pi * 7 * time_s) * (1 + 0.05 * np.sin(2 * np.pi * 0.31 * time_s))
-    force_n = stiffness * dead_zone(eta_m + slow_m, clearance_m, clearance_m)
+    force_n = stiffness * penetration_m(eta_m + slow_m, clearance_m, clearance_m)
     rings = np.random.default_rng(0).random(time_s.size) < 0.1
     force_n = np.where(rings & (force_n == 0), ringing * force_n.max() * np.sign(np.sin(2e3 * time_s)), force_n)
     bend = -((2 * np.pi * 0.2) ** 2) * slow_m

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from identify.gaps.decision.answer import Simulator, diagnose
 from identify.gaps.decision.null_reference import null_reference
 from rig.effects import effect_named
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import DeadZone
 from rig.model.description import Contact, Station
 from rig.model.tolerances import LABORATORY
 from rig.simulation.excitation import force_history

@@ -15,7 +15,7 @@ from identify.laws.results import LawReport
 from identify.laws.symbolic import Formula, search, simplified
 from identify.signals.spectra import decimated
 from rig.errors import RigError
-from rig.model.contact_law import DeadZone, dead_zone
+from rig.model.contact_laws import DeadZone, penetration_m
 from rig.model.description import Contact, Rig, Sensor, Station
 from rig.model.oscillator import Oscillator
 from rig.recording import Recording, Signals
@@ -77,7 +77,7 @@ def mass_with(law, damping_n_s_per_m=0.0):
 
 
 def gap(x):
-    return STIFFNESS * dead_zone(x, LOWER_M, UPPER_M)
+    return STIFFNESS * penetration_m(x, LOWER_M, UPPER_M)
 
 
 def stiffening(x):
@@ -130,7 +130,7 @@ def test_the_search_finds_a_dead_zone_and_repeats_itself(monkeypatch):
     rng = np.random.default_rng(3)
     x = np.linspace(-1, 1, 1000)
     noise = 1e-3
-    y = 1.5 * dead_zone(x, 0.3, 0.45) + noise * rng.standard_normal(x.size)
+    y = 1.5 * penetration_m(x, 0.3, 0.45) + noise * rng.standard_normal(x.size)
     first, again = (search(x, y, 60.0, seed=1, threads=threads) for threads in (1, 2))
     assert not first.out_of_time
     assert [f.text("x") for f in first.formulas] == [f.text("x") for f in again.formulas]

@@ -6,7 +6,7 @@ from scipy.stats import binom
 
 from identify.paper.surface import LEAST_CONTACT, Stops, clearance_from_occurrence, fit_surface, restoring_force
 from identify.structure.modal import ModalEquation
-from rig.model.contact_law import dead_zone
+from rig.model.contact_laws import penetration_m
 from rig.simulation.excitation import QUIET_S, force_history
 from rig.simulation.motion import joined
 from rig.simulation.plants import modal
@@ -36,7 +36,7 @@ def equation_and_force(noise_n=0.0, seed=1, stops=STOPS_M, shapes=SHAPES):
     q = 1e-3 * smooth(rng, 1, 30.0)[0]
     omega = 2 * np.pi * np.fft.rfftfreq(SAMPLES, 1 / RATE_HZ)
     rate, acceleration = (np.fft.irfft(np.fft.rfft(q) * (1j * omega) ** n, SAMPLES) for n in (1, 2))
-    contact = [s * k * dead_zone(e, *d) for s, k, e, d in zip(shapes, STIFFNESS_N_PER_M, eta, stops, strict=True)]
+    contact = [s * k * penetration_m(e, *d) for s, k, e, d in zip(shapes, STIFFNESS_N_PER_M, eta, stops, strict=True)]
     shape_at_force = 0.5
     force = (acceleration + 2 * ZETA * NATURAL * rate + NATURAL**2 * q + sum(contact)) / shape_at_force
     equation = ModalEquation(
@@ -79,7 +79,7 @@ def test_the_surface_is_the_contacts_share_on_the_linear_part():
     size = np.std(surface.measured)
     np.testing.assert_allclose(surface.fitted - surface.contact_share.sum(axis=0), linear, atol=1e-4 * size)
     for j, share in enumerate(surface.contact_share):
-        expected = SHAPES[j] * STIFFNESS_N_PER_M[j] * dead_zone(eta[j], *STOPS_M[j])
+        expected = SHAPES[j] * STIFFNESS_N_PER_M[j] * penetration_m(eta[j], *STOPS_M[j])
         np.testing.assert_allclose(share, expected, atol=1e-4 * size)
 
 
@@ -135,7 +135,7 @@ def test_a_contact_that_hardly_closes_has_no_stops():
 def boltzmann(lower, upper, slope, stiffness, samples, rng):
     """Draws with log p = -slope x^2 / 2 - stiffness dz(x)^2 / 2, by the inverse of the distribution function."""
     x = np.linspace(-5, 5, 20_001)
-    density = np.exp(-slope * x**2 / 2 - stiffness * dead_zone(x, lower, upper) ** 2 / 2)
+    density = np.exp(-slope * x**2 / 2 - stiffness * penetration_m(x, lower, upper) ** 2 / 2)
     cumulative = np.cumsum(density) / density.sum()
     return np.interp(rng.uniform(size=samples), cumulative, x)
 

@@ -7,7 +7,7 @@ import pytest
 
 from identify.signals.kinematics import CORNER_HZ, TAPER_S, acceleration_noise, kinematics
 from rig.errors import RigError
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import DeadZone
 from rig.model.description import Contact, Rig, Sensor, Station
 from rig.model.oscillator import Oscillator
 from rig.model.sensing import PASSBAND

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from identify.signals.spectra import OVERSAMPLING, POWERS, Averaging, blocks, decimated, force_band, penetration, window
 from rig.errors import RigError
-from rig.model.contact_law import dead_zone
+from rig.model.contact_laws import penetration_m
 
 RATE_HZ = 1000.0
 
@@ -147,14 +147,14 @@ def test_the_penetration_does_not_alias():
     """The spectrum of a kinked function falls as 1/f^2, so oversampled n times it aliases n^2 times less."""
     sampled = noise(8000, 100.0, seed=1)
     lower, upper = 0.5, 0.8
-    true = low_passed(dead_zone(sampled(256), lower, upper), 256)
+    true = low_passed(penetration_m(sampled(256), lower, upper), 256)
     passband = np.fft.rfftfreq(true[INSIDE].size, 1 / RATE_HZ) < 0.4 * RATE_HZ
 
     def size(signal):
         return np.linalg.norm(np.fft.rfft(np.hanning(signal[INSIDE].size) * signal[INSIDE])[passband])
 
     error = size(penetration(sampled(1), lower, upper) - true)
-    plain = size(dead_zone(sampled(1), lower, upper) - true)
+    plain = size(penetration_m(sampled(1), lower, upper) - true)
     assert plain / size(true) > 5e-3  # worth the effort
     assert plain / error > max(30, OVERSAMPLING**2 / 2)
 

@@ -7,7 +7,8 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import brentq
 
 from rig.effects import effect_named
-from rig.model.contact_law import FRICTION_SPEED_M_PER_S, DeadZone
+from rig.model.contact_laws import DeadZone
+from rig.model.contact_laws.dead_zone import FRICTION_SPEED_M_PER_S
 from rig.model.description import Sensor, StaticLoad, Station, contact_stations
 from rig.simulation.reference import BarrelCradle, Sdof
 

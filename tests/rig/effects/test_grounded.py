@@ -7,7 +7,7 @@ from scipy.optimize import brentq
 
 from rig.effects import effect_named
 from rig.errors import RigError
-from rig.model.contact_law import FRICTION_SPEED_M_PER_S
+from rig.model.contact_laws.dead_zone import FRICTION_SPEED_M_PER_S
 from rig.model.description import RISE_S, Sensor, StaticLoad, Station
 from rig.model.modes import modes_of
 from rig.simulation.reference import BarrelCradle, Sdof

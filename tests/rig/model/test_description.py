@@ -1,13 +1,17 @@
 """A rig as a value: JSON round trip, and a sentence for each value that cannot be."""
 
+import re
+
 import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from rig.errors import RigError
 from rig.model.beam import Beam
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import DeadZone
+from rig.model.contact_laws.hunt_crossley import HuntCrossley
 from rig.model.description import Contact, Rig, Sensor, Station, from_json, stations_of, to_json
 from rig.model.oscillator import Oscillator
 from rig.simulation.reference import BarrelCradle
@@ -124,7 +128,7 @@ def test_a_sensor_that_cannot_be_is_refused(changes, sentence):
         (b"2.0", b'"two"', "$.bodies[0].length_m"),
         (b"2.0", b"-2.0", "length_m is -2.0"),
         (b"}", b"", "malformed"),
-        (b"{", b"", "Expected `object`"),
+        (b"{", b"", "malformed"),
         (b'"small"', b'"\xff"', "utf-8"),
     ],
 )
@@ -160,3 +164,24 @@ def test_a_rig_cannot_be_changed():
     with pytest.raises(AttributeError):
         small_rig().name = "other"
     assert msgspec.structs.replace(small_rig(), name="other").name == "other"
+
+
+def test_a_list_is_no_rig():
+    with pytest.raises(RigError, match="Expected `object`"):
+        from_json(b"[1]", "rig.json of x")
+
+
+def test_a_law_without_a_type_is_a_dead_zone_as_in_older_files():
+    text = to_json(small_rig())
+    older = re.sub(rb'"type": "dead_zone",\s*', b"", text)
+    assert older != text
+    assert from_json(older, "rig.json of x") == small_rig()
+
+
+def test_another_law_comes_back_from_json_and_an_unknown_one_is_named():
+    law = HuntCrossley(lower_clearance_m=1e-3, upper_clearance_m=2e-3, stiffness_n_per_m=1e5)
+    rig = small_rig()
+    rig = replace(rig, contacts=tuple(replace(c, law=law) for c in rig.contacts))
+    assert from_json(to_json(rig), "rig.json of x") == rig
+    with pytest.raises(RigError, match=r"'spring'.*law"):
+        from_json(to_json(rig).replace(b"hunt_crossley", b"spring"), "rig.json of x")

@@ -7,7 +7,7 @@ import pytest
 
 import rig.recording
 from rig.model.beam import Beam
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import LAWS
 from rig.model.description import (
     BaseMotion,
     Clamp,
@@ -32,7 +32,8 @@ OBJECTS = {
     "bodies, `type` structure": Structure,
     "shapes of a structure": ShapeRow,
     "contacts": Contact,
-    "law of a contact": DeadZone,
+    "law of a contact, `type` dead_zone (also where none is given)": LAWS["dead_zone"],
+    "law of a contact, `type` hunt_crossley": LAWS["hunt_crossley"],
     "sensors": Sensor,
     "station, force_at, at, against": Station,
     "masses": PointMass,

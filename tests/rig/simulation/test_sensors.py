@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.signal import welch
 
 from rig.errors import RigError
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import DeadZone
 from rig.model.description import Contact, Rig, Sensor, Station
 from rig.model.oscillator import Oscillator
 from rig.model.sensing import PASSBAND

@@ -12,7 +12,7 @@ from rerun.chunk import RrdReader
 import rig.viewer.stage
 import rig.viewer.viewing
 from rig.errors import RigError
-from rig.model.contact_law import dead_zone
+from rig.model.contact_laws import penetration_m
 from rig.recording import read, read_truth, truth_path
 from rig.simulation.excitation import BandLimitedGaussian
 from rig.simulation.plants import modal
@@ -91,7 +91,7 @@ def test_a_close_up_is_in_true_scale_and_says_when_the_contact_is_closed(mass, t
     frames = np.round(times * recording.rig.sample_rate_hz).astype(int)
     eta = truth.signals["relative_displacement"].values[0, frames]
     np.testing.assert_allclose([p[0][1] for p in points], -1e3 * eta, rtol=1e-6)  # the view's y points downwards
-    closed = dead_zone(eta, 1e-3, 1e-3) != 0
+    closed = penetration_m(eta, 1e-3, 1e-3) != 0
     assert closed.any()
     assert not closed.all()
     assert [r[0].endswith("closed") for r in readings] == list(closed)

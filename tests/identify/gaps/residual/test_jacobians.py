@@ -8,6 +8,7 @@ from identify.gaps.residual.nuisance import with_nuisance
 from identify.gaps.residual.residual import base_of, residual_of, same_but_laws
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.nominal import fitted
 from rig.simulation.excitation import force_history
 from rig.simulation.reference import BarrelCradle
 from rig.simulation.replay import modal
@@ -20,10 +21,10 @@ EXACT = 5e-3
 
 @pytest.fixture(scope="module")
 def believed():
-    """A recording of the rig that is believed."""
+    """A recording of the rig that is believed, its slow motion fitted: where that is wrong, stops are met elsewhere."""
     force_n = force_history(SETTINGS.force(), SETTINGS.duration_s, 1 / RIG.sample_rate_hz)
     base = base_of(record_of(modal(RIG, RIG, force_n, 1)), RIG)
-    return base, residual_of(base, RIG)
+    return base, fitted(base).residual
 
 
 def unknowns_of(at):
@@ -61,7 +62,10 @@ def test_effects_by_differences(believed):
 
 @pytest.mark.parametrize("contact", [0, 1])
 def test_contact_unknowns_by_differences(believed, contact):
-    """Clearance, stiffness and damping; and slow motion, for which the law's slope is taken at the samples."""
+    """Clearance, stiffness and damping; and slow motion, for which the law's slope is taken at the samples.
+
+    The latter in newtons: the low-passed slope rings about each closure, where an open contact's weights are large.
+    """
     base, at = believed
     columns, expected = at.contacts[contact].columns.toarray(), []
     for k in range(columns.shape[1]):
@@ -72,9 +76,11 @@ def test_contact_unknowns_by_differences(believed, contact):
             moved[contact][k] += sign * step
             residuals.append(residual_of(base, RIG, at.nuisance, tuple(moved)).contacts[contact].residual)
         expected.append((residuals[0] - residuals[1]) / (2 * step))
-    errors = columns - np.stack(expected, axis=1)
     assert off(columns[:, -3:].T, expected[-3:]) < EXACT
-    assert np.linalg.norm(errors[:, :-3]) < 0.2 * np.linalg.norm(expected[:-3])
+    weights = at.contacts[contact].seen.weights
+    moving = np.flatnonzero(weights)
+    slow_n, expected_n = (x[moving] / weights[moving, None] for x in (columns, np.stack(expected, axis=1)))
+    assert np.linalg.norm((slow_n - expected_n)[:, :-3]) < 0.1 * np.linalg.norm(expected_n[:, :-3])
 
 
 def test_nuisance_parameters_by_another_rig(believed):

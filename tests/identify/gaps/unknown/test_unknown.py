@@ -13,7 +13,7 @@ from identify.gaps.unknown.location import ForcePlace, located, response_of
 from identify.gaps.unknown.nuisance import observed
 from identify.gaps.unknown.observed import force_noise
 from rig.errors import RigError
-from rig.model.contact_law import DeadZone
+from rig.model.contact_laws import DeadZone
 from rig.model.description import Contact, Station
 
 WITHIN_M = 0.01

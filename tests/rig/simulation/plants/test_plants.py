@@ -9,6 +9,8 @@ from numpy.polynomial.legendre import leggauss
 from scipy.integrate import cumulative_trapezoid, solve_ivp
 
 from rig.errors import RigError
+from rig.model.contact_laws import DeadZone
+from rig.model.contact_laws.hunt_crossley import HuntCrossley
 from rig.model.description import Sensor, Station, contact_stations
 from rig.simulation.excitation import QUIET_S, BandLimitedGaussian, force_history
 from rig.simulation.motion import joined
@@ -63,6 +65,36 @@ def test_one_mass_between_stops_converges_to_its_solution_at_least_with_the_squa
     assert errors[-1] < 1e-3
     order = -np.polyfit(powers, np.log2(errors), 1)[0]
     assert order > 1.7
+
+
+STOPS = {"lower_clearance_m": 1e-3, "upper_clearance_m": 2e-3, "damping_n_s_per_m": 20.0}
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        DeadZone(**STOPS, stiffness_n_per_m=2e4, friction_n=0.3, lower_stiffness_ratio=0.5, wear_m_per_s=3e-4),
+        DeadZone(**STOPS, stiffness_n_per_m=2e4, exponent=1.5, cubic_n_per_m3=1e9, open_damping_n_s_per_m=1.0),
+        HuntCrossley(**STOPS, stiffness_n_per_m=2e4),
+    ],
+)
+def test_one_mass_with_any_law_moves_as_a_solver_says(plant, law):
+    rig = Sdof().rig()
+    rig = msgspec.structs.replace(
+        rig, sensors=(), contacts=tuple(msgspec.structs.replace(c, law=law) for c in rig.contacts)
+    )
+    body, step_s = rig.bodies[0], 2.0**-14
+    time_s = np.arange(2**14) * step_s
+
+    def rates(now_s, state):
+        linear_n = body.stiffness_n_per_m * state[0] + body.damping_n_s_per_m * state[1]
+        contact_n = float(law.force_n(float(state[0]), float(state[1]), now_s))
+        return [state[1], (5 * np.sin(6 * np.pi * now_s) - linear_n - contact_n) / body.mass_kg]
+
+    expected = solve_ivp(rates, (0, 1), [0, 0], t_eval=time_s, rtol=1e-9, atol=1e-12, max_step=2e-3).y[0]
+    motion = simulated(plant, rig, 5 * np.sin(6 * np.pi * time_s), step_s)
+    assert np.count_nonzero(np.diff(law.penetration_m(motion.eta_m[0], time_s) != 0)) > 4
+    assert np.linalg.norm(motion.eta_m[0] - expected) < 1e-3 * np.linalg.norm(expected)
 
 
 ELEMENTS = 20

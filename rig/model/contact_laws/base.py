@@ -1,0 +1,88 @@
+"""What every contact law is: two stops with clearances, a force, its derivatives and the energy that it stores."""
+
+from typing import Any
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+
+from rig.errors import RigError
+from rig.model.contact_laws.elementary import beyond, given
+
+Values = Float[np.ndarray, "*shape"]
+Signal = float | Values
+
+
+class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A force f(eta, eta', t) against the relative displacement eta: -f on the body that eta is counted for.
+
+    The stops stand at `upper_clearance_m` above and `lower_clearance_m` below; both clearances grow by `wear_m_per_s`
+    from what they are at time 0. `formula` is the law: the only place that evaluates it, for arrays, for the compiled
+    loop of the modal plant and for Exudyn's connectors. It uses + - * /, `rig.model.contact_laws.elementary`, and
+    conditions on the law's own numbers alone.
+    """
+
+    lower_clearance_m: float
+    upper_clearance_m: float
+    stiffness_n_per_m: float
+    damping_n_s_per_m: float = 0.0
+    wear_m_per_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in self.__struct_fields__:
+            value = getattr(self, field)
+            if not (np.isfinite(value) and (value >= 0 or field == "cubic_n_per_m3")):
+                raise RigError(f"contact law: {field} is {value}; give a finite value, zero or above")
+
+    @staticmethod
+    def formula(law: Any, eta: Any, rate: Any, time_s: Any) -> Any:
+        """The force, N."""
+        raise NotImplementedError
+
+    @property
+    def acts_in_the_gap(self) -> bool:
+        """Whether there is a force between the stops too."""
+        return False
+
+    @property
+    def steepest(self) -> tuple[float, float]:
+        """The largest derivatives of the force by eta and eta' at a stop, N/m and N s/m, for a time step to resolve."""
+        return self.stiffness_n_per_m, self.damping_n_s_per_m
+
+    @property
+    def clearance_m(self) -> float:
+        """Half the total play at time 0: the paper's d where both sides are equal."""
+        return (self.lower_clearance_m + self.upper_clearance_m) / 2
+
+    def penetration_m(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
+        """Signed depth beyond the stops: the paper's dead-zone function of the relative displacement."""
+        return np.asarray(depth_of(self, eta_m, time_s))
+
+    def force_n(self, eta_m: Signal, rate_m_per_s: Signal = 0.0, time_s: Signal = 0.0) -> Values:
+        """The force at a relative displacement and its rate."""
+        return np.asarray(self.formula(self, eta_m, rate_m_per_s, time_s))
+
+    def by_eta_n_per_m(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
+        """The derivative of the force at rest by eta; zero in the gap."""
+        raise NotImplementedError
+
+    def by_rate_n_s_per_m(self, eta_m: Signal, rate_m_per_s: Signal, time_s: Signal = 0.0) -> Values:
+        """The derivative of the force by eta'."""
+        raise NotImplementedError
+
+    def energy_j(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
+        """What the force at rest stores."""
+        raise NotImplementedError
+
+
+def depth_of(law: Any, eta: Any, time_s: Any) -> Any:
+    """Signed depth beyond the stops, m."""
+    low, high = -law.lower_clearance_m, law.upper_clearance_m
+    if given(law.wear_m_per_s):
+        low, high = low - law.wear_m_per_s * time_s, high + law.wear_m_per_s * time_s
+    return beyond(eta, low, high)
+
+
+def penetration_m(eta_m: Signal, lower_m: Any, upper_m: Any) -> Values:
+    """eta - upper above the upper stop, eta + lower below the lower one, zero between; metres."""
+    return np.asarray(beyond(eta_m, -lower_m, upper_m))

@@ -1,0 +1,93 @@
+"""The dead zone (figures 2 and 11 of the paper)."""
+
+from typing import Any
+
+import numpy as np
+
+from rig.errors import RigError
+from rig.model.contact_laws.base import ContactLaw, Signal, Values, depth_of
+from rig.model.contact_laws.elementary import given, magnitude, power, select, smaller, tanh
+
+DAMPING_DEPTH_M = 1e-5
+FRICTION_SPEED_M_PER_S = 0.02
+
+
+class DeadZone(ContactLaw, frozen=True, kw_only=True, tag="dead_zone"):
+    """A gap with a stop on either side; inside the gap nothing but friction passes.
+
+    With the relative displacement eta and its rate::
+
+        f = k depth |depth / d|^(p - 1) + k3 depth^3 + c rate min(1, |depth| / h) + c0 rate + F tanh(rate / v0)
+        depth = eta - upper   for eta > upper
+        depth = eta + lower   for eta < -lower
+        depth = 0             between
+
+    The lower stop's k is `lower_stiffness_ratio` times the upper one's. The exponent p is 1 to 3; at the reference
+    depth d the force is that of the linear stop, whatever p.
+
+    The friction F and the open damping c0 act in and out of the gap. The damping sets in over the first h = 10 um of
+    penetration, and the friction turns round over v0 = 0.02 m/s: a force that jumped would leave an implicit solver
+    without a solution at some steps.
+    """
+
+    cubic_n_per_m3: float = 0.0
+    friction_n: float = 0.0
+    lower_stiffness_ratio: float = 1.0
+    exponent: float = 1.0
+    reference_depth_m: float = 1e-4
+    open_damping_n_s_per_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 1 <= self.exponent <= 3:
+            raise RigError(f"contact law: exponent is {self.exponent}; give 1 to 3")
+        if self.exponent > 1 and not self.reference_depth_m > 0:
+            raise RigError(f"contact law: reference_depth_m is {self.reference_depth_m}; give a value above zero")
+
+    @staticmethod
+    def formula(law: Any, eta: Any, rate: Any, time_s: Any) -> Any:
+        depth = depth_of(law, eta, time_s)
+        force = _secant(law, depth) * depth
+        if given(law.cubic_n_per_m3):
+            force = force + law.cubic_n_per_m3 * depth * depth * depth
+        if given(law.damping_n_s_per_m):
+            damping = law.damping_n_s_per_m
+            force = force + smaller(magnitude(depth) * (damping / DAMPING_DEPTH_M), damping) * rate
+        if given(law.open_damping_n_s_per_m):
+            force = force + law.open_damping_n_s_per_m * rate
+        if law.friction_n != 0.0:
+            force = force + law.friction_n * tanh(rate / FRICTION_SPEED_M_PER_S)
+        return force
+
+    @property
+    def acts_in_the_gap(self) -> bool:
+        return bool(self.friction_n or self.open_damping_n_s_per_m)
+
+    @property
+    def steepest(self) -> tuple[float, float]:
+        drag = self.damping_n_s_per_m + self.open_damping_n_s_per_m + self.friction_n / FRICTION_SPEED_M_PER_S
+        return self.stiffness_n_per_m * max(1.0, self.lower_stiffness_ratio), drag
+
+    def by_eta_n_per_m(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
+        depth = depth_of(self, eta_m, time_s)
+        spring = self.exponent * _secant(self, depth)
+        return np.asarray((spring + 3 * self.cubic_n_per_m3 * depth * depth) * (depth != 0))
+
+    def by_rate_n_s_per_m(self, eta_m: Signal, rate_m_per_s: Signal, time_s: Signal = 0.0) -> Values:
+        share = smaller(magnitude(depth_of(self, eta_m, time_s)) / DAMPING_DEPTH_M, 1.0)
+        turned = (1 - np.tanh(rate_m_per_s / FRICTION_SPEED_M_PER_S) ** 2) / FRICTION_SPEED_M_PER_S
+        return np.asarray(self.damping_n_s_per_m * share + self.open_damping_n_s_per_m + self.friction_n * turned)
+
+    def energy_j(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
+        depth = depth_of(self, eta_m, time_s)
+        return np.asarray(_secant(self, depth) * depth**2 / (self.exponent + 1) + self.cubic_n_per_m3 * depth**4 / 4)
+
+
+def _secant(law: Any, depth: Any) -> Any:
+    """k |depth / d|^(p - 1) of the stop that is touched, N/m."""
+    stiffness = law.stiffness_n_per_m
+    if given(law.lower_stiffness_ratio - 1.0):
+        stiffness = stiffness * select(depth < 0.0, law.lower_stiffness_ratio, 1.0)
+    if law.exponent != 1.0:
+        stiffness = stiffness * power(magnitude(depth) / law.reference_depth_m, law.exponent - 1.0)
+    return stiffness

@@ -1,0 +1,110 @@
+"""Contact laws for the compiled loop of the modal plant: their formulas by numba, their numbers as rows of a table."""
+
+import sys
+import zlib
+from collections.abc import Callable, Sequence
+from inspect import unwrap
+from pathlib import Path
+from types import FunctionType
+from typing import Any, no_type_check
+
+import msgspec
+import numba
+import numpy as np
+from numba.extending import overload
+
+import rig.model.contact_laws
+from rig.model.contact_laws import LAWS, ContactLaw
+from rig.model.contact_laws.elementary import beyond, given, magnitude, power, select, smaller, tanh
+
+FAST = {"fastmath": {"contract", "reassoc", "nsz"}, "error_model": "numpy"}
+inlined = numba.njit(inline="always", **FAST)
+
+
+def _written(*folders: str) -> int:
+    """A checksum of the formulas: numba keeps compiled code on disk by the caller's own file and argument types."""
+    files = sorted(path for folder in folders for path in Path(folder).glob("*.py"))
+    return zlib.crc32(b"".join(path.read_bytes() for path in files))
+
+
+COLUMNS = np.dtype(
+    [
+        ("kind", "i8"),
+        ("acts_in_the_gap", "i8"),
+        *((name, "f8") for name in sorted({f for law in LAWS.values() for f in law.__struct_fields__})),
+        (f"formulas_{_written(*rig.model.contact_laws.__path__)}", "i8"),
+    ]
+)
+"""One row a contact, with the numbers of every kind of law. The last column is there for its name alone: a formula that
+changed makes another type, for which numba compiles anew."""
+
+
+def table_of(laws: Sequence[ContactLaw]) -> Any:
+    """The rows of some laws, whatever their kinds."""
+    table = np.zeros(len(laws), COLUMNS)
+    for row, law in zip(table, laws, strict=True):
+        for name, value in msgspec.structs.asdict(law).items():
+            row[name] = value
+        row["kind"], row["acts_in_the_gap"] = [*LAWS.values()].index(type(law)), law.acts_in_the_gap
+    return table.view(np.recarray)
+
+
+@no_type_check
+def _power(x, exponent):
+    found = 1.0
+    for _ in range(exponent != 0.0):  # no loop is evaluated ahead of an `if` in the formula, as a bare power would be
+        found = x**exponent
+    return found
+
+
+@no_type_check
+def _tanh(x):
+    """By its continued fraction at x / 32 and five doublings, to 1e-15: a call, though never made, slows the loop."""
+    t = 0.0
+    for _ in range(x != 0.0):
+        y = max(-20.0, min(20.0, x)) / 32
+        s = y * y
+        t = y * (135135 + s * (17325 + s * (378 + s))) / (135135 + s * (62370 + s * (3150 + 28 * s)))
+        for _ in range(5):
+            t = 2 * t / (1 + t * t)
+    return t
+
+
+_NUMBERS: dict[Callable[..., Any], Callable[..., Any]] = {
+    given: lambda factor: True,  # noqa: ARG005
+    beyond: lambda eta, low, high: max(eta - high, 0.0) + min(eta - low, 0.0),
+    select: lambda condition, chosen, otherwise: chosen if condition else otherwise,
+    smaller: lambda one, other: min(one, other),  # noqa: PLW0108 - numba takes no builtins here
+    magnitude: lambda x: abs(x),  # noqa: PLW0108
+    power: _power,
+    tanh: _tanh,
+}
+"""What formulas use, by single numbers."""
+
+for _module in [sys.modules[name] for name in sys.modules if name.startswith(rig.model.contact_laws.__name__)]:
+    _helpers = [f for f in vars(_module).values() if isinstance(f, FunctionType) and f.__module__ == _module.__name__]
+    _NUMBERS = {f: unwrap(f) for f in _helpers} | _NUMBERS  # functions that formulas share
+
+for _general, _own in _NUMBERS.items():
+    overload(_general, strict=False)(lambda *_, own=_own: own)
+
+
+def _chained(formulas: Sequence[Callable[..., Any]], first: int = 0) -> Any:
+    """Of the formulas from the first on, the one that a row's kind says."""
+    own = inlined(unwrap(formulas[first]))
+    if first + 1 == len(formulas):
+        return own
+    others = _chained(formulas, first + 1)
+
+    @inlined
+    @no_type_check
+    def chosen(law, eta, rate, time_s):
+        if law.kind == first:
+            return own(law, eta, rate, time_s)
+        return others(law, eta, rate, time_s)
+
+    return chosen
+
+
+force_n = _chained([law.formula for law in LAWS.values()])
+"""(row, eta, eta', t) -> force, N."""
