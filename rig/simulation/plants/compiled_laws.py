@@ -21,10 +21,10 @@ FAST = {"fastmath": {"contract", "reassoc", "nsz"}, "error_model": "numpy"}
 inlined = numba.njit(inline="always", **FAST)
 
 
-def _written(*folders: str) -> int:
+def _written() -> int:
     """A checksum of the formulas: numba keeps compiled code on disk by the caller's own file and argument types."""
-    files = sorted(path for folder in folders for path in Path(folder).glob("*.py"))
-    return zlib.crc32(b"".join(path.read_bytes() for path in files))
+    files = sorted(path for folder in rig.model.contact_laws.__path__ for path in Path(folder).glob("*.py"))
+    return zlib.crc32(b"".join(path.read_bytes() for path in [*files, Path(__file__)]))
 
 
 COLUMNS = np.dtype(
@@ -32,7 +32,7 @@ COLUMNS = np.dtype(
         ("kind", "i8"),
         ("acts_in_the_gap", "i8"),
         *((name, "f8") for name in sorted({f for law in LAWS.values() for f in law.__struct_fields__})),
-        (f"formulas_{_written(*rig.model.contact_laws.__path__)}", "i8"),
+        (f"formulas_{_written()}", "i8"),
     ]
 )
 """One row a contact, with the numbers of every kind of law. The last column is there for its name alone: a formula that
