@@ -9,13 +9,14 @@ from scipy.sparse import csc_matrix, csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import splu, spsolve
 from scipy.stats import norm, t
 
+from identify.signals.descent import Step, descended
 from identify.signals.drift import Drift, Spline, spline
 from identify.signals.spectra import decimated, oversampled
 from rig.errors import RigError
 from rig.model.contact_laws import DeadZone
 
 PARTS = 16
-STEPS = 30
+STEPS, SETTLED = 30, 1e-7
 FINE_HZ = 16384.0
 """The contact force is evaluated at this rate at least, so that its kinks do not alias."""
 CLEAR_SHARE = 0.1
@@ -270,28 +271,34 @@ def _fitted(
     return state, weights
 
 
+@dataclass(frozen=True)
+class _Weighed:
+    state: _State
+    cost: float
+
+
 def _descended(
     seen: ContactRecord, curve: Spline, state: _State, mapped: Float[np.ndarray, "4 free"], weights: Weights
 ) -> _State:
-    """Gauss-Newton with step halving, until the cost stands."""
+    """The state of least cost under some weights."""
     free = [int(np.argmax(column)) for column in mapped.T]
-    for _ in range(STEPS):
-        cost = _cost(state, curve, weights)
-        to_law = mapped * _scales(state, free)
-        hessian, gradient = _normal(state, curve, to_law, weights)
-        step = spsolve(hessian, gradient)
-        for halving in range(12):
-            law = state.law + to_law @ step[curve.knots :] / 2**halving
-            if law[2] > 0 and law[:2].min() >= 0:
-                trial = _linearised(seen, curve, law, state.knots + step[: curve.knots] / 2**halving)
-                if _cost(trial, curve, weights) < cost:
-                    break
-        else:
-            return state
-        state = trial
-        if cost - _cost(state, curve, weights) < 1e-7 * cost:
-            return state
-    return state
+
+    def step_from(at: _Weighed) -> Step[_Weighed]:
+        to_law = mapped * _scales(at.state, free)
+        hessian, gradient = _normal(at.state, curve, to_law, weights)
+        whole = spsolve(hessian, gradient)
+
+        def after(share: float) -> _Weighed | None:
+            law = at.state.law + share * to_law @ whole[curve.knots :]
+            if law[2] <= 0 or law[:2].min() < 0:
+                return None
+            there = _linearised(seen, curve, law, at.state.knots + share * whole[: curve.knots])
+            return _Weighed(there, _cost(there, curve, weights))
+
+        return Step(after, float(gradient @ whole))
+
+    start = _Weighed(state, _cost(state, curve, weights))
+    return descended(start, step_from, lambda at: SETTLED * at.cost, STEPS)[0].state
 
 
 def _scales(state: _State, free: Sequence[int]) -> Float[np.ndarray, " free"]:

@@ -1,8 +1,8 @@
 """Gauss-Newton on the residual: parameters of effects, with nuisance parameters, drifts and contact tolerances."""
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -14,6 +14,7 @@ from identify.gaps.residual.linear import sensor_response_of
 from identify.gaps.residual.nuisance import LIMIT, at_contacts, counted
 from identify.gaps.residual.residual import Base, Residual, linear_of, residual_of, same_but_laws, same_but_sensors
 from identify.gaps.residual.spectra import Record
+from identify.signals.descent import Step, descended
 from identify.signals.spectra import decimated
 from rig.errors import RigError
 from rig.model.description import Rig
@@ -21,8 +22,6 @@ from rig.model.description import Rig
 STEPS = 12
 FINE = 1e-3
 """Derivatives are by this share of a candidate's steps: little is left once nuisance parameters are eliminated."""
-TRIES = 6
-"""Of a step, shorter and shorter, until the cost falls."""
 ROUNDING = 1e-9
 SETTLED = 3e-5
 """A step of Gauss-Newton is the last if the cost falls by a smaller share, a tenth of the errors; ..."""
@@ -222,49 +221,58 @@ def fit(
 
     `start` gives nuisance parameters and contact unknowns to begin at.
     """
-    at = residual_of(base, build(values), *(_state(start) if start else (None, None)))
-    count, sizes = len(base.columns.parameters), np.eye(values.size)
-    slow = 0
-    for _ in range(most):
-        inside = FINE * np.where(values + steps > bounds[1], -steps, steps)
-        normal = reduced(base, at).joined([derivative(base, build(values + s), at) for s in sizes * inside])
-        scaled = np.concatenate([np.ones(count), inside])
-        held = normal.matrix + np.diag(np.r_[np.zeros(count), 1e-9 * np.diag(normal.matrix)[count:] + 1e-300])
-        ends = [
-            np.concatenate([sign * LIMIT - at.nuisance, np.sort((np.stack(bounds) - values) / inside, axis=0)[k]])
-            for k, sign in enumerate((-1.0, 1.0))
+    first = _At(values, residual_of(base, build(values), *(_state(start) if start else (None, None))))
+    at, last = descended(first, partial(_step, base, build, steps, bounds), _settled, most)
+    return Fit(at.values, last.covariance, at.residual)
+
+
+@dataclass(frozen=True)
+class _At:
+    values: Values
+    residual: Residual
+
+    @property
+    def cost(self) -> float:
+        return self.residual.cost
+
+
+@dataclass(frozen=True)
+class _Step(Step[_At]):
+    covariance: Float[np.ndarray, "parameters parameters"]
+
+
+def _settled(at: _At) -> float:
+    return max(SETTLED * at.cost, UNFIT * (at.cost - at.residual.rows))
+
+
+def _step(base: Base, build: Build, steps: Values, bounds: tuple[Values, Values], at: _At) -> _Step:
+    """The step within bounds, and the covariance of the parameters by this linearisation."""
+    values, residual, count = at.values, at.residual, len(base.columns.parameters)
+    inside = FINE * np.where(values + steps > bounds[1], -steps, steps)
+    along = [derivative(base, build(values + s), residual) for s in np.eye(values.size) * inside]
+    normal = reduced(base, residual).joined(along)
+    held = normal.matrix + np.diag(np.r_[np.zeros(count), 1e-9 * np.diag(normal.matrix)[count:] + 1e-300])
+    ends = [
+        np.concatenate([sign * LIMIT - residual.nuisance, np.sort((np.stack(bounds) - values) / inside, axis=0)[k]])
+        for k, sign in enumerate((-1.0, 1.0))
+    ]
+    whole = bounded(held, normal.gradient, ends[0], ends[1])
+
+    def after(share: float) -> _At | None:
+        part = share * whole
+        moved = np.clip(values + part[count:] * inside, *bounds)
+        part[count:] = (moved - values) / inside
+        unknowns = [
+            c.unknowns + share * u for c, u in zip(residual.contacts, normal.unknowns(part / share), strict=True)
         ]
-        step = bounded(held, normal.gradient, ends[0], ends[1])
-        promised, share = normal.promised(step), 1.0
-        settled = max(SETTLED * at.cost, UNFIT * (at.cost - at.rows))
-        for _ in range(TRIES):
-            part = share * step
-            moved = np.clip(values + (part * scaled)[count:], *bounds)
-            part[count:] = (moved - values) / inside
-            along = [share * u for u in normal.unknowns(part / share)]
-            cost = np.inf
-            with suppress(RigError):  # no such rig
-                there = residual_of(
-                    base,
-                    build(moved),
-                    at.nuisance + part[:count],
-                    tuple(c.unknowns + u for c, u in zip(at.contacts, along, strict=True)),
-                    like=at,
-                )
-                cost = there.cost
-            if cost < at.cost or promised < settled:
-                break
-            # the least of the parabola through both costs with the slope here, which is -2 promised
-            share *= np.clip(promised * share / (cost - at.cost + 2 * promised * share), 0.1, 0.5)
-        fell = at.cost - cost
-        if not fell > 0:
-            break
-        values, at = moved, there
-        slow = slow + 1 if fell < settled else 0
-        if slow and (share == 1 or slow == 2):
-            break
+        try:
+            rig = build(moved)
+            return _At(moved, residual_of(base, rig, residual.nuisance + part[:count], tuple(unknowns), like=residual))
+        except RigError:  # no such rig
+            return None
+
     covariance = base.record.sample_ratio * np.linalg.pinv(normal.matrix)[count:, count:] * np.outer(inside, inside)
-    return Fit(values, covariance, at)
+    return _Step(after, normal.promised(whole), covariance)
 
 
 def bounded(

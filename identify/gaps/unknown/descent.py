@@ -8,10 +8,11 @@ from jaxtyping import Float
 from identify.gaps.unknown.course import KNOTS_S, ForceHistory, softened
 from identify.gaps.unknown.forms import Fine, Form
 from identify.gaps.unknown.law import ForceLaw, fitted, solved, tone_of
+from identify.signals.descent import Step, descended
 from identify.signals.kinematics import CORNER_HZ
 
 STEPS, SETTLED = 8, 1e-4
-GRID, HALVINGS = 14, 5
+GRID = 14
 TRUSTED = (1.0, 0.3, 0.1)
 """A law is first trusted to this share of the force: far from its numbers, details mislead."""
 
@@ -65,6 +66,23 @@ class State:
 
 
 @dataclass(frozen=True)
+class _At:
+    coefficients: Float[np.ndarray, " coefficients"]
+    parameter: float
+    knots: Float[np.ndarray, " knots"]
+    cost: float
+
+
+@dataclass(frozen=True)
+class _Step(Step[_At]):
+    covariance: Float[np.ndarray, "unknowns unknowns"]
+
+
+def _settled(at: _At) -> float:
+    return SETTLED * abs(at.cost)
+
+
+@dataclass(frozen=True)
 class Descent:
     """Gauss-Newton of one form against one weighting of a course."""
 
@@ -99,56 +117,60 @@ class Descent:
         return self.course.gain(self.course.spectra(force)) - float(knots @ self.prior @ knots)
 
     def descended(self, state: State) -> State:
-        course, form, kinds = self.course, self.form, len(self.form.units)
-        coefficients, parameter, knots = state.coefficients, state.parameter, state.knots
-        free = kinds + bool(form.parameter)
-        for _ in range(STEPS):
-            shapes = self.shapes(parameter, knots)
-            force = coefficients @ shapes
-            held = self.value(force, knots)
-            fine = [*shapes]
-            if form.parameter:
-                fine.append((coefficients @ self.shapes(parameter + self.step, knots) - force) / self.step)
-            tangent = (coefficients @ self.shapes(parameter, knots, self.step) - force) / self.step
-            means = tangent.reshape(len(course.slow), -1).mean(axis=1)
-            along = course.coarsely((course.slow * means[:, None]).T)
-            columns = np.concatenate([course.spectra(np.stack(fine)), along, course.spectra(force)[None]])
-            matrix, rest = course.reduced(columns)
-            gradient, matrix = rest[:-1] - matrix[:-1, -1], matrix[:-1, :-1]
-            matrix[free:, free:] += self.prior
-            gradient[free:] -= self.prior @ knots
-            if self.frozen:
-                gradient[:free], matrix[:free, free:], matrix[free:, :free] = 0.0, 0.0, 0.0
-            size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-            covariance = np.linalg.pinv(matrix / np.outer(size, size), rcond=1e-10, hermitian=True)
-            covariance /= np.outer(size, size)
-            change = covariance @ gradient
-            better = held
-            for halving in range(HALVINGS):
-                part = change / 2**halving
-                there = float(np.clip(parameter + part[kinds], *self.within)) if form.parameter else 0.0
-                bent = knots + part[free:]
-                if form.parameter and not there:
-                    continue
-                own = coefficients if self.frozen else self.scaled(there, bent)
-                better = self.value(own @ self.shapes(there, bent), bent)
-                if better > held:
-                    coefficients, parameter, knots = own, there, bent
-                    break
-            if better - held < SETTLED * abs(held):
-                break
-        errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        inside = course.counted > 0
+        at, last = descended(self._at(state.coefficients, state.parameter, state.knots), self._step, _settled, STEPS)
+        kinds, errors = len(self.form.units), np.sqrt(np.maximum(np.diag(last.covariance), 0.0))
         law = ForceLaw(
-            form,
-            tuple((-coefficients).tolist()),
+            self.form,
+            tuple((-at.coefficients).tolist()),
             tuple(errors[:kinds].tolist()),
-            parameter,
-            float(errors[kinds]) if form.parameter else 0.0,
-            float(np.mean((course.slow @ knots)[inside])),
-            max(better, held) / max(course.free_gain, 1e-300),
+            at.parameter,
+            float(errors[kinds]) if self.form.parameter else 0.0,
+            float(np.mean((self.course.slow @ at.knots)[self.course.counted > 0])),
+            -at.cost / max(self.course.free_gain, 1e-300),
         )
-        return State(coefficients, parameter, knots, law)
+        return State(at.coefficients, at.parameter, at.knots, law)
+
+    def _at(
+        self,
+        coefficients: Float[np.ndarray, " coefficients"],
+        parameter: float,
+        knots: Float[np.ndarray, " knots"],
+    ) -> _At:
+        cost = -self.value(coefficients @ self.shapes(parameter, knots), knots)
+        return _At(coefficients, parameter, knots, cost)
+
+    def _step(self, at: _At) -> _Step:
+        """Of the numbers and the slow motion; the coefficients are the best of where the others come to."""
+        course, form, kinds = self.course, self.form, len(self.form.units)
+        free = kinds + bool(form.parameter)
+        shapes = self.shapes(at.parameter, at.knots)
+        force = at.coefficients @ shapes
+        fine = [*shapes]
+        if form.parameter:
+            fine.append((at.coefficients @ self.shapes(at.parameter + self.step, at.knots) - force) / self.step)
+        tangent = (at.coefficients @ self.shapes(at.parameter, at.knots, self.step) - force) / self.step
+        means = tangent.reshape(len(course.slow), -1).mean(axis=1)
+        along = course.coarsely((course.slow * means[:, None]).T)
+        columns = np.concatenate([course.spectra(np.stack(fine)), along, course.spectra(force)[None]])
+        matrix, rest = course.reduced(columns)
+        gradient, matrix = rest[:-1] - matrix[:-1, -1], matrix[:-1, :-1]
+        matrix[free:, free:] += self.prior
+        gradient[free:] -= self.prior @ at.knots
+        if self.frozen:
+            gradient[:free], matrix[:free, free:], matrix[free:, :free] = 0.0, 0.0, 0.0
+        size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+        covariance = np.linalg.pinv(matrix / np.outer(size, size), rcond=1e-10, hermitian=True)
+        covariance /= np.outer(size, size)
+        change = covariance @ gradient
+
+        def after(share: float) -> _At | None:
+            parameter = float(np.clip(at.parameter + share * change[kinds], *self.within)) if form.parameter else 0.0
+            if form.parameter and not parameter:
+                return None
+            knots = at.knots + share * change[free:]
+            return self._at(at.coefficients if self.frozen else self.scaled(parameter, knots), parameter, knots)
+
+        return _Step(after, float(gradient @ change), covariance)
 
     def scaled(self, parameter: float, knots: Float[np.ndarray, " knots"]) -> Float[np.ndarray, " coefficients"]:
         """The best coefficients at a parameter and slow motion."""
