@@ -9,7 +9,8 @@ from scipy.ndimage import uniform_filter1d
 
 from identify.signals.kinematics import CORNER_HZ, TAPER_S, Kinematics, integrated, taper
 from identify.signals.spectra import decimated
-from identify.structure.modal import contact_shapes, receptance, shape_at, transformation
+from identify.structure.modal import transformation
+from identify.structure.response import Response, across, response_of
 from rig.errors import RigError
 from rig.model.description import Body, Rig
 from rig.model.tolerances import Tolerances
@@ -92,7 +93,8 @@ def _between_bodies(
     lines = length // factor // 2 + 1
     omega = 2 * np.pi * np.arange(lines) * rate / length
     force, measured = (_spectrum(x, rate, length)[..., :lines] for x in (motion.force_n, motion.acceleration_m_per_s2))
-    drives = _accelerances(rig, motion, omega)
+    responses = tuple(response_of(rig, body, omega) for body in rig.bodies)
+    drives = _accelerances(rig, motion, responses)
     to_contacts = -drives[:, :, 1:]
     told = int(np.linalg.matrix_rank(to_contacts[0]))
     if told < len(rig.contacts):
@@ -109,8 +111,10 @@ def _between_bodies(
         [tolerances.gain * measured[i] * (index == i)[:, None] for i in index] if tolerances.gain else []
     )
     of_model: list[Complex[np.ndarray, "stations lines"]] = []
-    for body in rig.bodies:
-        rows, coordinates, slopes, shapes = _modal_response(rig, body, motion, measured)
+    for response in responses:
+        rows, coordinates = _modal_response(rig, response.body, motion, measured)
+        told_modes, stations = len(coordinates), [motion.stations[row] for row in rows]
+        slopes, shapes = response.slopes(stations)[:, :told_modes], response.shapes(stations)[:, :told_modes]
         power = _smoothed(coordinates, rate, length)
         covariance[:, rows, rows] += tolerances.position_m**2 * (slopes**2 @ power).T
         if tolerances.position_m:
@@ -119,8 +123,8 @@ def _between_bodies(
                 change = np.zeros_like(measured)
                 change[row] = tolerances.position_m * moved[i]
                 of_sensors.append(change)
-        for frequency, damping in ((tolerances.frequency, 0.0), (0.0, tolerances.damping)):
-            off = _mode_change(body, coordinates.shape[0], omega, frequency, damping)
+        for kind, sensitivity in response.sensitivities.items():
+            off = getattr(tolerances, kind) * sensitivity[:told_modes]
             if not np.any(off):
                 continue
             covariance[:, rows[:, None], rows[None, :]] += np.einsum(
@@ -159,61 +163,23 @@ def _between_bodies(
 
 
 def _accelerances(
-    rig: Rig, motion: Kinematics, omega: Float[np.ndarray, " lines"]
+    rig: Rig, motion: Kinematics, responses: tuple[Response, ...]
 ) -> Complex[np.ndarray, "lines stations inputs"]:
     """Acceleration of every station per newton at the exciting force (first) and in each contact's direction."""
-    inputs = 1 + len(rig.contacts)
-    found = np.zeros((omega.size, len(motion.stations), inputs), dtype=complex)
-    for body in rig.bodies:
-        rows = _rows(body, motion)
-        modes = body.max_modes
-        shapes = body.shapes(np.array([motion.stations[i].position_m for i in rows]), modes)
-        drive = np.stack(
-            [
-                shape_at(body, rig.force_at, modes),
-                *(contact_shapes(rig, body, j, modes) for j in range(len(rig.contacts))),
-            ]
-        )
-        found[:, rows] = np.einsum("sm,mf,im->fsi", shapes, _accelerance(body, modes, omega), drive)
-    return found
-
-
-def _accelerance(body: Body, modes: int, omega: Float[np.ndarray, " lines"]) -> Complex[np.ndarray, "modes lines"]:
-    """q'' per modal force: -omega^2 / (omega_m^2 - omega^2 + 2 i zeta omega_m omega); 1 for a rigid mode."""
-    natural_hz = body.frequencies_hz(modes)
-    response = -(omega**2) * receptance(natural_hz, body.damping_ratios(modes), omega / (2 * np.pi))
-    return np.asarray(np.where(natural_hz[:, None] == 0, 1.0, response))
-
-
-def _mode_change(
-    body: Body, modes: int, omega: Float[np.ndarray, " lines"], frequency: float, damping: float
-) -> Complex[np.ndarray, "modes lines"]:
-    """Relative change of a mode's response for small relative changes of its frequency and damping."""
-    natural, zeta = 2 * np.pi * body.frequencies_hz(modes)[:, None], body.damping_ratios(modes)[:, None]
-    change = 2 * frequency * (natural**2 + 1j * zeta * natural * omega) + 2j * damping * zeta * natural * omega
-    response = receptance(body.frequencies_hz(modes), body.damping_ratios(modes), omega / (2 * np.pi))
-    return np.asarray(np.where(natural > 0, -change * response, 0.0))
+    found = sum(
+        r.transfer(r.shapes(motion.stations), np.concatenate([r.shapes([rig.force_at]), across(rig, r)]))
+        for r in responses
+    )
+    return np.ascontiguousarray(np.transpose(found, (2, 1, 0)))
 
 
 def _modal_response(
     rig: Rig, body: Body, motion: Kinematics, measured: Complex[np.ndarray, "stations lines"]
-) -> tuple[
-    np.ndarray,
-    Complex[np.ndarray, "modes lines"],
-    Float[np.ndarray, "bodystations modes"],
-    Float[np.ndarray, "bodystations modes"],
-]:
-    """The body's station rows, its modal accelerations, and slopes and values of its shapes at the stations."""
+) -> tuple[np.ndarray, Complex[np.ndarray, "modes lines"]]:
+    """The body's station rows and its modal accelerations."""
     transform = transformation(rig, body, motion)
     rows = np.array(transform.rows)
-    places = np.array([motion.stations[i].position_m for i in rows])
-    modes = len(transform.inverse)
-    slopes = np.zeros((len(rows), modes))
-    if body.length_m:
-        step = 1e-4 * body.length_m
-        right, left = np.minimum(places + step, body.length_m), np.maximum(places - step, 0.0)
-        slopes = (body.shapes(right, modes) - body.shapes(left, modes)) / (right - left)[:, None]
-    return rows, transform.inverse @ measured[rows], slopes, body.shapes(places, modes)
+    return rows, transform.inverse @ measured[rows]
 
 
 def _eta_change(
@@ -237,10 +203,6 @@ def _spectrum(
 ) -> Complex[np.ndarray, "*rows lines"]:
     """With its end tapered off and silence behind, so that what rings on after it does not wrap round to its start."""
     return np.asarray(np.fft.rfft(signals * taper(signals.shape[-1], round(TAPER_S * rate)), length))
-
-
-def _rows(body: Body, motion: Kinematics) -> list[int]:
-    return [i for i, s in enumerate(motion.stations) if s.body == body.name]
 
 
 def _smoothed(spectra: Complex[np.ndarray, "rows lines"], rate: float, samples: int) -> Float[np.ndarray, "rows lines"]:

@@ -20,10 +20,10 @@ from jaxtyping import Complex, Float
 
 from identify.gaps.residual.grounded import ground_force_changes, ground_forces, pushed_by_motion
 from identify.gaps.residual.projection import Projection, least_squares, left_by
-from identify.gaps.residual.response import Response, dynamics_of, times, weights_of
 from identify.gaps.residual.spectra import Record
+from identify.structure.response import Response, across, response_of, times, weights_of
 from rig.model.description import Body, Rig, Station
-from rig.model.modes import modes_of, participation
+from rig.model.modes import participation
 
 FREE = 1e-3
 """What floats is held by so little (s^-2) that its compliance has an inverse: as at 0.005 Hz."""
@@ -184,11 +184,6 @@ def sensor_response_of(record: Record, rig: Rig) -> Complex[np.ndarray, "sensors
     return found
 
 
-def across(rig: Rig, response: Response) -> Float[np.ndarray, "contacts modes"]:
-    """How a body's modes enter the relative displacements."""
-    return response.shapes([c.at for c in rig.contacts]) - response.shapes([c.against for c in rig.contacts])
-
-
 def places_of(record: Record, rig: Rig) -> list[Station | None]:
     """Where the rig has the record's sensors."""
     named = {s.name: s for s in rig.sensors}
@@ -221,12 +216,8 @@ def _pushes(
 
 def _response(record: Record, rig: Rig, body: Body) -> Response:
     """With accelerometers alone, springs under a mass or a floating body act on its high-passed displacement only."""
-    modes, count = modes_of(rig, body), body.max_modes
-    natural_hz, zeta = modes.frequencies_hz(count), modes.damping_ratios(count)
     loose = 1 if body.is_mass else body.rigid_modes
-    high_passed = 0 if record.zero_known else loose
-    dynamics = dynamics_of(natural_hz.tobytes(), zeta.tobytes(), record.omega.tobytes(), high_passed)
-    return Response(body, modes, count, dynamics)
+    return response_of(rig, body, record.omega, 0 if record.zero_known else loose)
 
 
 def _accelerations(

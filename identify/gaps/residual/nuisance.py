@@ -11,9 +11,8 @@ from msgspec.structs import replace
 from identify.gaps.residual.grounded import pushed_by_motion
 from identify.gaps.residual.linear import Linear, bent
 from identify.gaps.residual.projection import Projection
-from identify.gaps.residual.response import Response, times
 from identify.gaps.residual.spectra import Record
-from identify.structure.modal import receptance
+from identify.structure.response import Response, times
 from rig.model.description import Body, Rig, Sensor
 from rig.model.modes import modes_of
 from rig.model.tolerances import Tolerances
@@ -155,11 +154,7 @@ def _of_positions(
     rows = [i for i, s in enumerate(record.sensors) if s.station.body == body.name]
     if not (body.length_m and rows):
         return
-    places = np.array([record.sensors[i].station.position_m for i in rows])
-    step = 1e-4 * body.length_m
-    right, left = np.minimum(places + step, body.length_m), np.maximum(places - step, 0.0)
-    beside = [response.modes.shapes(at, response.count) for at in (right, left)]
-    slopes = (beside[0] - beside[1]) / (right - left)[:, None]
+    slopes = response.slopes([record.sensors[i].station for i in rows])
     for i, slope in zip(rows, slopes @ motion, strict=True):
         tolerance = record.tolerances.of_sensor(record.sensors[i].name).position_m
         if tolerance:
@@ -172,22 +167,15 @@ def _of_modes(
     record: Record, model: Linear, response: Response, motion: Complex[np.ndarray, "modes lines"]
 ) -> Iterator[_Change]:
     """The mass of a body; its frequencies and its damping together, and of each mode by itself."""
-    body, omega, believed = response.body, record.omega, record.tolerances
+    body, believed = response.body, record.tolerances
     rows = [i for i, s in enumerate(record.sensors) if s.station.body == body.name]
     shapes, sensor_response = response.shapes([record.sensors[i].station for i in rows]), model.sensor_response[rows]
     if believed.mass:
         yield _Change(Nuisance("mass", body.name), rows, -believed.mass * sensor_response * times(shapes, motion))
-    natural_hz, zeta = response.modes.frequencies_hz(response.count), response.modes.damping_ratios(response.count)
-    flexible = receptance(natural_hz, zeta, omega / (2 * np.pi)) * motion
-    natural = 2 * np.pi * natural_hz[:, None]
-    loss = 1j * zeta[:, None] * natural * omega
-    per_unit: dict[Kind, Complex[np.ndarray, "modes lines"]] = {
-        "frequency": -2 * (natural**2 + loss) * flexible,
-        "damping": -2 * loss * flexible,
-    }
+    per_unit = {kind: change * motion for kind, change in response.sensitivities.items()}
     flexing = np.arange(response.count) >= body.rigid_modes  # no matter which springs hold the body
     by_belief = modes_of(record.rig, record.rig.body(body.name))  # so that all rigs have the same parameters
-    near = by_belief.frequencies_hz(response.count) < BEYOND * omega[-1] / (2 * np.pi)
+    near = by_belief.frequencies_hz(response.count) < BEYOND * record.omega[-1] / (2 * np.pi)
     elastic = np.flatnonzero(flexing & near)
     for kind, change in per_unit.items():
         if common := float(getattr(believed, kind)):

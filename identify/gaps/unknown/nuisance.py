@@ -7,7 +7,6 @@ from identify.gaps.residual.nuisance import BEYOND
 from identify.gaps.residual.spectra import Record
 from identify.gaps.unknown.observed import Observed, bare_residual, inverse_of, with_columns
 from identify.signals.kinematics import CORNER_HZ, integrated
-from identify.structure.modal import receptance
 from rig.model.description import Rig
 
 
@@ -66,23 +65,16 @@ def nuisances(
         for sensor, single, place in zip(record.sensors, singly, places, strict=True):
             if place is None or not body.length_m:
                 continue
-            step = 1e-4 * body.length_m
-            right, left = min(place.position_m + step, body.length_m), max(place.position_m - step, 0.0)
-            beside = response.modes.shapes(np.array([left, right]), response.count)
-            slope = (beside[1] - beside[0]) / (right - left)
+            (slope,) = response.slopes([place])
             exact_m = tolerances.of_sensor(sensor.name).position_m
             take(f"place of {sensor.name}", exact_m * single[:, None], slope @ motion, slope @ inverse)
         shapes = response.shapes(list(places))
-        natural_hz, zeta = response.modes.frequencies_hz(response.count), response.modes.damping_ratios(response.count)
-        flexible = receptance(natural_hz, zeta, omega / (2 * np.pi))
-        natural = 2 * np.pi * natural_hz[:, None]
-        loss = 1j * zeta[:, None] * natural * omega
+        natural_hz = response.dynamics.natural_hz
+        stiffer, damped = response.sensitivities["frequency"], response.sensitivities["damping"]
         for m in np.flatnonzero((natural_hz > 0) & (natural_hz < BEYOND * omega[-1] / (2 * np.pi))):
-            exact = tolerances.of_mode(body.name, int(m) + 1)
-            stiffer = -2 * exact.frequency * (natural[m] ** 2 + loss[m]) * flexible[m]
-            take(f"frequency of {body.name} {m + 1}", shapes[:, m : m + 1] * stiffer, motion[m], inverse[m])
-            damped = -2 * exact.damping * loss[m] * flexible[m]
-            take(f"damping of {body.name} {m + 1}", shapes[:, m : m + 1] * damped, motion[m], inverse[m])
+            exact, shape = tolerances.of_mode(body.name, int(m) + 1), shapes[:, m : m + 1]
+            take(f"frequency of {body.name} {m + 1}", shape * exact.frequency * stiffer[m], motion[m], inverse[m])
+            take(f"damping of {body.name} {m + 1}", shape * exact.damping * damped[m], motion[m], inverse[m])
     return tuple(names), np.array(columns).reshape(len(columns), *own.residual.shape), np.array(stretch)
 
 

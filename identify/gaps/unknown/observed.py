@@ -19,9 +19,9 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 
 from identify.gaps.residual.linear import Linear, linear_model
-from identify.gaps.residual.response import Response
 from identify.gaps.residual.spectra import ORDER, Record
 from identify.signals.kinematics import NORMAL_BY_MEDIAN, taper
+from identify.structure.response import Response
 from rig.errors import RigError
 from rig.model.description import Rig, Station
 

@@ -1,16 +1,26 @@
-"""One body of a linear model: its modes, and how its motion at some places follows from that at others."""
+"""The linear model of one body: accelerations at some places by forces at others, and what its modes are uncertain by.
+
+With modes of natural frequency omega_m, damping ratio zeta_m and mass-normalised shapes phi_m,
+
+    a(x) = sum_m phi_m(x) A_m phi_m(x_F) F
+    A_m = -omega^2 / D_m,   D_m = omega_m^2 - omega^2 + 2 i zeta_m omega_m omega
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Complex, Float
 
 from identify.signals.kinematics import CORNER_HZ, integrated
 from identify.structure.modal import receptance
-from rig.model.description import Body, Station
-from rig.model.modes import Modes
+from rig.model.description import Body, Rig, Station
+from rig.model.modes import Modes, modes_of
+
+SLOPE = 1e-4
+"""Slopes of shapes are differences over this share of the body's length to either side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +58,27 @@ class Response:
             found[list(rows)] = self.modes.shapes(np.array(places), self.count)
         return found
 
+    def slopes(self, stations: Sequence[Station]) -> Float[np.ndarray, "stations modes"]:
+        """The shapes' derivatives along the body, 1/m, at stations on it; zero of a single mass."""
+        places, length = np.array([s.position_m for s in stations]), self.body.length_m
+        if not length:
+            return np.zeros((len(stations), self.count))
+        step = SLOPE * length
+        right, left = np.minimum(places + step, length), np.maximum(places - step, 0.0)
+        beside = [self.modes.shapes(at, self.count) for at in (right, left)]
+        return np.asarray((beside[0] - beside[1]) / (right - left)[:, None])
+
+    @property
+    def sensitivities(self) -> dict[Literal["frequency", "damping"], Complex[np.ndarray, "modes lines"]]:
+        """The relative change of each mode's acceleration by that of its frequency, and of its damping: -dD / D.
+
+        An error dD changes a mode's acceleration by -dD / D of what it truly is: of what was measured.
+        """
+        hz, zeta, omega = self.dynamics.natural_hz, self.dynamics.damping_ratios, self.dynamics.omega
+        flexible, natural = receptance(hz, zeta, omega / (2 * np.pi)), 2 * np.pi * hz[:, None]
+        loss = 1j * zeta[:, None] * natural * omega
+        return {"frequency": -2 * (natural**2 + loss) * flexible, "damping": -2 * loss * flexible}
+
     def transfer(
         self, outputs: Float[np.ndarray, "outputs modes"], inputs: Float[np.ndarray, "inputs modes"]
     ) -> Complex[np.ndarray, "inputs outputs lines"]:
@@ -58,8 +89,15 @@ class Response:
         return _transfer(self.dynamics, outputs.tobytes(), inputs.tobytes())
 
 
+def response_of(rig: Rig, body: Body, omega: Float[np.ndarray, " lines"], high_passed: int = 0) -> Response:
+    """Of a body with what the rig attaches to it."""
+    modes, count = modes_of(rig, body), body.max_modes
+    natural_hz, zeta = modes.frequencies_hz(count), modes.damping_ratios(count)
+    return Response(body, modes, count, _dynamics(natural_hz.tobytes(), zeta.tobytes(), omega.tobytes(), high_passed))
+
+
 @lru_cache(maxsize=16)
-def dynamics_of(natural_hz: bytes, damping_ratios: bytes, omega_rad_per_s: bytes, high_passed: int) -> Dynamics:
+def _dynamics(natural_hz: bytes, damping_ratios: bytes, omega_rad_per_s: bytes, high_passed: int) -> Dynamics:
     """Of the modes whose doubles are given."""
     hz, zeta, omega = (np.frombuffer(values) for values in (natural_hz, damping_ratios, omega_rad_per_s))
     return Dynamics(hz, zeta, omega, high_passed)
@@ -86,6 +124,11 @@ def _transfer(dynamics: Dynamics, outputs: bytes, inputs: bytes) -> Complex[np.n
     found = times((by[:, None, :] * to[None]).reshape(-1, modes), accelerance)
     found.flags.writeable = False
     return found.reshape(len(by), len(to), lines)
+
+
+def across(rig: Rig, response: Response) -> Float[np.ndarray, "contacts modes"]:
+    """How a body's modes enter the relative displacements."""
+    return response.shapes([c.at for c in rig.contacts]) - response.shapes([c.against for c in rig.contacts])
 
 
 def weights_of(
