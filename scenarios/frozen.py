@@ -44,7 +44,9 @@ class Step:
 
 @app.command()
 def frozen(
-    out: Annotated[Path, typer.Option(help="Folder for the recordings and frozen.json.")] = Path("out/frozen"),
+    out: Annotated[Path, typer.Option(help="Folder for recordings, kept if there, and frozen.json.")] = Path(
+        "out/frozen"
+    ),
     against: Annotated[
         Path | None, typer.Option(help="A frozen.json of before; every number is set beside its own there.")
     ] = None,
@@ -52,7 +54,11 @@ def frozen(
         float, typer.Option(min=0, help="Every sample is off by about this share; 1e-15 shows what rounding does.")
     ] = 0.0,
 ) -> None:
-    """Records, identifies and diagnoses, writes the numbers, and sets them beside those of before."""
+    """Records, identifies and diagnoses, writes the numbers, and sets them beside those of before.
+
+    Recordings that are in the folder already are taken as they are: the motion is chaotic, so that a plant that rounds
+    otherwise makes others.
+    """
     before = decoded(against, Frozen) if against else None
     now: Frozen = {}
     for name, step in STEPS.items():
@@ -67,12 +73,14 @@ def frozen(
 
 def recorded(settings: Sdof | BarrelCradle, effects: tuple[Effect, ...], folder: Path) -> tuple[Recording]:
     """By the plant `modal`; with effects of which the recording's rig knows nothing."""
-    actual = settings.rig()
+    path, actual = folder / "recording.mcap", settings.rig()
+    if path.exists():
+        return (rig.read(path),)
     for effect in effects:
         actual = effect.applied_to(actual)
     recording = rig.record(
         settings.rig(),
-        folder / "recording.mcap",
+        path,
         force=settings.force(),
         duration_s=settings.duration_s,
         step_s=settings.step_s,
@@ -83,10 +91,11 @@ def recorded(settings: Sdof | BarrelCradle, effects: tuple[Effect, ...], folder:
 
 def blind(world: World, number: int, folder: Path) -> tuple[Recording, ...]:
     """The recordings to fit and to validate of a case, as `scenarios.blind_gap make` makes them."""
-    for place in (folder / "recordings", folder / "sealed" / "work"):
-        place.mkdir(parents=True, exist_ok=True)
-    case = made(planned(folder, world, BLIND_SEED, number + 1, BLIND_S)[number])
-    return tuple(rig.read(folder / "recordings" / record.file) for record in case.records)
+    if not (folder / "recordings").exists():
+        for place in (folder / "recordings", folder / "sealed" / "work"):
+            place.mkdir(parents=True)
+        made(planned(folder, world, BLIND_SEED, number + 1, BLIND_S)[number])
+    return tuple(rig.read(path) for path in sorted((folder / "recordings").glob("*.mcap")))
 
 
 def shaken(recording: Recording, share: float) -> Recording:

@@ -146,7 +146,7 @@ def _seen_by(recording: Recording, rig: Rig) -> Recording:
 
 def _found(actual: Rig, contacts: Contacts) -> FoundContact:
     names, true, found, errors, refused = [], [], [], [], []
-    for contact, answer in zip(actual.contacts, contacts.answers, strict=True):
+    for contact, answer in zip(actual.contacts, contacts.estimates, strict=True):
         if not isinstance(answer, Joint):
             refused.append(f"{contact.name}: {answer}")
             continue

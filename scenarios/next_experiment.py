@@ -24,7 +24,7 @@ from rich.table import Table
 from identify.gaps.decision.causes import ALIKE
 from identify.gaps.decision.comparison import TEMPERATURE
 from identify.gaps.decision.experiment import Experiment, begun_on, experiments, next_experiments, refitted
-from identify.gaps.residual.residual import base_of, residual_of
+from identify.gaps.residual.residual import linearized, residual_of
 from identify.gaps.residual.spectra import Record, record_of
 from identify.gaps.results import AGAIN, NextExperiment
 from identify.gaps.search.candidates import candidates, scale_of
@@ -240,8 +240,8 @@ def _fitted(record: Record, name: str) -> Hypothesis:
         return _best(begun, nothing)
     if not parts:
         raise RigError(f"no candidate is named {name!r}; there are {', '.join(c.name for c in known)}")
-    base, at = begun[0].base, begun[0].at
-    offered = [s.values for s in (*score_screening(base, at, parts), *grid_screening(base, parts))]
+    linearization, at = begun[0].linearization, begun[0].at
+    offered = [s.values for s in (*score_screening(linearization, at, parts), *grid_screening(linearization, parts))]
     tried = (_best(begun, fields(nothing, parts=tuple(parts), values=values)) for values in offered)
     return min(tried, key=lambda one: one.misfit.minus_two_log)
 
@@ -249,8 +249,8 @@ def _fitted(record: Record, name: str) -> Hypothesis:
 def _begun(record: Record) -> tuple[Search, ...]:
     """Two places to begin a fit: at the believed rig fitted to the record, and with nothing fitted."""
     fitted = begun_on(record, record.rig)
-    base = base_of(record, record.rig)
-    return fitted, fields(fitted, base=base, at=residual_of(base, record.rig))
+    linearization = linearized(record, record.rig)
+    return fitted, fields(fitted, linearization=linearization, at=residual_of(linearization, record.rig))
 
 
 def _best(begun: Sequence[Search], one: Hypothesis, held: bool = False) -> Hypothesis:

@@ -16,7 +16,7 @@ from identify.signals.spectra import Averaging, Blocks, Term, blocks, decimated,
 from identify.structure.modal import ModalEquation, modal_equations, relative_displacements, without_higher_modes
 from rig.model.description import Rig
 from rig.recording import Recording, Signals, channel_groups
-from rig.simulation.excitation import QUIET_S, force_course
+from rig.simulation.excitation import QUIET_S, force_signal
 from rig.simulation.plants import modal
 from rig.simulation.reference import BarrelCradle
 from rig.simulation.sensors import digitised, needed_duration_s
@@ -185,7 +185,7 @@ def _pieces(study: Study, rig: Rig) -> Iterator[Float[np.ndarray, "rows samples"
     sensors, noises = len(rig.sensors), len(rig.sensors) * any(study.noise_densities)
     margin, own = round(MARGIN_S * rig.sample_rate_hz), round(PIECE_S * rig.sample_rate_hz)
     duration_s = needed_duration_s(rig, study.pieces * PIECE_S + MARGIN_S)
-    force_n = force_course(settings.force(), duration_s, settings.step_s)
+    force_n = force_signal(settings.force(), duration_s, settings.step_s)
     moved = modal.simulate(rig, force_n, settings.step_s, lambda _: None)
     held, size = [np.zeros((1 + sensors + noises, margin))], margin
     for block in digitised(rig, moved, rng):

@@ -17,7 +17,7 @@ from rig.errors import RigError
 from rig.files import write_bytes
 from rig.model.beam import Beam
 from rig.model.description import Rig, to_json
-from rig.simulation.motion import Course, Motion, Progress
+from rig.simulation.motion import ForceSignal, Motion, Progress
 from rig.simulation.plants import ancf
 from rig.simulation.plants.basis import modal_basis
 from rig.simulation.plants.connectors import Section
@@ -85,7 +85,7 @@ def breech(barrel: Beam) -> tuple[Section, ...]:
     return (Section(barrel.name, 0.0, BREECH_M, stiffness_factor=THICKER**3, mass_factor=THICKER),)
 
 
-def meshed(rig: Rig, force_n: Course, step_s: float, progress: Progress) -> Iterator[Motion]:
+def meshed(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress) -> Iterator[Motion]:
     """The plant: the rig with its barrel's modal basis left aside, in place of it a mesh of 20 elements."""
     barrel = BarrelCradle().rig().body("barrel")
     assert isinstance(barrel, Beam)

@@ -10,7 +10,7 @@ import numpy as np
 from identify.gaps.decision.comparison import TEMPERATURE, closed, left_without, log_prior, size
 from identify.gaps.decision.recordings import sound
 from identify.gaps.residual.likelihood import Misfit, Reference, misfit, reference_of
-from identify.gaps.residual.residual import base_of
+from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import Record, record_of
 from identify.gaps.results import Matters
 from identify.gaps.search.candidates import candidates, scale_of
@@ -96,7 +96,7 @@ def achieved(task: ToLay) -> Best:
     """What the diagnosis would have found, had it been told."""
     (_, validation), _ = sound(read(Path(task.fit)), read(Path(task.validate)))
     record = record_of(validation, tolerances=task.tolerances or validation.rig.tolerances or LABORATORY)
-    reference, matters = reference_of(base_of(record, record.rig)), Matters()
+    reference, matters = reference_of(linearized(record, record.rig)), Matters()
     alone = misfit(record, reference, fit_nuisance(record, record.rig, rounds=1)[1])
     before = size(alone, matters)
     if not task.effects:
@@ -128,5 +128,5 @@ def _laid(record: Record, reference: Reference, effects: Sequence[str], alone: M
     rig: Rig = record.rig
     for text in effects:
         rig = effect_named(text).applied_to(rig)
-    base, at = fit_nuisance(record, rig, rounds=1)
-    return misfit(record, reference, at), left_without(record, reference, base, at) or alone
+    linearization, at = fit_nuisance(record, rig, rounds=1)
+    return misfit(record, reference, at), left_without(record, reference, linearization, at) or alone

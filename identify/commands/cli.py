@@ -13,8 +13,8 @@ from rich.table import Table
 
 import identify
 from identify.commands.gap import gap
-from identify.contacts.pooled import LARGE_BYTES, STRETCH_S, identify_long
-from identify.contacts.results import ContactReport, Estimate, Stretches
+from identify.contacts.pooled import LARGE_BYTES, SEGMENT_S, identify_long
+from identify.contacts.results import ContactReport, Estimate, Segments
 from identify.laws.results import LawReport
 from identify.signals.kinematics import Use
 from identify.signals.spectra import POWERS, Averaging
@@ -56,7 +56,7 @@ def contact(
         ),
     ] = None,
     band: Annotated[tuple[float, float] | None, typer.Option(help="Band of NIFO, Hz; otherwise the force's.")] = None,
-    stretch: Annotated[
+    segment: Annotated[
         float | None,
         typer.Option(help="Identify so many seconds at a time and pool them, as is done with files of over 1 GB."),
     ] = None,
@@ -74,8 +74,8 @@ def contact(
     averaging = Averaging(averages=averages, block_s=block, overlap=overlap, window=window, band_hz=band)
     if out is not None:
         refuse_existing(out / "contact.json", force)
-    if stretch is None and file.exists() and file.stat().st_size > LARGE_BYTES:
-        stretch = STRETCH_S
+    if segment is None and file.exists() and file.stat().st_size > LARGE_BYTES:
+        segment = SEGMENT_S
     settings = {
         "use": msgspec.convert(use, Use),
         "averaging": averaging,
@@ -83,8 +83,8 @@ def contact(
         "tolerances": tolerances_named(tolerances) if tolerances else None,
     }
     with progress_bar(f"identifying {file.name}") as progress:
-        if stretch is not None:
-            report = _by_stretches(file, stretch, out, progress, settings)
+        if segment is not None:
+            report = _by_segments(file, segment, out, progress, settings)
         else:
             report = _whole(file, out, progress, settings)
     if as_json:
@@ -101,17 +101,17 @@ def _whole(file: Path, out: Path | None, progress: Callable[[float], None], sett
     return found.report
 
 
-def _by_stretches(
-    file: Path, stretch_s: float, out: Path | None, progress: Callable[[float], None], settings: dict[str, Any]
+def _by_segments(
+    file: Path, segment_s: float, out: Path | None, progress: Callable[[float], None], settings: dict[str, Any]
 ) -> ContactReport:
-    report, parts = identify_long(file, stretch_s=stretch_s, progress=progress, **settings)
+    report, parts = identify_long(file, segment_s=segment_s, progress=progress, **settings)
     if out is not None:
-        from identify.contacts.figures import stretches_drawn
+        from identify.contacts.figures import segments_drawn
 
         out.mkdir(parents=True, exist_ok=True)
         if report.contacts:
-            write_bytes(stretches_drawn(report, parts), out / "stretches.png")
-        write_json(Stretches(parts), out / "stretches.json")
+            write_bytes(segments_drawn(report, parts), out / "segments.png")
+        write_json(Segments(parts), out / "segments.json")
         write_json(report, out / "contact.json")
     return report
 

@@ -55,7 +55,7 @@ def assumed(found: Identification) -> Iterator[str]:
         f"{motion.sample_rate_hz / 2 / found.separated.factor:.4g} Hz"
         + (", and the slow motion below is solved for within the noise of the accelerometers." if low else ".")
     )
-    if not all(isinstance(a, Joint) and a.sides_known for a in found.answers):
+    if not all(isinstance(a, Joint) and a.sides_known for a in found.estimates):
         yield "The zero of the relative displacement is not known: the two stops stand equally far from it."
 
 
@@ -64,7 +64,7 @@ def surer(found: Identification) -> Iterator[str]:
     for silent in found.report.unanswered:
         yield f"{silent.name}: {silent.reason.rpartition('; ')[2]}."  # a reason ends with what to do
     ruled: dict[str, list[str]] = {}
-    for contact, answer in zip(found.rig.contacts, found.answers, strict=True):
+    for contact, answer in zip(found.rig.contacts, found.estimates, strict=True):
         if isinstance(answer, Joint):
             for quantity, shares in variance_shares(answer).items():
                 for source, share in shares.items():
@@ -72,7 +72,7 @@ def surer(found: Identification) -> Iterator[str]:
                         ruled.setdefault(source, []).append(f"{contact.name}'s {quantity} ({percent(share)})")
     for source, estimates in ruled.items():
         yield f"Most of the variance of {_joined(estimates)} comes from {_REMEDY[source]}."
-    if any(isinstance(a, Joint) and not a.sides_known for a in found.answers):
+    if any(isinstance(a, Joint) and not a.sides_known for a in found.estimates):
         yield (
             "Only half the total play can be told: displacement sensors that show a standing displacement too, at both "
             "sides of a contact, would tell its two sides apart."

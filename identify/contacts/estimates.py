@@ -37,13 +37,13 @@ class Contacts:
     motion: Kinematics
     separated: ContactForces
     observed: tuple[ContactRecord, ...]
-    answers: tuple[ContactFit, ...]
+    estimates: tuple[ContactFit, ...]
 
 
 def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Contacts:
     """Clearance, stiffness and damping of every contact, or the reason why the record does not tell them.
 
-    Of a stretch of a longer record the first seconds, in which the beams ring of what was before, tell nothing.
+    Of a segment of a longer record the first seconds, in which the beams ring of what was before, tell nothing.
 
     Raises RigError if the record allows nothing: too short, too few stations, no force, no contacts described.
     """
@@ -60,8 +60,8 @@ def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Con
         fewer = round(RING_S * motion.sample_rate_hz / factor)
         motion, separated = motion.part(slice(fewer * factor, None)), separated.after(fewer)
     observed = _observed(rig, motion, noise, separated, tolerances)
-    answers = tuple(_answer(o, separated, j) for j, o in enumerate(observed))
-    return Contacts(rig, motion, separated, tuple(observed), answers)
+    estimates = tuple(_estimate(o, separated, j) for j, o in enumerate(observed))
+    return Contacts(rig, motion, separated, tuple(observed), estimates)
 
 
 def _check_known(rig: Rig) -> None:
@@ -155,7 +155,7 @@ def _density(
     return float(np.sqrt(2 * noise[row] ** 2 / motion.sample_rate_hz + error / followed_hz))
 
 
-def _answer(observed: ContactRecord, separated: ContactForces, contact: int) -> ContactFit:
+def _estimate(observed: ContactRecord, separated: ContactForces, contact: int) -> ContactFit:
     """The joint estimate, or the reason why there is none."""
     samples = observed.eta_m.size
     try:

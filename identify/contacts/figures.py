@@ -8,7 +8,7 @@ from scipy.signal import welch
 
 from identify.contacts.identification import Identification
 from identify.contacts.joint import Joint
-from identify.contacts.results import ContactReport, Stretch
+from identify.contacts.results import ContactReport, Segment
 from identify.pages.style import BLUE, GREEN, GREY, RED, png
 from identify.structure.modal import receptance
 from rig.model.contact_laws import penetration_m
@@ -30,8 +30,8 @@ def drawn(found: Identification, marks: Marks, marks_name: str) -> dict[str, byt
     return {name: one(draw) for name, draw in _FIGURES.items()}
 
 
-def stretches_drawn(report: ContactReport, parts: Sequence[Stretch]) -> bytes:
-    """What every stretch of a long record says of each contact with its 95 % interval, and all together."""
+def segments_drawn(report: ContactReport, parts: Sequence[Segment]) -> bytes:
+    """What every segment of a long record says of each contact with its 95 % interval, and all together."""
 
     def draw(figure: Any) -> None:
         rows = figure.subplots(2, len(report.contacts), squeeze=False, sharex=True)
@@ -44,7 +44,7 @@ def stretches_drawn(report: ContactReport, parts: Sequence[Stretch]) -> bytes:
                 errors = [1.96 * scale * e.standard_error for e in each]
                 values = [scale * e.value for e in each]
                 axes.errorbar(middle_s, values, errors, fmt="none", color=GREY, lw=0.8, alpha=0.5, label="their 95 %")
-                axes.plot(middle_s, values, "k.", ms=3, label="stretches")
+                axes.plot(middle_s, values, "k.", ms=3, label="segments")
                 axes.axhline(scale * mean.value, color=BLUE, lw=1.2, zorder=3, label="all together")
                 axes.axhspan(*ends, color=BLUE, alpha=0.2, lw=0, label="95 % of all together")
             column[0].set_title(whole.name)
@@ -139,9 +139,9 @@ def _section(figure: Any, found: Identification, marks: Marks, marks_name: str) 
 
 def _separated(figure: Any, found: Identification, marks: Marks, marks_name: str) -> None:
     """Each contact force by itself, separated without a law, over its own relative displacement; the law found."""
-    axes_row = figure.subplots(1, len(found.answers), squeeze=False, sharey=True)[0]
+    axes_row = figure.subplots(1, len(found.estimates), squeeze=False, sharey=True)[0]
     few = slice(None, None, found.separated.factor)
-    for j, (axes, contact, answer) in enumerate(zip(axes_row, found.rig.contacts, found.answers, strict=True)):
+    for j, (axes, contact, answer) in enumerate(zip(axes_row, found.rig.contacts, found.estimates, strict=True)):
         eta = found.eta_m[j][few]
         force = found.separated.force_n[j][: eta.size]
         axes.plot(1e3 * eta, force, ".", ms=1.2, color=BLUE, alpha=0.4, label="separated, no law assumed")

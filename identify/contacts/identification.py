@@ -40,7 +40,7 @@ class Identification:
     motion: Kinematics
     eta_m: Float[np.ndarray, "contacts samples"]
     separated: ContactForces
-    answers: tuple[ContactFit, ...]
+    estimates: tuple[ContactFit, ...]
     surface: Surface
     weak: Nifo
     paper: Nifo
@@ -48,7 +48,7 @@ class Identification:
 
     @property
     def stops(self) -> tuple[Stops | None, ...]:
-        return tuple(_stops(a) for a in self.answers)
+        return tuple(_stops(a) for a in self.estimates)
 
 
 def identify_contact(
@@ -76,17 +76,17 @@ def identify_contact(
         raise RigError(f"no modal equation {equation!r} with a measured force; there are {', '.join(names)}")
     found = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY)
     progress(0.5)
-    rig, motion, answers = found.rig, found.motion, found.answers
+    rig, motion, estimates = found.rig, found.motion, found.estimates
     low, high = force_band(motion.force_n, motion.sample_rate_hz)
     band = averaging.band_hz or (
         max(low, CLEAR_OF_CORNER * motion.trusted_hz[0], LOWEST_HZ),
         min(high, motion.trusted_hz[1]),
     )
-    eta, force, depth = _with_law(found.observed, answers)
+    eta, force, depth = _with_law(found.observed, estimates)
     samples = eta.shape[1]
     cleaned = without_higher_modes(rig, motion.part(slice(samples)), force)
     eta, depth = eta[:, : cleaned.force_n.size], depth[:, : cleaned.force_n.size]
-    stops = tuple(_stops(a) for a in answers)
+    stops = tuple(_stops(a) for a in estimates)
     cut = blocks(cleaned.force_n.size, motion.sample_rate_hz, averaging, band)
     equations = [e for body in rig.bodies for e in modal_equations(rig, cleaned, body, EQUATIONS)]
     spectra = [nifo(e, cleaned.force_n, depth, cut) for e in equations if e.shape_at_force != 0]
@@ -99,7 +99,7 @@ def identify_contact(
         report=contact_report(
             rig,
             motion,
-            answers=answers,
+            estimates=estimates,
             transformations=[transformation(rig, body, motion) for body in rig.bodies],
             surfaces=surfaces,
             histogram=[
@@ -113,7 +113,7 @@ def identify_contact(
         motion=cleaned,
         eta_m=eta,
         separated=found.separated,
-        answers=answers,
+        estimates=estimates,
         surface=next(s for s in surfaces if s.equation.name == weak.equation.name),
         weak=weak,
         paper=nifo(weak.equation, cleaned.force_n, depth, cut, "paper"),
@@ -122,14 +122,14 @@ def identify_contact(
 
 
 def _with_law(
-    observed: tuple[ContactRecord, ...], answers: tuple[ContactFit, ...]
+    observed: tuple[ContactRecord, ...], estimates: tuple[ContactFit, ...]
 ) -> tuple[
     Float[np.ndarray, "contacts samples"], Float[np.ndarray, "contacts samples"], Float[np.ndarray, "contacts samples"]
 ]:
     """Relative displacement with its drift; contact force and penetration by the law found, zero where none was."""
     eta = np.stack([o.eta_m for o in observed])
     force, depth = np.zeros_like(eta), np.zeros_like(eta)
-    for j, (seen, found) in enumerate(zip(observed, answers, strict=True)):
+    for j, (seen, found) in enumerate(zip(observed, estimates, strict=True)):
         if isinstance(found, Joint):
             lower, upper = (float(p) for p in found.parameters[:2])
             eta[j] += found.drift_m

@@ -1,4 +1,4 @@
-"""A record of any length, identified stretch by stretch, and what the stretches say together."""
+"""A record of any length, identified segment by segment, and what the segments say together."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -9,16 +9,16 @@ import numpy as np
 
 from identify.contacts.forces import RING_S
 from identify.contacts.identification import identify_contact
-from identify.contacts.results import ContactReport, Estimate, Stretch
+from identify.contacts.results import ContactReport, Estimate, Segment
 from identify.signals.kinematics import Use
 from identify.signals.spectra import Averaging
 from rig.errors import RigError
 from rig.model.tolerances import Tolerances
-from rig.recording.stretches import stretches
+from rig.recording.segments import segments
 
 LARGE_BYTES = 1 << 30
-"""Files of more are identified stretch by stretch, ..."""
-STRETCH_S = 40.0
+"""Files of more are identified segment by segment, ..."""
+SEGMENT_S = 40.0
 """... of this length, which takes less memory than that."""
 SHORTEST_S = 10.0
 NAMES = ("name", "contact", "equation", "body", "beam", "index")
@@ -28,35 +28,35 @@ NAMES = ("name", "contact", "equation", "body", "beam", "index")
 def identify_long(
     path: Path,
     *,
-    stretch_s: float = STRETCH_S,
+    segment_s: float = SEGMENT_S,
     use: Use = "auto",
     averaging: Averaging | None = None,
     equation: str | None = None,
     tolerances: Tolerances | None = None,
     progress: Callable[[float], None] = lambda _: None,
-) -> tuple[ContactReport, tuple[Stretch, ...]]:
-    """As `identify_contact`, of a recording that need not fit into memory: pooled, and from every stretch by itself.
+) -> tuple[ContactReport, tuple[Segment, ...]]:
+    """As `identify_contact`, of a recording that need not fit into memory: pooled, and from every segment by itself.
 
-    A stretch is read with the seconds before it in which the beams ring of what was earlier. One that allows no
+    A segment is read with the seconds before it in which the beams ring of what was earlier. One that allows no
     identification is left out. Raises RigError if none does, or the recording cannot be read.
     """
-    if not SHORTEST_S <= stretch_s < np.inf:
-        raise RigError(f"stretches of {stretch_s:g} s: give {SHORTEST_S:g} s or more, of which contacts can be told")
-    found: list[Stretch] = []
+    if not SHORTEST_S <= segment_s < np.inf:
+        raise RigError(f"segments of {segment_s:g} s: give {SHORTEST_S:g} s or more, of which contacts can be told")
+    found: list[Segment] = []
     why = ""
     size = path.stat().st_size if path.exists() else 0
-    for part in stretches(path, stretch_s + RING_S, RING_S):
+    for part in segments(path, segment_s + RING_S, RING_S):
         try:
             report = identify_contact(
                 part, use=use, averaging=averaging, equation=equation, tolerances=tolerances
             ).report
-            found.append(Stretch(part.start_s + (RING_S if part.start_s else 0.0), part.end_s, report))
+            found.append(Segment(part.start_s + (RING_S if part.start_s else 0.0), part.end_s, report))
         except RigError as error:
             why = str(error)
         rows = sum(len(s.channels.names) for s in part.signals.values())
         progress(min(1.0, 8 * rows * part.end_s * part.rig.sample_rate_hz / size))
     if not found:
-        raise RigError(f"{path}: no stretch of {stretch_s:g} s can be identified ({why})")
+        raise RigError(f"{path}: no segment of {segment_s:g} s can be identified ({why})")
     return together([s.report for s in found]), tuple(found)
 
 
@@ -70,7 +70,7 @@ def together(reports: Sequence[ContactReport]) -> ContactReport:
 
 
 def pooled(estimates: Sequence[Estimate]) -> Estimate:
-    """The mean of estimates x_i from stretches, weighted by their standard errors s_i.
+    """The mean of estimates x_i from segments, weighted by their standard errors s_i.
 
     They share what is in doubt about the rig, and differ by noise and chance: their scatter v about the mean goes down
     with their number n, the rest of their variance does not: error^2 = v / n + mean of s_i^2 - v (1 - sqrt(2 / n)),

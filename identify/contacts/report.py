@@ -49,7 +49,7 @@ def write_page(
 ) -> None:
     """Writes the page; figures are PNG files, by the names of `identify.contacts.figures`."""
     report = found.report
-    told, count = len(report.contacts), len(found.answers)
+    told, count = len(report.contacts), len(found.estimates)
     page.write(
         path,
         title=title,

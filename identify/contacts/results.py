@@ -104,15 +104,15 @@ class ContactReport(msgspec.Struct, frozen=True, kw_only=True):
     channels_used: tuple[str, ...]
 
 
-class Stretch(msgspec.Struct, frozen=True):
-    """What a stretch of a long record says by itself."""
+class Segment(msgspec.Struct, frozen=True):
+    """What a segment of a long record says by itself."""
 
     start_s: float
     end_s: float
     report: ContactReport
 
 
-class Stretches(msgspec.Struct, frozen=True):
-    """stretches.json."""
+class Segments(msgspec.Struct, frozen=True):
+    """segments.json."""
 
-    stretches: tuple[Stretch, ...]
+    segments: tuple[Segment, ...]

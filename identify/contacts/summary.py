@@ -18,7 +18,7 @@ def contact_report(
     rig: Rig,
     motion: Kinematics,
     *,
-    answers: tuple[ContactFit, ...],
+    estimates: tuple[ContactFit, ...],
     transformations: list[Transformation],
     surfaces: list[Surface],
     histogram: list[Stops | None],
@@ -26,7 +26,7 @@ def contact_report(
     spectra: list[Nifo],
 ) -> results.ContactReport:
     """The report; `weak` belongs to the main equation, `surfaces` and `spectra` to all."""
-    named = [(c.name, a) for c, a in zip(rig.contacts, answers, strict=True)]
+    named = [(c.name, a) for c, a in zip(rig.contacts, estimates, strict=True)]
     return results.ContactReport(
         rig=rig.name,
         contacts=tuple(_contact(name, a) for name, a in named if isinstance(a, Joint)),

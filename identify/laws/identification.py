@@ -87,7 +87,7 @@ def identify_law(
     found: list[FoundLaw] = []
     silent: list[Unanswered] = []
     for done, j in enumerate(chosen):
-        answer, seen = contacts.answers[j], contacts.observed[j]
+        answer, seen = contacts.estimates[j], contacts.observed[j]
         if isinstance(answer, str) and seen.drift is not None:
             silent.append(Unanswered(names[j], answer))
         else:
@@ -99,7 +99,7 @@ def identify_law(
 
 
 def _law(contacts: Contacts, contact: int, seconds: float, seed: int) -> FoundLaw:
-    seen, answer = contacts.observed[contact], contacts.answers[contact]
+    seen, answer = contacts.observed[contact], contacts.estimates[contact]
     joint = answer if isinstance(answer, Joint) else None
     record, velocity = _complete(seen, joint)
     first = contacts.motion.excited_from // seen.factor + ENDS

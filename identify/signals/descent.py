@@ -36,7 +36,7 @@ StepOf = TypeVar("StepOf", bound=Step)  # type: ignore[type-arg]
 
 
 def descended(
-    start: State, step_from: Callable[[State], StepOf], settled: Callable[[State], float], most: int
+    start: State, step_from: Callable[[State], StepOf], least_fall: Callable[[State], float], most: int
 ) -> tuple[State, StepOf]:
     """The state at which the cost is least, by at most so many steps, and the last step that was tried.
 
@@ -46,7 +46,7 @@ def descended(
     """
     at, cost, slow = start, start.cost, 0
     for _ in range(most):
-        step, share, least = step_from(at), 1.0, settled(at)
+        step, share, least = step_from(at), 1.0, least_fall(at)
         there, fell = None, -np.inf
         for _ in range(TRIES):
             there = step.after(share)

@@ -84,7 +84,7 @@ def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNE
     In the frequency domain, with the end of the record tapered off: each sensor's gain and delay are divided out, and
     what was not measured is had by multiplication with powers of i omega. Integration is cut off smoothly below the
     corner. Each motion comes from the sensor that measured it, else from the nearest one that needs no integration.
-    `use` takes the sensors of one quantity only. A stretch of a longer record is tapered off at its start too, and is
+    `use` takes the sensors of one quantity only. A segment of a longer record is tapered off at its start too, and is
     wrong there.
 
     Raises RigError if no such sensor is there, or the record is too short for its ends to be left out.

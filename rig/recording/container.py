@@ -83,7 +83,7 @@ def whole(file: BufferedReader, wanted: Callable[[Channel], bool] = lambda _: Tr
         crc = crc32(content, crc)
 
 
-def told(path: Path, steps: Iterator[Step]) -> Iterator[Step]:
+def with_path_in_error(path: Path, steps: Iterator[Step]) -> Iterator[Step]:
     """What reading a file yields; where it is refused or damaged, one sentence that names it (RigError)."""
     try:
         yield from steps

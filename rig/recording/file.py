@@ -92,7 +92,7 @@ class Recording:
 
     @property
     def start_s(self) -> float:
-        """Above zero in a stretch of a longer record, which does not begin at rest."""
+        """Above zero in a segment of a longer record, which does not begin at rest."""
         return self.signals["force"].start_s
 
     @property
@@ -149,7 +149,7 @@ class RecordingWriter:
         self._stream.flush()  # a kill loses nothing but the chunk in the making
 
     def append_all(self, values: Mapping[str, Float[np.ndarray, "_ samples"]]) -> None:
-        """Samples of every group, put side by side in the file, so that it can be read stretch by stretch."""
+        """Samples of every group, put side by side in the file, so that it can be read segment by segment."""
         for first in range(0, max(rows.shape[1] for rows in values.values()), AT_ONCE):
             for group, rows in values.items():
                 self.append(group, rows[:, first : first + AT_ONCE])
@@ -325,7 +325,7 @@ def _loaded(path: Path) -> Recording:
     contents, held = Contents(), dict[str, Assembly]()
     with container.opened(path) as file:
         doubles = path.stat().st_size // 8
-        for name, block in container.told(path, gathering(container.whole(file, is_of_blocks), contents)):
+        for name, block in container.with_path_in_error(path, gathering(container.whole(file, is_of_blocks), contents)):
             if name not in held:
                 room = doubles // sum(len(group.names) for group in contents.groups.values())
                 held[name] = Assembly(path, name, contents.groups[name], room=room)

@@ -47,12 +47,12 @@ def decimator(taps: Float[np.ndarray, " taps"], factor: int) -> Decimator:
 
 
 def decimated(
-    chain: Decimator, signals: Float[np.ndarray, "rows long"], samples: int
+    filter_: Decimator, signals: Float[np.ndarray, "rows long"], samples: int
 ) -> Float[np.ndarray, "rows samples"]:
     """The first `samples` filtered samples of every row; rows must hold at least `chain.reach(samples)`."""
-    rows, count = len(signals), chain.count
-    blocks = signals[:, chain.begin : chain.reach(samples)].reshape(rows, -1, len(chain.pieces))
-    parts = (blocks @ chain.pieces).reshape(rows, blocks.shape[1], count, TOGETHER)
+    rows, count = len(signals), filter_.count
+    blocks = signals[:, filter_.begin : filter_.reach(samples)].reshape(rows, -1, len(filter_.pieces))
+    parts = (blocks @ filter_.pieces).reshape(rows, blocks.shape[1], count, TOGETHER)
     some = blocks.shape[1] - count + 1
     whole = parts[:, :some, 0].copy()
     for i in range(1, count):

@@ -10,15 +10,15 @@ from jaxtyping import Complex, Float
 from scipy.signal import chirp
 
 from rig.errors import RigError
-from rig.simulation.motion import Course
+from rig.simulation.motion import ForceSignal
 
 QUIET_S = 1.0
 """Every recording begins with a second without force: what is heard there is not the force's doing."""
 RISE_S = 1 / 32
 """Over which noise and multisine set in: a jump would make the motion depend on the step that it happens in."""
 LONG_S = 1024.0
-"""A Gaussian force of more than this is made of stretches, which are never held all at once."""
-STRETCH_S = 256.0
+"""A Gaussian force of more than this is made of segments, which are never held all at once."""
+SEGMENT_S = 256.0
 
 
 class _Band(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -42,7 +42,7 @@ class BandLimitedGaussian(_Band, frozen=True, tag="gaussian"):
     """Gaussian noise with a flat spectrum in the band and none outside: the paper's excitation.
 
     Drawn line by line in the frequency domain, so the force does not depend on the step at which it is asked for. One
-    of more than 1024 s is made of independent stretches of 256 s that overlap by half, under windows whose squares add
+    of more than 1024 s is made of independent segments of 256 s that overlap by half, under windows whose squares add
     up to one.
     """
 
@@ -137,18 +137,18 @@ class LongForce:
 
     def __getitem__(self, now: slice) -> Float[np.ndarray, " some"]:
         first, stop, _ = now.indices(self.samples)
-        quiet, half = round(QUIET_S / self.step_s), round(STRETCH_S / 2 / self.step_s)
+        quiet, half = round(QUIET_S / self.step_s), round(SEGMENT_S / 2 / self.step_s)
         force = np.zeros(max(0, stop - first))
         for k in range((max(first, quiet) - quiet) // half, (stop - 1 - quiet) // half + 2):
             begin = quiet + (k - 1) * half
             some = slice(max(first, begin, quiet), min(stop, begin + 2 * half))
-            force[some.start - first : some.stop - first] += _stretch(self.excitation, self.step_s, k)[
+            force[some.start - first : some.stop - first] += _segment(self.excitation, self.step_s, k)[
                 some.start - begin : some.stop - begin
             ]
         return force
 
 
-def force_course(excitation: Excitation, duration_s: float, step_s: float) -> Course:
+def force_signal(excitation: Excitation, duration_s: float, step_s: float) -> ForceSignal:
     """The force of `force_history`; a Gaussian one of more than 1024 s to be had slice by slice."""
     if isinstance(excitation, BandLimitedGaussian) and duration_s > LONG_S:
         _check(excitation, duration_s, step_s)
@@ -181,9 +181,9 @@ def _check(excitation: Excitation, duration_s: float, step_s: float) -> None:
 
 
 @lru_cache(maxsize=2)
-def _stretch(band: BandLimitedGaussian, step_s: float, k: int) -> Float[np.ndarray, " samples"]:
-    """The k-th stretch under its window; the first one sets in smoothly, half-way through, where the force begins."""
-    samples = 2 * round(STRETCH_S / 2 / step_s)
+def _segment(band: BandLimitedGaussian, step_s: float, k: int) -> Float[np.ndarray, " samples"]:
+    """The k-th segment under its window; the first one sets in smoothly, half-way through, where the force begins."""
+    samples = 2 * round(SEGMENT_S / 2 / step_s)
     spectrum = noise_spectrum(samples, step_s, band.low_hz, band.high_hz, (band.seed, k))
     rms = 2 * np.sqrt(np.count_nonzero(spectrum)) / samples
     force = np.fft.irfft(spectrum, samples) * (band.rms_n / rms) * np.sin(np.pi * np.arange(samples) / samples)

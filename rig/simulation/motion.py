@@ -14,7 +14,7 @@ Progress = Callable[[float], None]
 
 
 @runtime_checkable
-class Course(Protocol):
+class ForceSignal(Protocol):
     """A force over time, had slice by slice; an array is one."""
 
     def __len__(self) -> int: ...
@@ -50,7 +50,7 @@ class Projected:
 
 @dataclass(frozen=True)
 class Motion:
-    """True motion over a stretch of time, sampled at the plant's own step.
+    """True motion over a segment of time, sampled at the plant's own step.
 
     sensed has one row per sensor of the rig, in the sensor's quantity, before any instrument; displacement one row per
     station of `stations_of(rig)`, both in space, also where the base moves; eta (relative displacement) and
@@ -71,7 +71,7 @@ class Motion:
 class Plant(Protocol):
     """How a rig is simulated: from rest, with the measured force given at multiples of the step."""
 
-    def __call__(self, rig: Rig, force_n: Course, step_s: float, progress: Progress) -> Iterator[Motion]: ...
+    def __call__(self, rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress) -> Iterator[Motion]: ...
 
 
 def joined(blocks: Iterator[Motion]) -> Motion:

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.recording import channel_groups, truth_groups, truth_path, writing
-from rig.simulation.excitation import QUIET_S, Excitation, force_course
+from rig.simulation.excitation import QUIET_S, Excitation, force_signal
 from rig.simulation.motion import Plant, Progress
 from rig.simulation.sensors import Samples, digitised, needed_duration_s
 
@@ -52,7 +52,7 @@ def record(
             f"duration is {duration_s} s and sample_rate_hz {rig.sample_rate_hz}, which makes no sample; record longer "
             "or sample faster"
         )
-    force = force_course(excitation, needed_duration_s(actual, samples / rig.sample_rate_hz), step_s)
+    force = force_signal(excitation, needed_duration_s(actual, samples / rig.sample_rate_hz), step_s)
     plant_name = getattr(plant, "__module__", "").rsplit(".", 1)[-1]
     provenance = {
         "made_by": "rig record",

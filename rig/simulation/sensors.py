@@ -19,7 +19,7 @@ HALF_WIDTH = 16
 
 @dataclass(frozen=True)
 class Samples:
-    """A stretch of a recording: the force and, per quantity, one row per sensor of that quantity; and the truth."""
+    """A segment of a recording: the force and, per quantity, one row per sensor of that quantity; and the truth."""
 
     force_n: Float[np.ndarray, " samples"]
     sensed: dict[Quantity, Float[np.ndarray, "sensors samples"]]
@@ -41,14 +41,14 @@ def digitised(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> I
     Raises RigError unless the plant's rate is a multiple of the sampling rate.
     """
     streams = rng.spawn(len(rig.sensors))
-    chain: list[tuple[list[int], Decimator]] = []
+    filters: list[tuple[list[int], Decimator]] = []
     held, begun = np.zeros((0, 0)), 0
     truth: dict[str, Float[np.ndarray, "rows samples"]] = {}
     for block in blocks:
         factor, size = _factor(rig, block.step_s), block.force_n.size
         reach = (HALF_WIDTH + _longest_delay(rig)) * factor
-        if not chain:
-            chain = _chain(rig, factor, reach)
+        if not filters:
+            filters = _filters(rig, factor, reach)
             held = np.zeros((1 + len(rig.sensors), reach))  # at rest before the record
         instants = (slice(None), slice(-begun % factor, None, factor))
         begun += size
@@ -56,36 +56,36 @@ def digitised(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> I
         truth = {name: np.concatenate([truth[name], rows], axis=1) if truth else rows for name, rows in fresh.items()}
         width = held.shape[1] + size
         ready = max(0, (width - 2 * reach - 1) // factor + 1)
-        queue = np.empty((len(held), max(width, *(one.reach(ready) for _, one in chain))))
+        queue = np.empty((len(held), max(width, *(one.reach(ready) for _, one in filters))))
         queue[:, : held.shape[1]] = held
         queue[0, held.shape[1] : width] = block.force_n
         queue[1:, held.shape[1] : width] = block.sensed
         queue[:, width:] = 0.0
         held = queue[:, ready * factor : width]
         if ready:
-            filtered = _filtered(chain, queue, ready)
+            filtered = _filtered(filters, queue, ready)
             sensed = {q: _delivered_all(rig, q, filtered[1:], streams) for q in quantities_of(rig)}
             yield Samples(filtered[0], sensed, {name: rows[:, :ready] for name, rows in truth.items()})
             truth = {name: rows[:, ready:] for name, rows in truth.items()}
 
 
-def _chain(rig: Rig, factor: int, reach: int) -> list[tuple[list[int], Decimator]]:
+def _filters(rig: Rig, factor: int, reach: int) -> list[tuple[list[int], Decimator]]:
     """The filter of every delay, with the rows that it is for: the force, without delay, then the sensors."""
     delays = [0.0, *(s.delay_s for s in rig.sensors)]
-    chain = []
+    filters = []
     for delay in dict.fromkeys(delays):
         rows = [k for k, own in enumerate(delays) if own == delay]
-        chain.append((rows, decimator(_taps(factor, reach, delay * rig.sample_rate_hz), factor)))
-    return chain
+        filters.append((rows, decimator(_taps(factor, reach, delay * rig.sample_rate_hz), factor)))
+    return filters
 
 
 def _filtered(
-    chain: list[tuple[list[int], Decimator]], queue: Float[np.ndarray, "rows steps"], samples: int
+    filters: list[tuple[list[int], Decimator]], queue: Float[np.ndarray, "rows steps"], samples: int
 ) -> Float[np.ndarray, "rows samples"]:
-    if len(chain) == 1:
-        return decimated(chain[0][1], queue, samples)
+    if len(filters) == 1:
+        return decimated(filters[0][1], queue, samples)
     filtered = np.empty((len(queue), samples))
-    for rows, one in chain:
+    for rows, one in filters:
         filtered[rows] = decimated(one, queue[rows], samples)
     return filtered
 

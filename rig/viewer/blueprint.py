@@ -15,7 +15,7 @@ TRAIL_S = 0.1
 
 
 @dataclass(frozen=True)
-class Look:
+class Layout:
     """What of a recording there is to show, and how it is drawn."""
 
     rig: Rig
@@ -41,15 +41,15 @@ def entity(*parts: str) -> str:
     return str(rr.new_entity_path(list(parts)))
 
 
-def blueprint(look: Look) -> rrb.Blueprint:
+def blueprint(layout: Layout) -> rrb.Blueprint:
     """Paused and slowed down so that every frame is seen; the plots show a window around the moment."""
-    close_ups = [_close_up(contact, look.reach_mm(contact), _caveat(look)) for contact in look.rig.contacts]
-    phases = [_phase(look, contact) for contact in look.rig.contacts]
+    close_ups = [_close_up(contact, layout.reach_mm(contact), _caveat(layout)) for contact in layout.rig.contacts]
+    phases = [_phase(layout, contact) for contact in layout.rig.contacts]
     rows = [rrb.Horizontal(*close_ups), rrb.Horizontal(*phases)]
-    left = rrb.Vertical(_model(look), *rows, row_shares=[3, 2, 2]) if close_ups else _model(look)
-    speed = float(f"{60 / look.frame_rate_hz:.1g}")
+    left = rrb.Vertical(_model(layout), *rows, row_shares=[3, 2, 2]) if close_ups else _model(layout)
+    speed = float(f"{60 / layout.frame_rate_hz:.1g}")
     return rrb.Blueprint(
-        rrb.Horizontal(left, rrb.Vertical(*_plots(look)), column_shares=[1, 1]),
+        rrb.Horizontal(left, rrb.Vertical(*_plots(layout)), column_shares=[1, 1]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused", playback_speed=speed),
@@ -58,11 +58,11 @@ def blueprint(look: Look) -> rrb.Blueprint:
     )
 
 
-def _model(look: Look) -> rrb.Spatial3DView:
-    x, far = look.centre_m, look.extent_m
+def _model(layout: Layout) -> rrb.Spatial3DView:
+    x, far = layout.centre_m, layout.extent_m
     return rrb.Spatial3DView(
         origin="/model",
-        name=f"{look.rig.name}: deflection magnified {look.magnification:g} times{_caveat(look)}",
+        name=f"{layout.rig.name}: deflection magnified {layout.magnification:g} times{_caveat(layout)}",
         eye_controls=rrb.EyeControls3D(
             position=(x, -0.85 * far, 0.3 * far), look_target=(x, -0.05 * far, 0), eye_up=(0, 0, 1)
         ),
@@ -78,13 +78,13 @@ def _close_up(contact: Contact, reach_mm: float, caveat: str) -> rrb.Spatial2DVi
     )
 
 
-def _phase(look: Look, contact: Contact) -> rrb.View | rrb.Container:
+def _phase(layout: Layout, contact: Contact) -> rrb.View | rrb.Container:
     """Force over relative displacement, all of it until the moment; behind it how often each displacement occurs."""
-    reach_mm = look.reach_mm(contact)
+    reach_mm = layout.reach_mm(contact)
     histogram = rrb.BarChartView(
         origin=entity("histogram", contact.name), name=f"{contact.name}: histogram, % of the time over mm"
     )
-    if not look.contact_force:
+    if not layout.contact_force:
         return histogram
     until_now = rr.VisibleTimeRange(
         TIMELINE, start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.cursor_relative()
@@ -98,37 +98,37 @@ def _phase(look: Look, contact: Contact) -> rrb.View | rrb.Container:
     return rrb.Tabs(force, histogram, active_tab=0)
 
 
-def _plots(look: Look) -> list[rrb.View | rrb.Container]:
+def _plots(layout: Layout) -> list[rrb.View | rrb.Container]:
     accelerations = [
-        _plot(look, entity("acceleration", body.name), f"{body.name}: acceleration, m/s²")
-        for body in look.rig.bodies
-        if any(s.quantity == "acceleration" and s.station.body == body.name for s in look.rig.sensors)
+        _plot(layout, entity("acceleration", body.name), f"{body.name}: acceleration, m/s²")
+        for body in layout.rig.bodies
+        if any(s.quantity == "acceleration" and s.station.body == body.name for s in layout.rig.sensors)
     ]
     return [
         *(
             _plot(
-                look,
+                layout,
                 entity("relative_displacement", c.name),
-                f"{c.name}: relative displacement, mm{_caveat(look)}",
-                look.reach_mm(c),
+                f"{c.name}: relative displacement, mm{_caveat(layout)}",
+                layout.reach_mm(c),
             )
-            for c in look.rig.contacts
+            for c in layout.rig.contacts
         ),
-        *([_plot(look, "contact_force", "Contact force, N")] if look.contact_force else []),
+        *([_plot(layout, "contact_force", "Contact force, N")] if layout.contact_force else []),
         rrb.Tabs(
-            *([rrb.TextLogView(origin="/events", name="Contacts that close and open")] if look.rig.contacts else []),
-            _plot(look, "exciting_force", "Exciting force, N"),
+            *([rrb.TextLogView(origin="/events", name="Contacts that close and open")] if layout.rig.contacts else []),
+            _plot(layout, "exciting_force", "Exciting force, N"),
             *accelerations,
             active_tab=0,
         ),
     ]
 
 
-def _plot(look: Look, origin: str, name: str, reach: float | None = None) -> rrb.TimeSeriesView:
+def _plot(layout: Layout, origin: str, name: str, reach: float | None = None) -> rrb.TimeSeriesView:
     thinned = ""
-    if look.stride > 1:
+    if layout.stride > 1:
         near = ", all near contacts" if origin.startswith(("/relative", "/contact", "relative", "contact")) else ""
-        thinned = f" (every {look.stride}th sample{near})"
+        thinned = f" (every {layout.stride}th sample{near})"
     return rrb.TimeSeriesView(
         origin=origin,
         name=name + thinned,
@@ -143,5 +143,5 @@ def _plot(look: Look, origin: str, name: str, reach: float | None = None) -> rrb
     )
 
 
-def _caveat(look: Look) -> str:
-    return " (approximate, above 1 Hz)" if look.approximate else ""
+def _caveat(layout: Layout) -> str:
+    return " (approximate, above 1 Hz)" if layout.approximate else ""

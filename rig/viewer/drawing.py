@@ -27,8 +27,8 @@ LINES = (
 )
 
 
-def style(stream: rr.RecordingStream, path: str, look: rr.AsComponents) -> None:
-    stream.log(path, look, static=True)
+def style(stream: rr.RecordingStream, path: str, layout: rr.AsComponents) -> None:
+    stream.log(path, layout, static=True)
 
 
 def send(stream: rr.RecordingStream, path: str, time_s: Float[np.ndarray, " rows"], kind: Any, **columns: Any) -> None:
@@ -48,13 +48,13 @@ def send_lines(
     colours: Sequence[Colour],
 ) -> None:
     """Lines of a time series; zoomed out, each pixel shows the least and the greatest value, not their mean."""
-    look = rr.SeriesLines(
+    layout = rr.SeriesLines(
         names=names,
         colors=[colours[i % len(colours)] for i in range(len(names))],
         widths=[1.5] * len(names),
         aggregation_policy=rr.components.AggregationPolicy.MinMax,
     )
-    style(stream, path, look)
+    style(stream, path, layout)
     send(stream, path, time_s, rr.Scalars, scalars=np.ascontiguousarray(values.T))
 
 

@@ -14,7 +14,7 @@ from rig.files import atomic_write
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Contact
 from rig.recording import Recording
-from rig.viewer.blueprint import Look, blueprint, entity
+from rig.viewer.blueprint import Layout, blueprint, entity
 from rig.viewer.contact_view import Play, send_close_up, send_events, send_over_time, send_phase
 from rig.viewer.deflection import deflection
 from rig.viewer.drawing import FAINT, FORCE, LINES, STEEL, pixels, send, send_lines, style
@@ -52,7 +52,7 @@ def write_rrd(
     relative_m = motion.relative() if truth is None else truth.signals["relative_displacement"].values
     stride = max(1, -(-_series_scalars(recording, truth) // SCALARS))
     shown_rig = recording.rig if truth is None else truth.rig
-    look = Look(
+    layout = Layout(
         rig=shown_rig,
         contact_force=truth is not None and bool(shown_rig.contacts),
         magnification=scene.magnification,
@@ -72,14 +72,14 @@ def write_rrd(
             force_n=None if truth is None else truth.signals["contact_force"].values[j],
             frames=scene.frames,
             stride=stride,
-            reach_mm=look.reach_mm(contact),
+            reach_mm=layout.reach_mm(contact),
         )
         for j, (contact, row) in enumerate(zip(shown_rig.contacts, relative_m, strict=True))
     ]
     with atomic_write(path) as part:
         part.touch()
         with rr.RecordingStream("rig") as stream:
-            stream.save(part, default_blueprint=blueprint(look))
+            stream.save(part, default_blueprint=blueprint(layout))
             stream.send_recording_name(f"{recording.rig.name}, {recording.duration_s:g} s")
             _send_model(stream, scene, recording, plays)
             progress(0.3)

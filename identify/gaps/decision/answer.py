@@ -18,7 +18,7 @@ from identify.gaps.decision.sentence import sentence
 from identify.gaps.decision.unmeasured import cost_with, unmeasured
 from identify.gaps.decision.verdict import HALF, Decision, acts_where_they_do, decided
 from identify.gaps.residual.likelihood import Reference, reference_of
-from identify.gaps.residual.residual import Residual, base_of
+from identify.gaps.residual.residual import Residual, linearized
 from identify.gaps.residual.spectra import Record, record_of
 from identify.gaps.results import USUAL, Gap, Matters, NextExperiment
 from identify.gaps.search.candidates import Candidate, candidates, scale_of
@@ -82,7 +82,7 @@ def diagnose(
         shared = [every[k] for k in fitted], [seen[k] for k in fitted]
         hypotheses = [fitted_together(*shared, one) for one in hypotheses]
     priors = log_priors(hypotheses, known)
-    base, at = fit_nuisance(record, record.rig, rounds=1)
+    linearization, at = fit_nuisance(record, record.rig, rounds=1)
     ranked = judged(record, reference, at, hypotheses, priors, lambda x: progress("causes", 0.7 + 0.2 * x))
     told = _decided(fit_record, record, reference, at, ranked, nulls, matters)
     decision, unknown, swinging = told.decision, told.unknown, told.swinging
@@ -125,7 +125,7 @@ def diagnose(
         separate_by=confirmed_by(causes, ranked),
         next_experiments=further,
         next_between=tuple(" + ".join(one.effects) or "nothing" for one in rivals or ()),
-        attribution=attribution(base, at, nothing.misfit),
+        attribution=attribution(linearization, at, nothing.misfit),
         figures=figures,
         curves=curves,
         between=between,
@@ -140,13 +140,13 @@ def searched(
 ) -> tuple[list[Hypothesis], list[Candidate]]:
     """Hypotheses on a record, and the candidates among which they were found."""
     reference = _reference(record)
-    base, at = fit_nuisance(record, record.rig)
+    linearization, at = fit_nuisance(record, record.rig)
     known = candidates(scale_of(record, record.rig), [s.name for s in record.sensors], record.zero_known)
-    return search(Search(reference, base, at, tuple(known)), progress), known
+    return search(Search(reference, linearization, at, tuple(known)), progress), known
 
 
 def _reference(record: Record) -> Reference:
-    return reference_of(base_of(record, record.rig))
+    return reference_of(linearized(record, record.rig))
 
 
 @dataclass(frozen=True)

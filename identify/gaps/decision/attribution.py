@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.residual.linear import Linear
-from identify.gaps.residual.residual import Base, Residual
+from identify.gaps.residual.residual import Linearization, Residual
 from identify.gaps.residual.spectra import Record
 from identify.gaps.results import Attribution, ResidualMap, Share
 
@@ -16,17 +16,17 @@ PARTS = 10
 CELLS = 12
 
 
-def attribution(base: Base, at: Residual, left: Misfit) -> Attribution:
+def attribution(linearization: Linearization, at: Residual, left: Misfit) -> Attribution:
     """Shares of the residual's sum of squares in its reference variances; noise and tolerated shares are taken off."""
-    record = base.record
+    record = linearization.record
     beyond = np.maximum(left.levels - 1, 0.0)
     channels = _shared(dict(zip([s.name for s in record.sensors], beyond.sum(axis=0), strict=True)))
     linear = np.sum(at.linear**2, axis=0)
-    contacts = [c.residual[: s.weights.size] ** 2 for c, s in zip(at.contacts, base.seen, strict=True)]
+    contacts = [c.residual[: s.weights.size] ** 2 for c, s in zip(at.contacts, linearization.seen, strict=True)]
     total = linear + np.sum(contacts, axis=0)
     linear_share = float(linear.sum() / max(total.sum(), 1e-300))
     parts = {"linear": linear_share}
-    for contact, squares in zip(base.rig.contacts, contacts, strict=True):
+    for contact, squares in zip(linearization.rig.contacts, contacts, strict=True):
         parts[contact.name] = float(squares.sum() / max(total.sum(), 1e-300))
     positions: dict[str, dict[str, float]] = {}
     for sensor in record.sensors:
@@ -39,7 +39,7 @@ def attribution(base: Base, at: Residual, left: Misfit) -> Attribution:
         modal_equations=_modal(record, at.model, at),
         positions_m=positions,
         band_hz=_bands(beyond.sum(axis=1)),
-        contact_state=_states(base, total),
+        contact_state=_states(linearization, total),
         time_s=tuple(
             Share(f"{t[0]:.3g} to {t[-1]:.3g}", float(part.sum() / max(total.sum(), 1e-300)))
             for t, part in zip(np.array_split(record.time_s, PARTS), np.array_split(total, PARTS), strict=True)
@@ -48,7 +48,7 @@ def attribution(base: Base, at: Residual, left: Misfit) -> Attribution:
             c.name: _surface(
                 at.laid[j].eta_m[:: at.laid[j].finer], at.laid[j].rate_m_per_s[:: at.laid[j].finer], squares
             )
-            for j, (c, squares) in enumerate(zip(base.rig.contacts, contacts, strict=True))
+            for j, (c, squares) in enumerate(zip(linearization.rig.contacts, contacts, strict=True))
         }
         or _of_masses(record, at),
     )
@@ -75,7 +75,7 @@ def _shared(sizes: dict[str, float]) -> dict[str, float]:
 
 def _modal(record: Record, model: Linear, at: Residual) -> dict[str, float]:
     """By modal equation: the residual accelerations turned into modal ones, in units of what the sensors' errors do."""
-    spread = np.sqrt(np.mean(model.deviation**2, axis=1))
+    deviations = np.sqrt(np.mean(model.deviation**2, axis=1))
     found = {}
     for response in model.responses:
         rows = [i for i, s in enumerate(record.sensors) if s.station.body == response.body.name]
@@ -84,8 +84,8 @@ def _modal(record: Record, model: Linear, at: Residual) -> dict[str, float]:
             continue
         shapes = response.shapes([record.sensors[i].station for i in rows])[:, :modes]
         inverse = np.linalg.pinv(shapes)
-        size = np.mean((inverse @ (at.linear[rows] * spread[rows, None])) ** 2, axis=1)
-        error = np.sum((inverse * spread[rows]) ** 2, axis=1)
+        size = np.mean((inverse @ (at.linear[rows] * deviations[rows, None])) ** 2, axis=1)
+        error = np.sum((inverse * deviations[rows]) ** 2, axis=1)
         for m in range(modes):
             name = response.body.name if response.body.is_mass else f"{response.body.name} {m + 1}"
             found[name] = float(size[m] / error[m])
@@ -105,11 +105,11 @@ def _bands(by_band: Float[np.ndarray, " bands"]) -> tuple[Share, ...]:
     return tuple(found)
 
 
-def _states(base: Base, total: Float[np.ndarray, " times"]) -> dict[str, float]:
+def _states(linearization: Linearization, total: Float[np.ndarray, " times"]) -> dict[str, float]:
     """By which contacts are closed."""
     sizes: dict[str, float] = {}
-    closed = [s.closed > 0 for s in base.seen]
-    names = [c.name for c in base.rig.contacts]
+    closed = [s.closed > 0 for s in linearization.seen]
+    names = [c.name for c in linearization.rig.contacts]
     for code in range(2 ** len(names)):
         shut = [bool(code >> j & 1) for j in range(len(names))]
         inside = (

@@ -28,12 +28,12 @@ def cause_of(one: Judged, probability: float, nulls: NullReference, matters: Mat
     """Standard errors hold what the effect leaves: residuals were weighed by the scales estimated from it."""
     parameters: dict[str, Value] = {}
     places: dict[str, str] = {}
-    spread = np.sqrt(np.maximum(np.diag(one.hypothesis.covariance), 0.0))
+    deviations = np.sqrt(np.maximum(np.diag(one.hypothesis.covariance), 0.0))
     at = 0
     for part in one.hypothesis.parts:
         low, high = part.bounds
         for k, (name, about) in enumerate(part.parameters.items()):
-            value, error = float(one.hypothesis.values[at]), float(spread[at])
+            value, error = float(one.hypothesis.values[at]), float(deviations[at])
             margin = AT_LIMIT * (high[k] - low[k])
             limited = (value < low[k] + margin and low[k] != about.neutral) or value > high[k] - margin
             parameters[f"{part.kind.name}.{name}"] = Value(value, error, about.unit, bool(limited))

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from identify.gaps.residual.fit import fit
 from identify.gaps.residual.likelihood import Misfit, Reference, misfit
-from identify.gaps.residual.residual import Base, Residual, residual_of
+from identify.gaps.residual.residual import Linearization, Residual, residual_of
 from identify.gaps.residual.spectra import Record
 from identify.gaps.results import Matters
 from identify.gaps.search.candidates import Candidate
@@ -69,25 +69,25 @@ def judged(
         if one.parts:
             try:
                 rig = of_this_record(record, one)
-                base, at = fit_nuisance(record, rig, rounds=1)
+                linearization, at = fit_nuisance(record, rig, rounds=1)
             except RigError:
                 continue
             corrected = at.corrected_rig
-            left, without = misfit(record, reference, at), left_without(record, reference, base, at) or alone
+            left, without = misfit(record, reference, at), left_without(record, reference, linearization, at) or alone
         found.append(Judged(one, rig, corrected, left, without, priors[one.key]))
         progress((i + 1) / len(hypotheses))
     return sorted(found, key=lambda j: -j.log_posterior)
 
 
-def left_without(record: Record, reference: Reference, base: Base, at: Residual) -> Misfit | None:
+def left_without(record: Record, reference: Reference, linearization: Linearization, at: Residual) -> Misfit | None:
     """What the believed rig leaves with the nuisance parameters of a rig with effects.
 
     None where the residuals have not the same rows: a base that moves has one more.
     """
-    if (base.rig.base_motion is None) != (record.rig.base_motion is None):
+    if (linearization.rig.base_motion is None) != (record.rig.base_motion is None):
         return None
     unknowns = tuple(c.unknowns for c in at.contacts)
-    return misfit(record, reference, residual_of(base, record.rig, at.nuisance, unknowns))
+    return misfit(record, reference, residual_of(linearization, record.rig, at.nuisance, unknowns))
 
 
 def of_this_record(record: Record, one: Hypothesis) -> Rig:
@@ -109,10 +109,10 @@ def of_this_record(record: Record, one: Hypothesis) -> Rig:
     about = record.rig  # with a base motion's row, if there is one
     for part, values in zip(one.parts, one.split(), strict=True):
         about = part.applied(about, values) if part.kind.stochastic else about
-    base, at = fit_nuisance(record, about, rounds=1)
+    linearization, at = fit_nuisance(record, about, rounds=1)
     steps = np.concatenate([p.steps for p in one.parts])[own]
     low, high = (np.concatenate(ends)[own] for ends in zip(*(p.bounds for p in one.parts), strict=True))
-    return build(fit(base, build, one.values[own], steps, (low, high), at).values)
+    return build(fit(linearization, build, one.values[own], steps, (low, high), at).values)
 
 
 def log_priors(hypotheses: Sequence[Hypothesis], known: Sequence[Candidate]) -> dict[frozenset[str], float]:

@@ -18,7 +18,7 @@ from identify.gaps.decision.comparison import TEMPERATURE
 from identify.gaps.decision.null_reference import Simulate, phase_randomized
 from identify.gaps.residual.fit import fit
 from identify.gaps.residual.likelihood import misfit, reference_of
-from identify.gaps.residual.residual import base_of, scales_at
+from identify.gaps.residual.residual import linearized, scales_at
 from identify.gaps.residual.spectra import REACH, Record, record_of
 from identify.gaps.results import AGAIN, NextExperiment
 from identify.gaps.search.hypothesis import ROUNDS, SETTLED, Hypothesis, Search, applied, straightened
@@ -122,8 +122,8 @@ def begun_on(record: Record, rig: Rig) -> Search:
 
     All that are compared begin there, so that none of them stays in a worse minimum than another.
     """
-    base, at = fit_nuisance(record, rig, rounds=1)
-    return Search(reference_of(base_of(record, record.rig)), base, at, ())
+    linearization, at = fit_nuisance(record, rig, rounds=1)
+    return Search(reference_of(linearized(record, record.rig)), linearization, at, ())
 
 
 def refitted(begun: Search, one: Hypothesis, held: bool = False) -> Hypothesis:
@@ -133,19 +133,21 @@ def refitted(begun: Search, one: Hypothesis, held: bool = False) -> Hypothesis:
     The parameters may be held; what is known by its spectrum alone keeps its values. Raises RigError where the rig
     cannot have it.
     """
-    record = begun.base.record
+    record = begun.linearization.record
     free = not held and not any(p.kind.stochastic for p in one.parts)
     parts, start = (one.parts, one.values) if free else ((), np.zeros(0))
     rig = record.rig if free else one.applied_to(record.rig)
     steps = np.concatenate([np.zeros(0), *(p.steps for p in parts)])
     low, high = (np.concatenate([np.zeros(0), *(p.bounds[k] for p in parts)]) for k in (0, 1))
     build = partial(applied, rig, parts)
-    base = base_of(record, build(start), None, begun.base.scales)
-    found = fit(base, build, start, steps, (low, high), straightened(begun.at))
+    linearization = linearized(record, build(start), None, begun.linearization.scales)
+    found = fit(linearization, build, start, steps, (low, high), straightened(begun.at))
     left = misfit(record, begun.reference, found.residual)
     for _ in range(ROUNDS):
-        base = base_of(record, build(found.values), found.residual, scales_at(base, found.residual))
-        further = fit(base, build, found.values, steps, (low, high), found.residual)
+        linearization = linearized(
+            record, build(found.values), found.residual, scales_at(linearization, found.residual)
+        )
+        further = fit(linearization, build, found.values, steps, (low, high), found.residual)
         now = misfit(record, begun.reference, further.residual)
         gained = left.minus_two_log - now.minus_two_log
         if gained > 0:
@@ -162,13 +164,13 @@ def enlarged(one: Hypothesis) -> Hypothesis:
 
     A cause that a record hardly shows is fitted as nothing; simulated so, no experiment would tell it from another.
     """
-    values, spread = one.values.copy(), np.sqrt(np.maximum(np.diag(one.covariance), 0.0))
+    values, deviations = one.values.copy(), np.sqrt(np.maximum(np.diag(one.covariance), 0.0))
     at = 0
     for part in one.parts:
         for i in part.strong:
             neutral, typical = list(part.parameters.values())[i].neutral or 0.0, part.default[i]
             away = np.sign(values[at + i] - neutral) or np.sign(typical - neutral)
-            values[at + i] += away * SIZED * min(spread[at + i], abs(typical - neutral))
+            values[at + i] += away * SIZED * min(deviations[at + i], abs(typical - neutral))
             values[at + i] = np.clip(values[at + i], part.bounds[0][i], part.bounds[1][i])
         at += len(part.parameters)
     return replace(one, values=values)
@@ -183,8 +185,8 @@ def disagreement(one: Hypothesis, other: Hypothesis) -> float:
         name not in part.kind.of_a_record and not part.kind.stochastic for part in one.parts for name in part.parameters
     ]
     apart = (one.values - other.values)[shared]
-    spread = (one.covariance + other.covariance)[np.ix_(shared, shared)]
-    return float(apart @ np.linalg.pinv(spread, hermitian=True) @ apart)
+    deviations = (one.covariance + other.covariance)[np.ix_(shared, shared)]
+    return float(apart @ np.linalg.pinv(deviations, hermitian=True) @ apart)
 
 
 def _as_it_is(rig: Rig) -> Rig:

@@ -20,7 +20,7 @@ from scipy.stats import t as student
 
 from identify.gaps.decision.drawing import drawn
 from identify.gaps.residual.likelihood import Misfit, misfit, reference_of
-from identify.gaps.residual.residual import base_of
+from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.nominal import fit_nuisance
 from rig.errors import RigError
@@ -65,9 +65,9 @@ class NullReference(msgspec.Struct, frozen=True):
         share of the whole; the smallest p-value counts, three times (Bonferroni).
         """
         parts = np.array([[n.minus_two_log - n.law, n.law, n.peak] for n in self.nulls])
-        spread = np.maximum(parts.std(axis=0, ddof=1) * np.sqrt(1 + 1 / len(parts)), 1.0)
+        deviations = np.maximum(parts.std(axis=0, ddof=1) * np.sqrt(1 + 1 / len(parts)), 1.0)
         here = np.array([left.minus_two_log - left.law, left.law, left.peak])
-        beyond = student.sf((here - parts.mean(axis=0)) / spread, len(parts) - 1)
+        beyond = student.sf((here - parts.mean(axis=0)) / deviations, len(parts) - 1)
         return min(1.0, 3 * float(beyond.min()))
 
     def usual_shares(self) -> Float[np.ndarray, " bands"]:
@@ -159,7 +159,7 @@ def _high_passed(row: Float[np.ndarray, " samples"], corner_hz: float, rate_hz: 
 
 def _left(recording: Recording, tolerances: Tolerances) -> Null:
     record = record_of(recording, tolerances=tolerances)
-    reference = reference_of(base_of(record, record.rig))
+    reference = reference_of(linearized(record, record.rig))
     left = misfit(record, reference, fit_nuisance(record, record.rig, rounds=1)[1])
     return Null(
         left.minus_two_log,

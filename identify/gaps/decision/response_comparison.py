@@ -7,7 +7,7 @@ from jaxtyping import Float
 from scipy.signal import csd, welch
 
 from identify.gaps.decision.null_reference import Simulate
-from identify.gaps.residual.residual import Base, base_of
+from identify.gaps.residual.residual import Linearization, linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Curve, Figure
 from rig.model.description import Rig
@@ -31,12 +31,12 @@ def compared(
         simulate(believed, corrected, measured.force_n, 1),
     )
     rigs = (corrected, believed, corrected)
-    bases = [base_of(record_of(run), rig) for run, rig in zip(runs, rigs, strict=True)]
-    figures = [_figures(base) for base in bases]
+    linearizations = [linearized(record_of(run), rig) for run, rig in zip(runs, rigs, strict=True)]
+    figures = [_figures(linearization) for linearization in linearizations]
     rows = tuple(Figure(name, unit, *(f[name, unit] for f in figures)) for name, unit in figures[0])
     curves = [_spectrum(runs), _response(runs)]
     for j, contact in enumerate(believed.contacts):
-        eta = [1e3 * b.record.finely(b.model.eta_m)[j] for b in bases]
+        eta = [1e3 * b.record.finely(b.model.eta_m)[j] for b in linearizations]
         edges = np.linspace(min(e.min() for e in eta), max(e.max() for e in eta), CELLS + 1)
         curves.append(
             Curve(
@@ -50,12 +50,12 @@ def compared(
     return rows, tuple(curves)
 
 
-def _figures(base: Base) -> dict[tuple[str, str], float]:
+def _figures(linearization: Linearization) -> dict[tuple[str, str], float]:
     found = {}
-    accelerations = base.record.in_time(base.record.delivered)
+    accelerations = linearization.record.in_time(linearization.record.delivered)
     found["acceleration, rms of all sensors", "m/s^2"] = float(np.sqrt(np.mean(accelerations**2)))
-    seconds = accelerations.shape[1] / base.record.rate_hz
-    for contact, seen in zip(base.rig.contacts, base.seen, strict=True):
+    seconds = accelerations.shape[1] / linearization.record.rate_hz
+    for contact, seen in zip(linearization.rig.contacts, linearization.seen, strict=True):
         found[f"time that {contact.name} is closed", "%"] = 100 * float(np.mean(seen.closed))
         found[f"impacts of {contact.name}", "1/s"] = float(np.sum(np.diff(seen.closed) > 0)) / seconds
     return found

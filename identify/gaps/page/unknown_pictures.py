@@ -109,7 +109,7 @@ def _unknown(axes: Any, unknown: Unknown, rig: Rig, at: Callable[[Station], tupl
     if unknown.body is None or unknown.position_m is None:
         return
     x, y = at(Station(unknown.body, unknown.position_m))
-    spread = COVERED * (unknown.position_error_m or 0.0)
+    reach = COVERED * (unknown.position_error_m or 0.0)
     places = [y]
     if unknown.against_body is not None:
         places.append(at(Station(unknown.against_body, unknown.against_position_m or 0.0))[1])
@@ -117,7 +117,7 @@ def _unknown(axes: Any, unknown: Unknown, rig: Rig, at: Callable[[Station], tupl
     else:
         _arrow(axes, (x, y - _REACH - 0.1), (x, y + _REACH + 0.1), RED, "<->")
     for place in places:
-        axes.fill_between([x - spread, x + spread], place - _HALF, place + _HALF, color=RED, alpha=0.35, lw=1, zorder=3)
+        axes.fill_between([x - reach, x + reach], place - _HALF, place + _HALF, color=RED, alpha=0.35, lw=1, zorder=3)
         axes.plot([x], [place], "o", ms=7, color=RED, mec="white", zorder=6)
     name = "unknown pair of forces" if len(places) > 1 else "unknown force"
     axes.plot([], [], color=RED, lw=2.6, marker="o", label=f"{name}, {unknown.body} at {unknown.position_m:.2f} m")

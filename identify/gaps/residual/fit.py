@@ -12,7 +12,14 @@ from scipy.sparse.linalg import SuperLU
 
 from identify.gaps.residual.linear import sensor_response_of
 from identify.gaps.residual.nuisance import LIMIT, at_contacts, counted
-from identify.gaps.residual.residual import Base, Residual, linear_of, residual_of, same_but_laws, same_but_sensors
+from identify.gaps.residual.residual import (
+    Linearization,
+    Residual,
+    linear_of,
+    residual_of,
+    same_but_laws,
+    same_but_sensors,
+)
 from identify.gaps.residual.spectra import Record
 from identify.signals.descent import Step, descended
 from identify.signals.spectra import decimated
@@ -68,21 +75,21 @@ class Normal:
         return [start - coupled @ step for start, coupled in self.eliminated]
 
 
-def derivative(base: Base, moved: Rig, at: Residual) -> Column:
+def derivative(linearization: Linearization, moved: Rig, at: Residual) -> Column:
     """What another rig, which differs by little, takes off the linear and the contact residuals.
 
     Another law is evaluated. Another linear model changes the contact forces and the relative displacements, of which
     the law at hand takes its slope. The contact forces are projected out with the weights of the rig at hand (Kaufman,
     BIT 15, 1975), as for the nuisance parameters: a parameter that is the like of one of them then has its column.
     """
-    record, old = base.record, at.model
+    record, old = linearization.record, at.model
     if same_but_laws(at.rig, moved):
-        there = residual_of(base, moved, at.nuisance, tuple(c.unknowns for c in at.contacts), like=at)
+        there = residual_of(linearization, moved, at.nuisance, tuple(c.unknowns for c in at.contacts), like=at)
         contacts = [a.residual - b.residual for a, b in zip(at.contacts, there.contacts, strict=True)]
         return at.linear - there.linear, contacts
     if same_but_sensors(at.rig, moved):
-        return _by_sensors(base, moved, at)
-    new = linear_of(base, moved)
+        return _by_sensors(linearization, moved, at)
+    new = linear_of(linearization, moved)
     sensors = len(record.sensors)
     change = old.residual - new.residual
     inputs = np.concatenate([old.contact_n - new.contact_n, change[sensors:]])
@@ -95,9 +102,9 @@ def derivative(base: Base, moved: Rig, at: Residual) -> Column:
     return counted(record, left), contacts
 
 
-def _by_sensors(base: Base, moved: Rig, at: Residual) -> Column:
+def _by_sensors(linearization: Linearization, moved: Rig, at: Residual) -> Column:
     """Other gains and delays: what the sensors would deliver of the same motion."""
-    record, model = base.record, at.model
+    record, model = linearization.record, at.model
     ratio = sensor_response_of(record, moved) / sensor_response_of(record, at.rig) - 1
     explained = record.delivered - model.residual[: len(record.sensors)] * model.deviation
     left, force = model.projection.of(ratio * explained)
@@ -148,7 +155,7 @@ class Reduced:
     The contacts' own unknowns are eliminated.
     """
 
-    base: Base
+    linearization: Linearization
     at: Residual
     matrix: Float[np.ndarray, "nuisances nuisances"]
     gradient: Float[np.ndarray, " nuisances"]
@@ -157,7 +164,7 @@ class Reduced:
     def with_lines(self) -> "Reduced":
         """Those in which the lines that stand out count too, for what may explain them."""
         at = replace(self.at, quiet=self.at.linear)
-        more = self.base.columns.products((at.quiet - self.at.quiet).ravel())
+        more = self.linearization.columns.products((at.quiet - self.at.quiet).ravel())
         return replace(self, at=at, gradient=self.gradient + more)
 
     def joined(self, columns: list[Column]) -> Normal:
@@ -166,7 +173,7 @@ class Reduced:
         matrix, gradient = np.zeros((size, size)), np.zeros(size)
         matrix[:count, :count], gradient[:count] = self.matrix, self.gradient
         own = np.array([c[0].ravel() for c in columns]).reshape(len(columns), self.at.linear.size)
-        matrix[:count, count:] = self.base.columns.products(own)
+        matrix[:count, count:] = self.linearization.columns.products(own)
         matrix[count:, count:] = own @ own.T
         gradient[count:] = own @ self.at.quiet.ravel()
         back = []
@@ -183,33 +190,33 @@ class Reduced:
         return Normal(matrix, gradient, tuple(back), without)
 
 
-def reduced(base: Base, at: Residual) -> Reduced:
+def reduced(linearization: Linearization, at: Residual) -> Reduced:
     """The nuisance parameters' part of the normal equations."""
-    count = len(base.columns.parameters)
-    matrix = base.gram + base.record.sample_ratio * np.eye(count)
-    gradient = base.columns.products(at.quiet.ravel()) - base.record.sample_ratio * at.nuisance
+    count = len(linearization.columns.parameters)
+    matrix = linearization.gram + linearization.record.sample_ratio * np.eye(count)
+    gradient = linearization.columns.products(at.quiet.ravel()) - linearization.record.sample_ratio * at.nuisance
     found = []
     for j, contact in enumerate(at.contacts):
-        solver, rows = contact.solver(), by_nuisance(base, at, j)
+        solver, rows = contact.solver(), by_nuisance(linearization, at, j)
         free, coupled = contact.columns.T @ contact.residual, contact.columns.T @ rows
         solved = solver.solve(coupled)
         matrix = matrix + rows.T @ rows - coupled.T @ solved
         gradient = gradient + rows.T @ contact.residual - solved.T @ free
         found.append(Eliminated(solver, rows, coupled, solved, free, solver.solve(free)))
-    return Reduced(base, at, matrix, gradient, tuple(found))
+    return Reduced(linearization, at, matrix, gradient, tuple(found))
 
 
-def by_nuisance(base: Base, at: Residual, contact: int) -> Float[np.ndarray, "_ nuisances"]:
+def by_nuisance(linearization: Linearization, at: Residual, contact: int) -> Float[np.ndarray, "_ nuisances"]:
     """By how much a contact's residual falls with each nuisance parameter."""
-    weights, one = base.seen[contact].weights, at.contacts[contact]
-    forces, eta = base.columns.contact_n[:, contact].T, base.columns.eta_m[:, contact].T
-    rows = np.zeros((one.residual.size, len(base.columns.parameters)))
+    weights, one = linearization.seen[contact].weights, at.contacts[contact]
+    forces, eta = linearization.columns.contact_n[:, contact].T, linearization.columns.eta_m[:, contact].T
+    rows = np.zeros((one.residual.size, len(linearization.columns.parameters)))
     rows[: weights.size] = weights[:, None] * forces - (weights * one.by_eta)[:, None] * eta
     return rows
 
 
 def fit(
-    base: Base,
+    linearization: Linearization,
     build: Build,
     values: Values,
     steps: Values,
@@ -221,8 +228,8 @@ def fit(
 
     `start` gives nuisance parameters and contact unknowns to begin at.
     """
-    first = _At(values, residual_of(base, build(values), *(_state(start) if start else (None, None))))
-    at, last = descended(first, partial(_step, base, build, steps, bounds), _settled, most)
+    first = _At(values, residual_of(linearization, build(values), *(_state(start) if start else (None, None))))
+    at, last = descended(first, partial(_step, linearization, build, steps, bounds), _settled, most)
     return Fit(at.values, last.covariance, at.residual)
 
 
@@ -245,12 +252,12 @@ def _settled(at: _At) -> float:
     return max(SETTLED * at.cost, UNFIT * (at.cost - at.residual.rows))
 
 
-def _step(base: Base, build: Build, steps: Values, bounds: tuple[Values, Values], at: _At) -> _Step:
+def _step(linearization: Linearization, build: Build, steps: Values, bounds: tuple[Values, Values], at: _At) -> _Step:
     """The step within bounds, and the covariance of the parameters by this linearisation."""
-    values, residual, count = at.values, at.residual, len(base.columns.parameters)
+    values, residual, count = at.values, at.residual, len(linearization.columns.parameters)
     inside = FINE * np.where(values + steps > bounds[1], -steps, steps)
-    along = [derivative(base, build(values + s), residual) for s in np.eye(values.size) * inside]
-    normal = reduced(base, residual).joined(along)
+    along = [derivative(linearization, build(values + s), residual) for s in np.eye(values.size) * inside]
+    normal = reduced(linearization, residual).joined(along)
     held = normal.matrix + np.diag(np.r_[np.zeros(count), 1e-9 * np.diag(normal.matrix)[count:] + 1e-300])
     ends = [
         np.concatenate([sign * LIMIT - residual.nuisance, np.sort((np.stack(bounds) - values) / inside, axis=0)[k]])
@@ -267,11 +274,15 @@ def _step(base: Base, build: Build, steps: Values, bounds: tuple[Values, Values]
         ]
         try:
             rig = build(moved)
-            return _At(moved, residual_of(base, rig, residual.nuisance + part[:count], tuple(unknowns), like=residual))
+            return _At(
+                moved, residual_of(linearization, rig, residual.nuisance + part[:count], tuple(unknowns), like=residual)
+            )
         except RigError:  # no such rig
             return None
 
-    covariance = base.record.sample_ratio * np.linalg.pinv(normal.matrix)[count:, count:] * np.outer(inside, inside)
+    covariance = (
+        linearization.record.sample_ratio * np.linalg.pinv(normal.matrix)[count:, count:] * np.outer(inside, inside)
+    )
     return _Step(after, normal.promised(whole), covariance)
 
 

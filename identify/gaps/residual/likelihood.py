@@ -21,7 +21,7 @@ from jaxtyping import Float, Int
 
 from identify.gaps.residual.law import ContactObservation, ContactResidual
 from identify.gaps.residual.lines import cost_of_lines
-from identify.gaps.residual.residual import Base, Residual
+from identify.gaps.residual.residual import Linearization, Residual
 from identify.gaps.residual.scales import band_of_lines, by_band, posterior_level, second_levels
 from identify.gaps.residual.spectra import Record
 
@@ -41,13 +41,15 @@ class Reference:
     seen: tuple[ContactObservation, ...]
 
 
-def reference_of(base: Base) -> Reference:
-    """From a base at the scales that the tolerances state."""
-    record = base.record
+def reference_of(linearization: Linearization) -> Reference:
+    """From a linearisation at the scales that the tolerances state."""
+    record = linearization.record
     bands = second_levels(record, np.zeros((len(record.sensors), record.taken.stop - record.taken.start))).shape[1]
-    usual, noise, power = (by_band(record, x, bands) for x in (base.model.deviation**2, record.noise, record.power))
+    usual, noise, power = (
+        by_band(record, x, bands) for x in (linearization.model.deviation**2, record.noise, record.power)
+    )
     lines = np.bincount(band_of_lines(record, bands), minlength=bands).astype(float)
-    return Reference(usual, noise, power, lines, base.seen)
+    return Reference(usual, noise, power, lines, linearization.seen)
 
 
 @dataclass(frozen=True)

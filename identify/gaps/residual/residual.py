@@ -29,7 +29,7 @@ from rig.model.description import Rig
 
 
 @dataclass(frozen=True)
-class Base:
+class Linearization:
     """A record and the rig about which it is linearised: what every residual of the record shares.
 
     put are the nuisance parameters that are in the rig already where it is linearised; None: all zero.
@@ -43,7 +43,7 @@ class Base:
     put: Float[np.ndarray, " nuisances"] | None
 
     @cached_property
-    def about(self) -> Float[np.ndarray, " nuisances"]:
+    def expansion_point(self) -> Float[np.ndarray, " nuisances"]:
         """The nuisance parameters that are in the rig already where it is linearised."""
         return np.zeros(len(self.columns.parameters)) if self.put is None else self.put
 
@@ -60,7 +60,7 @@ class Base:
 
     @property
     def columns(self) -> Columns:
-        """Kept for the bases that were used last, as they are large: those of others are computed again."""
+        """Kept for those that were used last, as they are large: those of others are computed again."""
         return _columns(self.model)
 
 
@@ -119,22 +119,22 @@ class Residual:
         )
 
 
-def base_of(
+def linearized(
     record: Record,
     rig: Rig,
-    about: Residual | None = None,
+    at: Residual | None = None,
     scales: Scales | None = None,
     seen: tuple[ContactObservation, ...] | None = None,
-) -> Base:
+) -> Linearization:
     """The linearisation about a rig, with the nuisance parameters of a residual of the record in it, if one is given.
 
-    `scales` and `seen` of another base of the record keep their costs comparable.
+    `scales` and `seen` of another linearisation of the record keep their costs comparable.
     """
     scales = scales or prior_scales(record)
-    there, put = apply_nuisance(rig, about.parameters, about.nuisance, record.tolerances) if about else (rig, None)
+    there, put = apply_nuisance(rig, at.parameters, at.nuisance, record.tolerances) if at else (rig, None)
     model = linear_model(record, there, scales.discrepancy)
     seen = seen or seen_contacts(record, model, scales.contacts)
-    return Base(record, rig, scales, model, seen, put)
+    return Linearization(record, rig, scales, model, seen, put)
 
 
 @lru_cache(maxsize=2)
@@ -142,26 +142,26 @@ def _columns(model: Linear) -> Columns:
     return columns_of(model.record, model)
 
 
-def rescaled(base: Base, at: Residual) -> Base:
-    """The base with the scales that a residual of it shows."""
-    return base_of(base.record, base.rig, at, scales_at(base, at))
+def rescaled(linearization: Linearization, at: Residual) -> Linearization:
+    """The linearisation with the scales that a residual of it shows."""
+    return linearized(linearization.record, linearization.rig, at, scales_at(linearization, at))
 
 
-def scales_at(base: Base, at: Residual) -> Scales:
+def scales_at(linearization: Linearization, at: Residual) -> Scales:
     """Of what no model explains, as a residual shows them."""
-    return estimated_scales(base.record, base.scales, at.quiet, at.contact_levels)
+    return estimated_scales(linearization.record, linearization.scales, at.quiet, at.contact_levels)
 
 
-def linear_of(base: Base, rig: Rig) -> Linear:
-    """The linear model of a rig, with the nuisance parameters in it that the base has in its own."""
-    record = base.record
-    if base.about.any():
-        rig, _ = apply_nuisance(rig, base.columns.parameters, base.about, record.tolerances)
-    return linear_model(record, rig, base.scales.discrepancy)
+def linear_of(linearization: Linearization, rig: Rig) -> Linear:
+    """The linear model of a rig, with the nuisance parameters in it that the linearisation has in its own."""
+    record = linearization.record
+    if linearization.expansion_point.any():
+        rig, _ = apply_nuisance(rig, linearization.columns.parameters, linearization.expansion_point, record.tolerances)
+    return linear_model(record, rig, linearization.scales.discrepancy)
 
 
 def residual_of(
-    base: Base,
+    linearization: Linearization,
     rig: Rig,
     nuisance: Float[np.ndarray, " nuisances"] | None = None,
     unknowns: tuple[Float[np.ndarray, " _"], ...] | None = None,
@@ -169,37 +169,38 @@ def residual_of(
 ) -> Residual:
     """The residual of a rig at some nuisance parameters and contact unknowns (none of either: zero), without any fit.
 
-    `like` is a residual of the same base, of which nothing is computed again that is the same.
+    `like` is a residual of the same linearisation, of which nothing is computed again that is the same.
     """
-    record, parameters = base.record, base.columns.parameters
+    record, parameters = linearization.record, linearization.columns.parameters
     nuisance = np.zeros(len(parameters)) if nuisance is None else nuisance
     if like is not None and same_but_laws(like.rig, rig):
         model, laid, bare = like.model, like.laid, like.bare
     else:
-        model = base.model if same_but_laws(base.rig, rig) else linear_of(base, rig)
+        model = linearization.model if same_but_laws(linearization.rig, rig) else linear_of(linearization, rig)
         laid = laid_out(record, model)
         bare = counted(record, model.residual)
     if unknowns is None:
         unknowns = tuple(
-            start_of(at, s, c.law, record.rate_hz) for at, s, c in zip(laid, base.seen, rig.contacts, strict=True)
+            start_of(at, s, c.law, record.rate_hz)
+            for at, s, c in zip(laid, linearization.seen, rig.contacts, strict=True)
         )
-    beside = nuisance - base.about
+    beside = nuisance - linearization.expansion_point
     same = like if like is not None and model is like.model and nuisance is like.nuisance else None
     linear = same.linear if same else bare
     if beside.any() and not same:
-        linear = bare - base.columns.along(beside)
-    quiet = same.quiet if same else linear if rig.tones else without_lines(linear, base.lines)
+        linear = bare - linearization.columns.along(beside)
+    quiet = same.quiet if same else linear if rig.tones else without_lines(linear, linearization.lines)
 
-    slow_m = [s.curve.value @ u[: s.curve.knots] for s, u in zip(base.seen, unknowns, strict=True)]
+    slow_m = [s.curve.value @ u[: s.curve.knots] for s, u in zip(linearization.seen, unknowns, strict=True)]
     others = model.slow_n_per_m - np.diag(np.diag(model.slow_n_per_m))
 
     def contact(j: int) -> ContactResidual:
         law, told_by = rig.contacts[j].law, {j, *np.flatnonzero(others[j])}
         if same and same.contacts[j].law == law and all(same.contacts[i].unknowns is unknowns[i] for i in told_by):
             return same.contacts[j]
-        more_n, more_m = (-beside @ c[:, j] for c in (base.columns.contact_n, base.columns.eta_m))
+        more_n, more_m = (-beside @ c[:, j] for c in (linearization.columns.contact_n, linearization.columns.eta_m))
         more_n -= sum(others[j, i] * slow_m[i] for i in told_by)
-        return contact_residual(laid[j], base.seen[j], law, unknowns[j], more_n, more_m)
+        return contact_residual(laid[j], linearization.seen[j], law, unknowns[j], more_n, more_m)
 
     contacts = tuple(contact(j) for j in range(len(rig.contacts)))
     return Residual(rig, model, laid, bare, linear, quiet, contacts, nuisance, parameters, record.sample_ratio)

@@ -8,7 +8,7 @@ from identify.gaps.residual.fit import Column
 from identify.gaps.residual.grounded import displaced_at, ground_forces
 from identify.gaps.residual.linear import Linear, delivered_by, places_of
 from identify.gaps.residual.nuisance import counted
-from identify.gaps.residual.residual import Base, Residual
+from identify.gaps.residual.residual import Linearization, Residual
 from identify.gaps.residual.spectra import Record
 from rig.model.description import Rig, Station
 
@@ -23,13 +23,13 @@ def added(rig: Rig, moved: Rig) -> Rig | None:
     return replace(rig, **more) if moved == joined and any(more.values()) else None
 
 
-def attached(base: Base, moved: Rig, at: Residual) -> Column | None:
+def attached(linearization: Linearization, moved: Rig, at: Residual) -> Column | None:
     """What a rig that has springs, dampers, masses or tones more takes off the residuals; None for any other rig.
 
     They push with -k w, -m a and so on of the measured w and a, which is exact to first order. Slow changes of the
     relative displacements move the laws by their mean slope around every sample.
     """
-    record, model, rig = base.record, at.model, at.rig
+    record, model, rig = linearization.record, at.model, at.rig
     more = added(rig, moved)
     if more is None or any(b.is_mass for b in rig.bodies):
         return None

@@ -9,7 +9,7 @@ from scipy.signal.windows import hann
 
 from identify.gaps.residual.linear import linear_model
 from identify.gaps.residual.nuisance import residual_scale
-from identify.gaps.residual.residual import Base, Residual
+from identify.gaps.residual.residual import Linearization, Residual
 from identify.gaps.residual.spectra import SMOOTHED_HZ
 from identify.gaps.search.candidates import Candidate
 from rig.model.description import BaseMotion
@@ -21,7 +21,7 @@ LEVELS = 10.0 ** np.arange(-9, 3, 0.5)
 
 
 def fit_base_excitation(
-    base: Base, at: Residual, candidate: Candidate, least: float
+    linearization: Linearization, at: Residual, candidate: Candidate, least: float
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]] | None:
     """The best base motion (level, lower and upper end of its band) with standard errors, by its likelihood over all
     bands and levels; None where the residual has none of it, or twice its logarithm gains no more than `least`.
@@ -30,18 +30,18 @@ def fit_base_excitation(
     cost of a line by 2 (|p'y|^2/s (1 - 1/(1 + S s)) - log(1 + S s)), s = |p|^2; the best interval of lines is that
     of largest sum. The noise is what the residual holds around each line in other patterns.
     """
-    record = base.record
-    if len(record.sensors) < len(base.rig.contacts) + 2:
+    record = linearization.record
+    if len(record.sensors) < len(linearization.rig.contacts) + 2:
         return None  # any residual would be a base motion's
     hz = record.omega / (2 * np.pi)
     low, high = float(hz[1]), float(hz[-1])
     everywhere = BaseMotion(acceleration_rms_m_per_s2=float(np.sqrt(high - low)), low_hz=low, high_hz=high)
-    model = linear_model(record, changed(base.rig, base_motion=everywhere), base.scales.discrepancy)
-    contacts = len(base.rig.contacts)
+    model = linear_model(record, changed(linearization.rig, base_motion=everywhere), linearization.scales.discrepancy)
+    contacts = len(linearization.rig.contacts)
     pattern = model.by_input[contacts]
-    by_contacts = base.model.projection.of(pattern * base.model.deviation)[1]
+    by_contacts = linearization.model.projection.of(pattern * linearization.model.deviation)[1]
     pattern = pattern - np.einsum("isl,il->sl", model.by_input[:contacts], by_contacts)
-    y = _lines(base, at)
+    y = _lines(linearization, at)
     size = np.sum(np.abs(pattern) ** 2, axis=0)
     seen = np.abs(np.sum(pattern.conj() * y, axis=0)) ** 2 / np.maximum(size, 1e-300)
     others = (np.sum(np.abs(y) ** 2, axis=0) - seen) / max(1, len(y) - contacts - 1)
@@ -99,9 +99,9 @@ def _edge(
     return mean, float(np.sqrt(weights @ (hz - mean) ** 2 + resolution_hz**2))
 
 
-def _lines(base: Base, at: Residual) -> Complex[np.ndarray, "sensors lines"]:
+def _lines(linearization: Linearization, at: Residual) -> Complex[np.ndarray, "sensors lines"]:
     """The residual over time, back on the record's lines, under a window so that no band leaks into another."""
-    record = base.record
+    record = linearization.record
     rows = at.linear[: len(record.sensors)]
     window = hann(rows.shape[1]) * np.sqrt(8 / 3)
     whole = np.fft.rfft(rows * window, record.length // record.factor)

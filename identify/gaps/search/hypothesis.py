@@ -10,7 +10,7 @@ from jaxtyping import Float
 from identify.gaps.residual.fit import fit
 from identify.gaps.residual.likelihood import Misfit, Reference, misfit
 from identify.gaps.residual.nuisance import LIMIT
-from identify.gaps.residual.residual import Base, Residual, base_of, rescaled, scales_at
+from identify.gaps.residual.residual import Linearization, Residual, linearized, rescaled, scales_at
 from identify.gaps.search.base_excitation import fit_base_excitation
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.nominal import fitted, singly_bent
@@ -65,10 +65,10 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Tried:
-    """A hypothesis while it is fitted: with the base and the residual, which take much memory."""
+    """A hypothesis while it is fitted: with linearisation and residual, which take much memory."""
 
     hypothesis: Hypothesis
-    base: Base
+    linearization: Linearization
     residual: Residual
 
     @property
@@ -88,15 +88,15 @@ def applied(rig: Rig, parts: Sequence[Candidate], values: Float[np.ndarray, " pa
 
 @dataclass(frozen=True)
 class Search:
-    """What a search on one record shares: its base and residual under the believed rig, and the reference variances."""
+    """What a search on one record shares: linearisation and residual of the believed rig, the variances."""
 
     reference: Reference
-    base: Base
+    linearization: Linearization
     at: Residual
     known: tuple[Candidate, ...]
 
     def nothing(self) -> Tried:
-        return _tried(self, (), np.zeros(0), np.zeros((0, 0)), self.base, self.at)
+        return _tried(self, (), np.zeros(0), np.zeros((0, 0)), self.linearization, self.at)
 
 
 def fit_effects(
@@ -115,17 +115,17 @@ def fit_briefly(
     parts: tuple[Candidate, ...],
     values: Float[np.ndarray, " parameters"],
     start: Residual | None,
-    about: Base | None = None,
+    linearization: Linearization | None = None,
 ) -> Tried:
-    """Gauss-Newton for a few steps at the scales of a base (the believed rig's unless one is given).
+    """Gauss-Newton for a few steps at the scales of a linearisation (the believed rig's unless one is given).
 
     Without a start, nothing was bent to do without the effects: then the linearisation is about their values.
     """
-    about, build = about or begun.base, partial(applied, begun.base.rig, parts)
+    linearization, build = linearization or begun.linearization, partial(applied, begun.linearization.rig, parts)
     if start is None:
-        about = base_of(about.record, build(values), None, about.scales, about.seen)
-    done = fit(about, build, values, steps_of(parts), bounds_of(parts), start, SHORT)
-    return _tried(begun, parts, done.values, done.covariance, about, done.residual)
+        linearization = linearized(linearization.record, build(values), None, linearization.scales, linearization.seen)
+    done = fit(linearization, build, values, steps_of(parts), bounds_of(parts), start, SHORT)
+    return _tried(begun, parts, done.values, done.covariance, linearization, done.residual)
 
 
 def refined(begun: Search, one: Tried, least: float = np.inf) -> Tried:
@@ -136,12 +136,14 @@ def refined(begun: Search, one: Tried, least: float = np.inf) -> Tried:
     parts = one.hypothesis.parts
     if any(p.kind.stochastic for p in parts):
         return one
-    build = partial(applied, begun.base.rig, parts)
-    for _ in range(ROUNDS + singly_bent(begun.base.rig)):
+    build = partial(applied, begun.linearization.rig, parts)
+    for _ in range(ROUNDS + singly_bent(begun.linearization.rig)):
         values = one.hypothesis.values
-        about = base_of(one.base.record, build(values), one.residual, scales_at(one.base, one.residual))
-        done = fit(about, build, values, steps_of(parts), bounds_of(parts), one.residual)
-        better = _tried(begun, parts, done.values, done.covariance, about, done.residual)
+        linearization = linearized(
+            one.linearization.record, build(values), one.residual, scales_at(one.linearization, one.residual)
+        )
+        done = fit(linearization, build, values, steps_of(parts), bounds_of(parts), one.residual)
+        better = _tried(begun, parts, done.values, done.covariance, linearization, done.residual)
         gained = one.cost - better.cost
         one = better if gained > 0 else one
         if gained < SETTLED or one.cost > least + FAR:
@@ -165,29 +167,29 @@ def _tried(
     parts: tuple[Candidate, ...],
     values: Float[np.ndarray, " parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
-    base: Base,
+    linearization: Linearization,
     at: Residual,
 ) -> Tried:
-    left = misfit(base.record, begun.reference, at)
-    return Tried(Hypothesis(parts, values, covariance, left), base, at)
+    left = misfit(linearization.record, begun.reference, at)
+    return Tried(Hypothesis(parts, values, covariance, left), linearization, at)
 
 
 def fit_spectrum(begun: Search, nothing: Tried, candidate: Candidate) -> Tried | None:
     """An effect of which only the spectrum is known: its values are not fitted over time."""
     if not nothing.hypothesis.leaves_something:
         return None
-    found = fit_base_excitation(nothing.base, nothing.residual, candidate, WORTH)
+    found = fit_base_excitation(nothing.linearization, nothing.residual, candidate, WORTH)
     if found is None:
         return None
-    values, spread = found
+    values, deviations = found
     try:
-        rig = candidate.applied(begun.base.rig, values)
+        rig = candidate.applied(begun.linearization.rig, values)
     except RigError:
         return None
-    base = base_of(begun.base.record, rig, nothing.residual, nothing.base.scales)
-    base = rescaled(base, fitted(base, nothing.residual).residual)
-    at = fitted(base, nothing.residual).residual
-    return _tried(begun, (candidate,), values, np.diag(spread**2), base, at)
+    linearization = linearized(begun.linearization.record, rig, nothing.residual, nothing.linearization.scales)
+    linearization = rescaled(linearization, fitted(linearization, nothing.residual).residual)
+    at = fitted(linearization, nothing.residual).residual
+    return _tried(begun, (candidate,), values, np.diag(deviations**2), linearization, at)
 
 
 def straightened(at: Residual) -> Residual:

@@ -7,7 +7,7 @@ from itertools import chain
 import numpy as np
 from scipy.linalg import block_diag
 
-from identify.gaps.residual.residual import Base, Residual, base_of, residual_of
+from identify.gaps.residual.residual import Linearization, Residual, linearized, residual_of
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.hypothesis import (
     FAR,
@@ -74,14 +74,14 @@ def _cost(one: Tried | Hypothesis) -> float:
 
 
 def _singles(begun: Search, nothing: Tried) -> list[Tried]:
-    base, at = begun.base, straightened(begun.at)
-    fresh = residual_of(base, base.rig, at.nuisance)
+    linearization, at = begun.linearization, straightened(begun.at)
+    fresh = residual_of(linearization, linearization.rig, at.nuisance)
     steady = [c for c in begun.known if not c.kind.stochastic]
-    laws = of_laws(base.rig, steady)
+    laws = of_laws(linearization.rig, steady)
     screened = chain(
-        [(s, at) for s in _by_score(base, at, steady, nothing, BY_SCORE)],
-        [(s, fresh) for s in _worth(base, score_screening(base, fresh, laws), FRESH)],
-        [(s, None) for s in _worth(base, grid_screening(base, steady), BY_GRID)],
+        [(s, at) for s in _by_score(linearization, at, steady, nothing, BY_SCORE)],
+        [(s, fresh) for s in _worth(linearization, score_screening(linearization, fresh, laws), FRESH)],
+        [(s, None) for s in _worth(linearization, grid_screening(linearization, steady), BY_GRID)],
     )
     found: dict[str, Tried] = {}
 
@@ -95,7 +95,9 @@ def _singles(begun: Search, nothing: Tried) -> list[Tried]:
     for one, start in screened:
         with suppress(RigError):
             take(one.candidate.name, fit_briefly(begun, (one.candidate,), one.values, start))
-    for one in _worth(base, law_screening(base, fresh, laws), BY_LAW):  # far from where the believed law's scales hold
+    for one in _worth(
+        linearization, law_screening(linearization, fresh, laws), BY_LAW
+    ):  # far from where the believed law's scales hold
         with suppress(RigError):
             take(one.candidate.name, fit_effects(begun, (one.candidate,), one.values, fresh))
     for candidate in begun.known:
@@ -104,20 +106,22 @@ def _singles(begun: Search, nothing: Tried) -> list[Tried]:
     return _refined_all(begun, _rivals(found.values(), nothing))
 
 
-def _worth(base: Base, screened: Sequence[Screened], most: int) -> list[Screened]:
+def _worth(linearization: Linearization, screened: Sequence[Screened], most: int) -> list[Screened]:
     """The best of a screening, as far as they are worth a fit."""
-    return [one for one in screened[:most] if one.gain > WORTH * base.record.sample_ratio]
+    return [one for one in screened[:most] if one.gain > WORTH * linearization.record.sample_ratio]
 
 
-def _by_score(base: Base, at: Residual, candidates: Sequence[Candidate], left: Tried, most: int) -> list[Screened]:
+def _by_score(
+    linearization: Linearization, at: Residual, candidates: Sequence[Candidate], left: Tried, most: int
+) -> list[Screened]:
     """The best by score; and where lines stand out of what is left, a tone on each body, which raises one line only.
 
     Where much is left the best is worth a fit whatever it promises: scales that what is left made itself hide its gain.
     """
-    found = score_screening(base, at, candidates)
+    found = score_screening(linearization, at, candidates)
     tones = [one for one in found if one.candidate.kind.scanned]
     others = [one for one in found if not one.candidate.kind.scanned]
-    promising = _worth(base, others, most) or (others[:1] if left.hypothesis.leaves_something else [])
+    promising = _worth(linearization, others, most) or (others[:1] if left.hypothesis.leaves_something else [])
     return promising + (tones if left.hypothesis.misfit.sharp > WORTH else [])
 
 
@@ -133,17 +137,17 @@ def _seconds(begun: Search, first: Tried, least: float) -> list[Hypothesis]:
 
     least is the cost of the best pair so far.
     """
-    rig = first.hypothesis.applied_to(begun.base.rig)
-    base = base_of(begun.base.record, rig, first.residual, first.base.scales)
-    at = fitted(base, first.residual).residual
+    rig = first.hypothesis.applied_to(begun.linearization.rig)
+    linearization = linearized(begun.linearization.record, rig, first.residual, first.linearization.scales)
+    at = fitted(linearization, first.residual).residual
     others = [c for c in begun.known if c.kind.name not in first.hypothesis.effects and _joins(c, rig)]
-    inner = Search(begun.reference, base, at, ())
+    inner = Search(begun.reference, linearization, at, ())
     held = any(p.kind.stochastic for p in first.hypothesis.parts)
     steady = [c for c in others if not c.kind.stochastic]
-    fresh = residual_of(base, base.rig, at.nuisance)  # its slow motion did not follow another law yet
-    laws = of_laws(base.rig, steady)
-    screened = [(s, at) for s in _by_score(base, at, steady, first, SECONDS)]
-    screened += [(s, fresh) for s in _worth(base, law_screening(base, fresh, laws), BY_LAW)]
+    fresh = residual_of(linearization, linearization.rig, at.nuisance)  # its slow motion did not follow another law yet
+    laws = of_laws(linearization.rig, steady)
+    screened = [(s, at) for s in _by_score(linearization, at, steady, first, SECONDS)]
+    screened += [(s, fresh) for s in _worth(linearization, law_screening(linearization, fresh, laws), BY_LAW)]
     found: dict[str, Tried] = {}
     for one, start in screened:
         with suppress(RigError):  # two effects may make no rig where each makes one
@@ -172,7 +176,7 @@ def _together(begun: Search, first: Tried, second: Screened, start: Residual) ->
     """Both fitted for a few steps, from where the first stands."""
     parts = (*first.hypothesis.parts, second.candidate)
     values = np.concatenate([first.hypothesis.values, second.values])
-    return fit_briefly(begun, parts, values, straightened(start), first.base)
+    return fit_briefly(begun, parts, values, straightened(start), first.linearization)
 
 
 def _parts(begun: Search, pair: Hypothesis, known: Mapping[frozenset[str], Tried]) -> list[Tried]:

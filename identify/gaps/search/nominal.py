@@ -4,7 +4,7 @@ import numpy as np
 
 from identify.gaps.residual.fit import Fit, fit
 from identify.gaps.residual.likelihood import misfit, reference_of
-from identify.gaps.residual.residual import Base, Residual, base_of, rescaled
+from identify.gaps.residual.residual import Linearization, Residual, linearized, rescaled
 from identify.gaps.residual.spectra import Record
 from rig.model.description import Rig
 
@@ -13,26 +13,26 @@ ROUNDS, MOST, SETTLED = 2, 6, 1.0
 and -2 ln p falls by more than this: a slow motion in a wrong minimum takes some rounds out of it."""
 
 
-def fit_nuisance(record: Record, rig: Rig, rounds: int = ROUNDS) -> tuple[Base, Residual]:
-    """The base at the estimated scales, and the residual fitted in it."""
-    base = base_of(record, rig)
-    reference = reference_of(base)
-    at = fitted(base).residual
+def fit_nuisance(record: Record, rig: Rig, rounds: int = ROUNDS) -> tuple[Linearization, Residual]:
+    """The linearisation at the estimated scales, and the residual fitted in it."""
+    linearization = linearized(record, rig)
+    reference = reference_of(linearization)
+    at = fitted(linearization).residual
     left = misfit(record, reference, at)
     for k in range(MOST):
-        base = rescaled(base, at)
-        at = fitted(base, at).residual
+        linearization = rescaled(linearization, at)
+        at = fitted(linearization, at).residual
         before, left = left, misfit(record, reference, at)
         falls = left.excess > SETTLED and before.minus_two_log - left.minus_two_log > SETTLED
         if k + 1 >= max(rounds, singly_bent(rig)) and not falls:
             break
-    return base, at
+    return linearization, at
 
 
-def fitted(base: Base, start: Residual | None = None) -> Fit:
-    """The base's own rig with nuisance parameters, drifts and contact tolerances fitted."""
+def fitted(linearization: Linearization, start: Residual | None = None) -> Fit:
+    """The linearised rig itself with nuisance parameters, drifts and contact tolerances fitted."""
     nothing = np.zeros(0)
-    return fit(base, lambda _: base.rig, nothing, nothing, (nothing, nothing), start)
+    return fit(linearization, lambda _: linearization.rig, nothing, nothing, (nothing, nothing), start)
 
 
 def singly_bent(rig: Rig) -> int:

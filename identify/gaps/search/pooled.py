@@ -18,7 +18,7 @@ from jaxtyping import Float
 from identify.gaps.residual.fit import FINE, Values, bounded, by_nuisance, derivative
 from identify.gaps.residual.likelihood import Reference, misfit, reference_of
 from identify.gaps.residual.nuisance import LIMIT
-from identify.gaps.residual.residual import Base, Residual, base_of
+from identify.gaps.residual.residual import Linearization, Residual, linearized
 from identify.gaps.residual.spectra import Record
 from identify.gaps.search.hypothesis import Hypothesis, applied, bounds_of, steps_of
 from identify.gaps.search.nominal import fit_nuisance
@@ -45,7 +45,7 @@ class Information:
 class Linearised:
     """A record fitted with a rig by tolerances of its own: `said` is what it says of those, cost its -2 ln p."""
 
-    base: Base
+    linearization: Linearization
     at: Residual
     said: Information
     rows: tuple[Float[np.ndarray, "_ tolerances"], ...]
@@ -57,15 +57,16 @@ class Linearised:
         """What the record says of parameters too; `build` makes the rig at hand of `values`."""
         signs = np.where(values + steps > high, -FINE, FINE)
         columns = [
-            derivative(self.base, build(values + signs[i] * move), self.at) for i, move in enumerate(np.diag(steps))
+            derivative(self.linearization, build(values + signs[i] * move), self.at)
+            for i, move in enumerate(np.diag(steps))
         ]
         own = [tuple(part / sign for part in (c[0], *c[1])) for c, sign in zip(columns, signs, strict=True)]
-        count, weight = len(self.said.tolerances), self.base.record.sample_ratio
-        size, nuisances = count + len(own), len(self.base.columns.parameters)
+        count, weight = len(self.said.tolerances), self.linearization.record.sample_ratio
+        size, nuisances = count + len(own), len(self.linearization.columns.parameters)
         matrix, gradient = np.zeros((size, size)), np.zeros(size)
         if own:
             linear = np.array([c[0].ravel() for c in own])
-            matrix[:nuisances, count:] = self.base.columns.products(linear)
+            matrix[:nuisances, count:] = self.linearization.columns.products(linear)
             matrix[count:, count:] = linear @ linear.T
             gradient[count:] = linear @ self.at.quiet.ravel()
         for j, rows in enumerate(self.rows):
@@ -82,16 +83,16 @@ class Linearised:
 
 def linearised(record: Record, reference: Reference, rig: Rig) -> Linearised:
     """The rig fitted to the record by its tolerances, at the scales that the record shows."""
-    base, at = fit_nuisance(record, rig, rounds=1)
-    nuisances, weight = len(base.columns.parameters), record.sample_ratio
-    names = (*base.columns.parameters, *((c.name, k) for c in rig.contacts for k in range(3)))
+    linearization, at = fit_nuisance(record, rig, rounds=1)
+    nuisances, weight = len(linearization.columns.parameters), record.sample_ratio
+    names = (*linearization.columns.parameters, *((c.name, k) for c in rig.contacts for k in range(3)))
     matrix, gradient = np.zeros((len(names), len(names))), np.zeros(len(names))
-    matrix[:nuisances, :nuisances] = base.gram
-    gradient[:nuisances] = base.columns.products(at.quiet.ravel())
+    matrix[:nuisances, :nuisances] = linearization.gram
+    gradient[:nuisances] = linearization.columns.products(at.quiet.ravel())
     found = []
     for j, contact in enumerate(at.contacts):
         rows = np.zeros((contact.residual.size, len(names)))
-        rows[:, :nuisances] = by_nuisance(base, at, j)
+        rows[:, :nuisances] = by_nuisance(linearization, at, j)
         own = nuisances + 3 * j
         times = contact.seen.weights.size
         rows[:times, own : own + 3] = contact.columns[:times, -3:].toarray()
@@ -100,7 +101,7 @@ def linearised(record: Record, reference: Reference, rig: Rig) -> Linearised:
         found.append(rows)
     cost = misfit(record, reference, at).minus_two_log
     said = _quadratic(names, matrix / weight, gradient / weight, at.pulls, cost)
-    return Linearised(base, at, said, tuple(found), cost)
+    return Linearised(linearization, at, said, tuple(found), cost)
 
 
 def _quadratic(
@@ -169,7 +170,7 @@ def pooled(
 
 
 def references(records: Sequence[Record]) -> list[Reference]:
-    return [reference_of(base_of(record, record.rig)) for record in records]
+    return [reference_of(linearized(record, record.rig)) for record in records]
 
 
 def fitted_together(records: Sequence[Record], seen: Sequence[Reference], one: Hypothesis) -> Hypothesis:

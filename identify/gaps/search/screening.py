@@ -12,7 +12,7 @@ from identify.gaps.residual.grounded import needs_every_line
 from identify.gaps.residual.linear import linear_model
 from identify.gaps.residual.lines import sharpest
 from identify.gaps.residual.nuisance import LIMIT
-from identify.gaps.residual.residual import Base, Residual, residual_of, same_but_laws
+from identify.gaps.residual.residual import Linearization, Residual, residual_of, same_but_laws
 from identify.gaps.residual.spectra import Record
 from identify.gaps.search.attached import attached
 from identify.gaps.search.candidates import Candidate
@@ -36,30 +36,32 @@ class Screened:
     values: Float[np.ndarray, " parameters"]
 
 
-def score_screening(base: Base, at: Residual, candidates: Sequence[Candidate]) -> list[Screened]:
+def score_screening(linearization: Linearization, at: Residual, candidates: Sequence[Candidate]) -> list[Screened]:
     """The gain of the linearised cost at a residual, with nuisance parameters and drifts free; the best first.
 
     This is Rao's score test of each effect, at every place that it is tried at.
     """
-    equations = reduced(base, at)
+    equations = reduced(linearization, at)
     sharp_hz, loud = [], equations
     if any(c.kind.scanned for c in candidates):
-        sharp_hz, loud = followed_hz(base, at, PEAKS).tolist(), equations.with_lines()
+        sharp_hz, loud = followed_hz(linearization, at, PEAKS).tolist(), equations.with_lines()
     found = [
-        max(_looked(base, loud if c.kind.scanned else equations, c, sharp_hz), key=lambda one: one.gain)
+        max(_looked(linearization, loud if c.kind.scanned else equations, c, sharp_hz), key=lambda one: one.gain)
         for c in candidates
     ]
     return sorted(found, key=lambda one: -one.gain)
 
 
-def followed_hz(base: Base, at: Residual, count: int) -> Float[np.ndarray, " lines"]:
+def followed_hz(linearization: Linearization, at: Residual, count: int) -> Float[np.ndarray, " lines"]:
     """Where a sharp frequency may lie: the lines that stand out most of the linear and the contact residuals."""
     rows = np.concatenate([at.linear, *(c.residual[None, : at.linear.shape[1]] for c in at.contacts)])
-    rate_hz = base.record.rate_hz
+    rate_hz = linearization.record.rate_hz
     return rate_hz * sharpest(rows, count, AROUND_HZ / rate_hz)
 
 
-def _looked(base: Base, equations: Reduced, candidate: Candidate, sharp_hz: Sequence[float]) -> list[Screened]:
+def _looked(
+    linearization: Linearization, equations: Reduced, candidate: Candidate, sharp_hz: Sequence[float]
+) -> list[Screened]:
     """What the strengths promise from every start, each within its bounds; nothing where the record sees nothing."""
     strong, at = candidate.strong, equations.at
     found = [Screened(candidate, 0.0, candidate.default)]
@@ -71,8 +73,8 @@ def _looked(base: Base, equations: Reduced, candidate: Candidate, sharp_hz: Sequ
             for i in strong:
                 moved = start.copy()
                 moved[i] = start[i] + candidate.steps[i]
-                rig = candidate.applied(base.rig, moved)
-                own.append(attached(base, rig, at) or derivative(base, rig, at))
+                rig = candidate.applied(linearization.rig, moved)
+                own.append(attached(linearization, rig, at) or derivative(linearization, rig, at))
             starts.append(start)
             columns += own
     normal = equations.joined(columns)
@@ -95,24 +97,24 @@ def _looked(base: Base, equations: Reduced, candidate: Candidate, sharp_hz: Sequ
     return found
 
 
-def grid_screening(base: Base, candidates: Sequence[Candidate]) -> list[Screened]:
+def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]) -> list[Screened]:
     """By the linear residual alone, over a grid of strengths and places: what is too large for a slope to tell.
 
     Of effects that change the linear model.
     """
-    thin = _thinned(base.record)
-    discrepancy = base.scales.discrepancy[:, 1::THINNED]
-    before = _linear_cost(thin, base.rig, discrepancy)
+    thin = _thinned(linearization.record)
+    discrepancy = linearization.scales.discrepancy[:, 1::THINNED]
+    before = _linear_cost(thin, linearization.rig, discrepancy)
     found = []
     for candidate in candidates:
-        changed = candidate.applied(base.rig, candidate.default)
-        linear = not same_but_laws(base.rig, changed) and changed.loads == base.rig.loads
+        changed = candidate.applied(linearization.rig, candidate.default)
+        linear = not same_but_laws(linearization.rig, changed) and changed.loads == linearization.rig.loads
         if not linear or candidate.kind.stochastic or needs_every_line(changed):
             continue
         costs = []
         for values in _grid(candidate):
             try:
-                costs.append((_linear_cost(thin, candidate.applied(base.rig, values), discrepancy), values))
+                costs.append((_linear_cost(thin, candidate.applied(linearization.rig, values), discrepancy), values))
             except RigError:
                 continue
         if costs:
@@ -126,7 +128,7 @@ def of_laws(rig: Rig, candidates: Sequence[Candidate]) -> list[Candidate]:
     return [c for c in candidates if same_but_laws(rig, c.applied(rig, c.default))]
 
 
-def law_screening(base: Base, fresh: Residual, candidates: Sequence[Candidate]) -> list[Screened]:
+def law_screening(linearization: Linearization, fresh: Residual, candidates: Sequence[Candidate]) -> list[Screened]:
     """By the contact residuals over a grid of strengths, of effects `of_laws`, the best first; at a residual whose slow
     motion followed no law yet.
 
@@ -141,8 +143,8 @@ def law_screening(base: Base, fresh: Residual, candidates: Sequence[Candidate]) 
         for strength in candidate.strengths(STRENGTHS):
             tried = np.append(strength, values[1:])
             with suppress(RigError):  # no such law
-                rig = candidate.applied(base.rig, tried)
-                there = residual_of(base, rig, fresh.nuisance, unknowns, like=fresh)
+                rig = candidate.applied(linearization.rig, tried)
+                there = residual_of(linearization, rig, fresh.nuisance, unknowns, like=fresh)
                 best = max(best, Screened(candidate, before - _scatter(there), tried), key=lambda one: one.gain)
         found.append(best)
     return sorted(found, key=lambda one: -one.gain)

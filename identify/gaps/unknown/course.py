@@ -68,7 +68,7 @@ class ForceHistory:
         without = float(self.rest @ cho_solve(self.factor, self.rest))
         freely = float(rest @ np.linalg.solve(beside, rest))
         own = self.located.observed
-        noise = float(self.weights @ own.spread(self.located.after.noise))
+        noise = float(self.weights @ own.on_lines(self.located.after.noise))
         return float(bare @ bare) - without + freely - noise
 
     def spectra(self, fine_n: Float[np.ndarray, "*rows fine"]) -> Complex[np.ndarray, "*rows lines"]:
@@ -117,7 +117,7 @@ class ForceHistory:
 def force_of(located: Located) -> Complex[np.ndarray, " alllines"]:
     """The likeliest force, or the likeliest signal of a sensor: S |g| t / (s + S |g|^2)."""
     own, after = located.observed, located.after
-    noise, spectrum = own.spread(after.noise), own.spread(after.spectrum)
+    noise, spectrum = own.on_lines(after.noise), own.on_lines(after.spectrum)
     force = np.zeros(own.record.omega.size, dtype=complex)
     force[own.lines] = spectrum * after.size * after.along / (noise + spectrum * after.size**2)
     return force
@@ -127,7 +127,7 @@ def course_of(located: Located) -> ForceHistory:
     """Of a force or a pair."""
     own, after = located.observed, located.after
     record, force = own.record, force_of(located)
-    noise, spectrum = own.spread(after.noise), own.spread(after.spectrum)
+    noise, spectrum = own.on_lines(after.noise), own.on_lines(after.spectrum)
     acceleration = np.zeros(record.omega.size, dtype=complex)
     for station, sign in zip(located.candidate.stations, (1.0, -1.0), strict=False):
         acceleration += sign * (own.motion(station) + sign * _beyond(located, station) * force)
@@ -155,7 +155,7 @@ def course_of(located: Located) -> ForceHistory:
 def softened(course: ForceHistory, law_error: float) -> ForceHistory:
     """With a law trusted to this share of the force only."""
     own, after = course.located.observed, course.located.after
-    noise, spectrum = own.spread(after.noise), own.spread(after.spectrum)
+    noise, spectrum = own.on_lines(after.noise), own.on_lines(after.spectrum)
     return weighing(course, own.count / (noise + law_error**2 * spectrum * after.size**2))
 
 
@@ -175,7 +175,7 @@ def explained_share(located: Located) -> float:
     """Of the mean square of the linear residual that nuisances leave."""
     own, after = located.observed, located.after
     power = np.abs(after.along) ** 2
-    noise, spectrum = own.spread(after.noise), own.spread(after.spectrum)
+    noise, spectrum = own.on_lines(after.noise), own.on_lines(after.spectrum)
     kept = 1 - (noise / (noise + spectrum * after.size**2)) ** 2
     theta = np.zeros(len(own.names))  # a drift has columns of its own
     theta[: located.before.theta.size] = located.before.theta

@@ -54,7 +54,7 @@ def normal(
 ) -> tuple[Float[np.ndarray, "columns columns"], Float[np.ndarray, " columns"]]:
     """Of theta, at some s, without a candidate."""
     matrix = own.count * np.tensordot(1 / noise, own.gram, 1) + np.eye(len(own.names))
-    return matrix, own.count * (own.crossed.T @ (1 / noise) - own.stretch / 2)
+    return matrix, own.count * (own.crossed.T @ (1 / noise) - own.trace / 2)
 
 
 def without(own: Observed) -> Explained:
@@ -97,14 +97,14 @@ def explained(
         noise, spectrum = _scored(own, squares, np.abs(along) ** 2, left(own, theta), noise, spectrum, shape)
         if held or turn == ROUNDS - 1:
             break
-        weights = own.spread(1 / noise)
-        less = weights - 1 / (own.spread(noise) + own.spread(spectrum) * squares)
+        weights = own.on_lines(1 / noise)
+        less = weights - 1 / (own.on_lines(noise) + own.on_lines(spectrum) * squares)
         matrix, rest = normal(own, noise)
         matrix -= own.count * (_halves(less * columns) @ _halves(columns).T)
         rest -= own.count * (_halves(less * columns) @ _halves(bare))
         theta = solved(matrix, rest)
     assert spectrum is not None
-    whole = own.spread(noise) + own.spread(spectrum) * squares
+    whole = own.on_lines(noise) + own.on_lines(spectrum) * squares
     beside = np.maximum(left(own, theta) - _summed(own, np.abs(along) ** 2), 0.0)
     criterion = own.count * float(
         np.sum(own.sizes * (own.rows - 1) * np.log(noise) + beside / noise)
@@ -123,7 +123,7 @@ def cleared_of(own: Observed, theta: Float[np.ndarray, " columns"]) -> Complex[n
 
 def _held(own: Observed, theta: Float[np.ndarray, " columns"]) -> float:
     """theta' theta, and what theta stretches the data by."""
-    return float(theta @ theta) + own.count * float(own.stretch @ theta)
+    return float(theta @ theta) + own.count * float(own.trace @ theta)
 
 
 def _along(
@@ -159,18 +159,18 @@ def _scored(
         excess = _summed(own, power) - noise * own.sizes
         spectrum = np.maximum(excess, 0.0) / np.maximum(_summed(own, squares), 1e-300)
     for _ in range(SCORINGS):
-        variance = own.spread(noise) + own.spread(spectrum) * squares
+        variance = own.on_lines(noise) + own.on_lines(spectrum) * squares
         weights = 1 / variance**2
-        fall = beside / noise**2 + _summed(own, weights * (power - own.spread(spectrum) * squares))
+        fall = beside / noise**2 + _summed(own, weights * (power - own.on_lines(spectrum) * squares))
         noise = noise if known else np.maximum(fall / (others / noise**2 + _summed(own, weights)), LEAST * noise)
-        variance = own.spread(noise) + own.spread(spectrum) * squares
+        variance = own.on_lines(noise) + own.on_lines(spectrum) * squares
         weights = squares / variance**2
         if shape is None:
-            fall = _summed(own, weights * (power - own.spread(noise)))
+            fall = _summed(own, weights * (power - own.on_lines(noise)))
             spectrum = np.maximum(fall, 0.0) / np.maximum(_summed(own, weights * squares), 1e-300)
         else:
-            form = own.spread(shape)
-            times = np.sum(weights * form * (power - own.spread(noise))) / max(
+            form = own.on_lines(shape)
+            times = np.sum(weights * form * (power - own.on_lines(noise))) / max(
                 float(np.sum(weights * squares * form**2)), 1e-300
             )
             spectrum = max(float(times), 0.0) * shape

@@ -256,8 +256,8 @@ def _times(course: ForceHistory) -> tuple[float, tuple[float, ...]]:
     squares = course.found_n[record.taken] ** 2
     forces, open_n = record.in_time(model.contact_n), model.open_n(record)
     closed = np.zeros(squares.size, dtype=bool)
-    for force, spread in zip(forces, open_n, strict=True):
-        closed |= np.abs(force) > max(CLOSED * spread, SHUT * float(np.sqrt(np.mean(force**2))))
+    for force, on_lines in zip(forces, open_n, strict=True):
+        closed |= np.abs(force) > max(CLOSED * on_lines, SHUT * float(np.sqrt(np.mean(force**2))))
     excited = record.time_s > record.excited_s
     parts = [float(np.sqrt(np.mean(part))) for part in np.array_split(squares[excited], PARTS)]
     share = float(squares[closed].sum() / max(float(squares.sum()), 1e-300))

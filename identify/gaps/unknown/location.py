@@ -198,7 +198,7 @@ def _distributed(own: Observed, before: Explained, near: ForcePlace | None) -> L
             own,
             (*own.names, *bodies),
             np.concatenate([own.columns, added]),
-            np.append(own.stretch, 0.0 * np.array(scale)),
+            np.append(own.trace, 0.0 * np.array(scale)),
         )
         after = without(wider)
         gain = before.criterion - after.criterion

@@ -28,7 +28,7 @@ def nuisances(
     omega, deviation = record.omega, own.model.deviation
     names: list[str] = []
     columns: list[Complex[np.ndarray, "lines rows"]] = []
-    stretch: list[float] = []
+    trace: list[float] = []
     ones = np.ones((1, omega.size))
 
     def take(
@@ -45,7 +45,7 @@ def nuisances(
             columns.append(column.astype(np.complex64))  # they are many
             back = own.rowed((read[:, None] * deviation / model.sensor_response.conj())[:, own.lines])
             there = own.rowed((model.sensor_response * pattern / deviation)[:, own.lines])
-            stretch.append(2 * float(np.sum(back.conj() * there).real))
+            trace.append(2 * float(np.sum(back.conj() * there).real))
 
     take("gain of the force", tolerances.force_gain * by_force, record.force, np.zeros(len(record.sensors)))
     singly = np.eye(len(record.sensors))
@@ -75,7 +75,7 @@ def nuisances(
             exact, shape = tolerances.of_mode(body.name, int(m) + 1), shapes[:, m : m + 1]
             take(f"frequency of {body.name} {m + 1}", shape * exact.frequency * stiffer[m], motion[m], inverse[m])
             take(f"damping of {body.name} {m + 1}", shape * exact.damping * damped[m], motion[m], inverse[m])
-    return tuple(names), np.array(columns).reshape(len(columns), *own.residual.shape), np.array(stretch)
+    return tuple(names), np.array(columns).reshape(len(columns), *own.residual.shape), np.array(trace)
 
 
 def drifting(own: Observed, body: str) -> Complex[np.ndarray, "lines rows"]:

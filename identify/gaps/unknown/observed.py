@@ -57,7 +57,7 @@ class Observed:
     squares: Float[np.ndarray, " bands"]
     crossed: Float[np.ndarray, "bands columns"]
     gram: Float[np.ndarray, "bands columns columns"]
-    stretch: Float[np.ndarray, " columns"]
+    trace: Float[np.ndarray, " columns"]
 
     @property
     def omega(self) -> Float[np.ndarray, " lines"]:
@@ -77,7 +77,7 @@ class Observed:
         """Lines in each band."""
         return np.diff(np.append(self.starts, self.residual.shape[0]))
 
-    def spread(self, by_band: Float[np.ndarray, " bands"]) -> Float[np.ndarray, " lines"]:
+    def on_lines(self, by_band: Float[np.ndarray, " bands"]) -> Float[np.ndarray, " lines"]:
         return np.repeat(by_band, self.sizes)
 
     def seen(self, accelerations: Complex[np.ndarray, "sensors alllines"]) -> Complex[np.ndarray, "lines rows"]:
@@ -157,7 +157,7 @@ def bare_residual(record: Record, rig: Rig) -> Observed:
         squares=np.zeros(starts.size),
         crossed=np.zeros((starts.size, 0)),
         gram=np.zeros((starts.size, 0, 0)),
-        stretch=np.zeros(0),
+        trace=np.zeros(0),
     )
     by_force = bare.accelerance(rig.force_at) / rig.force_sensor.gain
     pushed = bare.seen(by_force)
@@ -190,7 +190,7 @@ def with_columns(
     bare: Observed,
     names: tuple[str, ...],
     columns: Complex[np.ndarray, "columns lines rows"],
-    stretch: Float[np.ndarray, " columns"],
+    trace: Float[np.ndarray, " columns"],
 ) -> Observed:
     """With these columns and the sums over bands. The columns are kept in single precision."""
     own = np.ascontiguousarray(bare.residual).view(float)
@@ -209,7 +209,7 @@ def with_columns(
         squares=np.array(squares),
         crossed=np.array(crossed),
         gram=np.array(gram),
-        stretch=stretch,
+        trace=trace,
     )
 
 

@@ -14,7 +14,7 @@ from rig.model.beam import Beam
 from rig.model.description import Body, PointSpring, Rig, Station, stations_of
 from rig.model.modes import held_coordinates, with_attachments
 from rig.model.oscillator import Oscillator
-from rig.simulation.motion import Course, Motion, Progress
+from rig.simulation.motion import ForceSignal, Motion, Progress
 from rig.simulation.plants.connectors import (
     ChangingModulus,
     Extra,
@@ -44,7 +44,7 @@ down into the band of the force: at 0.01 the cradle's, at 129 Hz, falsified its 
 
 def simulate(
     rig: Rig,
-    force_n: Course,
+    force_n: ForceSignal,
     step_s: float,
     progress: Progress,
     elements: int = ELEMENTS,
@@ -55,10 +55,10 @@ def simulate(
     Generalized-alpha (spectral radius 0.9) at a fixed step; use a dyadic one, so that time adds up exactly. Each beam
     has the damping matrix M Phi diag(2 zeta omega) Phi' M of its finite elements, hence the same damping ratio in
     every elastic mode and none in the rigid ones. Coordinates are taken relative to the base, whose motion is an
-    inertial load. The solver runs in stretches of 4096 steps, each continued from the
+    inertial load. The solver runs in segments of 4096 steps, each continued from the
     coordinates, velocities and accelerations of the one before. `extra` is what no Rig describes.
 
-    Yields one Motion a stretch. Raises RigError if the solver fails or the motion is not finite.
+    Yields one Motion a segment. Raises RigError if the solver fails or the motion is not finite.
     """
     import exudyn as exu
 

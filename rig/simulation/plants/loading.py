@@ -9,14 +9,16 @@ from rig.model.contact_laws import ContactLaw
 from rig.model.description import RISE_S, Contact, Rig, Station, contact_stations
 from rig.model.modes import modes_of
 from rig.simulation.excitation import noise_spectrum
-from rig.simulation.motion import Course
+from rig.simulation.motion import ForceSignal
 
 SPLINED = 64
 """So many samples to either side decide a spline's value to the last digit."""
 _ORDERS = ("displacement", "velocity", "acceleration")
 
 
-def true_force(rig: Rig, measured_n: Course, step_s: float, now: slice = slice(None)) -> Float[np.ndarray, " some"]:
+def true_force(
+    rig: Rig, measured_n: ForceSignal, step_s: float, now: slice = slice(None)
+) -> Float[np.ndarray, " some"]:
     """The force on the rig, given the measured one at multiples of the step: F(t) = measured(t - lag) / gain.
 
     Before its first sample and behind its last the measured force is taken to stay as it is there.

@@ -12,7 +12,7 @@ from rig.errors import RigError
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Body, Rig, Station, contact_stations, stations_of
 from rig.model.modes import Modes, modes_of, modes_wanted, participation
-from rig.simulation.motion import Course, Motion, Progress, Projected
+from rig.simulation.motion import ForceSignal, Motion, Progress, Projected
 from rig.simulation.plants.loading import (
     base_motion,
     check_softening,
@@ -44,7 +44,7 @@ class _Model:
     holding_n: Float[np.ndarray, " contacts"]
 
 
-def simulate(rig: Rig, force_n: Course, step_s: float, progress: Progress, modes: int = 16) -> Iterator[Motion]:
+def simulate(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress, modes: int = 16) -> Iterator[Motion]:
     """The motion from rest, with `modes` modes a beam (a mass has one, a structure no more than its basis).
 
     The modes are those of the bodies with what is attached to them, in a frame that moves with the base. Every mode
@@ -183,7 +183,7 @@ def _model(rig: Rig, moving_base: bool, modes: int) -> _Model:
 
 
 def _applied(
-    rig: Rig, force_n: Course, base: dict[str, Float[np.ndarray, " samples"]], step_s: float, now: slice
+    rig: Rig, force_n: ForceSignal, base: dict[str, Float[np.ndarray, " samples"]], step_s: float, now: slice
 ) -> tuple[Float[np.ndarray, "inputs more"], Float[np.ndarray, "inputs more"]]:
     """The known forces at the samples `now` and at the one before, and how they bend in between.
 

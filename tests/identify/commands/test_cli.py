@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from identify.commands import cli
-from identify.contacts.results import ContactReport, Stretches
+from identify.contacts.results import ContactReport, Segments
 from rig.simulation.reference import Sdof
 
 
@@ -47,16 +47,16 @@ def test_json_on_standard_output_is_the_report_and_the_file(identify, recording,
     assert not list(tmp_path.glob("*.part*"))
 
 
-def test_stretches_are_pooled_and_shown_one_by_one(identify, recording, tmp_path):
-    status, out, err = identify("contact", recording, "--stretch", 10, "--use", "displacement", "--out", tmp_path)
+def test_segments_are_pooled_and_shown_one_by_one(identify, recording, tmp_path):
+    status, out, err = identify("contact", recording, "--segment", 10, "--use", "displacement", "--out", tmp_path)
     assert (status, err) == (0, "")
     assert "stop" in out
-    parts = msgspec.json.decode((tmp_path / "stretches.json").read_bytes(), type=Stretches).stretches
+    parts = msgspec.json.decode((tmp_path / "segments.json").read_bytes(), type=Segments).segments
     report = msgspec.json.decode((tmp_path / "contact.json").read_bytes(), type=ContactReport)
     assert [(p.start_s, p.end_s) for p in parts] == [(0.0, 30.0)]
     assert report.contacts[0].clearance_m.value == pytest.approx(Sdof().clearance_m, rel=1e-2)
-    assert (tmp_path / "stretches.png").stat().st_size > 10_000
-    status, _, err = identify("contact", recording, "--stretch", 0)
+    assert (tmp_path / "segments.png").stat().st_size > 10_000
+    status, _, err = identify("contact", recording, "--segment", 0)
     assert (status, err.count("\n")) == (1, 1)
     assert "10 s or more" in err
 

@@ -1,4 +1,4 @@
-"""Long records: identified stretch by stretch, and pooled."""
+"""Long records: identified segment by segment, and pooled."""
 
 import msgspec
 import numpy as np
@@ -12,7 +12,7 @@ from rig.simulation.reference import BarrelCradle, Sdof
 
 @pytest.mark.parametrize("shared", [0.0, 0.8, 3.0])
 def test_pooled_intervals_cover(shared):
-    """A part of the error is shared by all stretches; the estimates' own errors hold both parts."""
+    """A part of the error is shared by all segments; the estimates' own errors hold both parts."""
     rng = np.random.default_rng(3)
     covered = []
     for _ in range(2000):
@@ -29,8 +29,8 @@ def test_what_scatters_more_than_it_should_is_less_certain():
     assert pooled([Estimate(5.0, 0.1)]) == Estimate(5.0, 0.1)
 
 
-def test_a_long_record_in_stretches(one_mass):
-    report, parts = identify_long(one_mass, stretch_s=200.0, use="displacement")
+def test_a_long_record_in_segments(one_mass):
+    report, parts = identify_long(one_mass, segment_s=200.0, use="displacement")
     assert [round(p.start_s) for p in parts] == [0, 212, 412, 612]
     assert parts[-1].end_s == pytest.approx(825.0)
     (contact,) = report.contacts
@@ -45,7 +45,7 @@ def test_a_long_record_in_stretches(one_mass):
 def test_accelerometers_in_motion_tell_as_much(simulate, tmp_path):
     settings = BarrelCradle(sensors="acceleration", noise_density=1e-3, duration_s=90.0, step_s=2.0**-13)
     path = simulate(settings, tmp_path / "long.mcap")
-    report, parts = identify_long(path, stretch_s=40.0)
+    report, parts = identify_long(path, segment_s=40.0)
     assert len(parts) == 2
     for part in (*(p.report for p in parts), report):
         for contact in part.contacts:
@@ -54,8 +54,8 @@ def test_accelerometers_in_motion_tell_as_much(simulate, tmp_path):
             assert abs(contact.clearance_m.value - 5e-3) < 3 * contact.clearance_m.standard_error
 
 
-def test_a_contact_that_one_stretch_tells_is_answered(one_mass):
-    _, parts = identify_long(one_mass, stretch_s=400.0)
+def test_a_contact_that_one_segment_tells_is_answered(one_mass):
+    _, parts = identify_long(one_mass, segment_s=400.0)
     told = parts[0].report
     silent = msgspec.structs.replace(told, contacts=(), unanswered=({"name": "stop", "reason": "open"},))
     silent = msgspec.convert(msgspec.to_builtins(silent), type(told))
@@ -65,9 +65,9 @@ def test_a_contact_that_one_stretch_tells_is_answered(one_mass):
     assert together([silent]).unanswered == silent.unanswered
 
 
-def test_bad_stretches_are_refused(one_mass, tmp_path):
+def test_bad_segments_are_refused(one_mass, tmp_path):
     for length in (-1.0, 0.0, np.nan, np.inf):
         with pytest.raises(RigError, match="10 s or more"):
-            identify_long(one_mass, stretch_s=length)
+            identify_long(one_mass, segment_s=length)
     with pytest.raises(RigError, match="cannot be opened"):
-        identify_long(tmp_path / "none.mcap", stretch_s=10.0)
+        identify_long(tmp_path / "none.mcap", segment_s=10.0)

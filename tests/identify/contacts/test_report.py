@@ -78,7 +78,7 @@ def test_a_refused_contact_is_named_with_the_reason_and_what_to_do(silent, page)
 
 
 def test_the_sources_of_error_share_the_variance(found):
-    (answer,) = found.answers
+    (answer,) = found.estimates
     for shares in variance_shares(answer).values():
         assert sum(shares.values()) == pytest.approx(1.0)
         assert min(shares.values()) >= 0
@@ -91,11 +91,11 @@ def test_the_sources_of_error_share_the_variance(found):
     [("of_tolerances", "calibrate"), ("of_drift", "displacement sensors"), (None, "record longer")],
 )
 def test_what_rules_the_error_is_what_is_advised(found, source, remedy):
-    (answer,) = found.answers
+    (answer,) = found.estimates
     nothing = np.zeros((4, 4))
     parts = {"of_tolerances": nothing, "of_drift": nothing} | ({source: answer.covariance} if source else {})
-    ruled = replace(found, answers=(replace(answer, **parts),))
-    assert isinstance(ruled.answers[0], Joint)
+    ruled = replace(found, estimates=(replace(answer, **parts),))
+    assert isinstance(ruled.estimates[0], Joint)
     said = [line for line in surer(ruled) if line.startswith("Most of the variance")]
     assert len(said) == 1
     assert remedy in said[0]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from identify.gaps.residual.fit import derivative
-from identify.gaps.residual.residual import base_of, residual_of
+from identify.gaps.residual.residual import linearized, residual_of
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.attached import attached
 from rig.effects import effect_named
@@ -19,8 +19,8 @@ RIG = SETTINGS.rig()
 @pytest.fixture(scope="module")
 def believed():
     force_n = force_history(SETTINGS.force(), SETTINGS.duration_s, 1 / RIG.sample_rate_hz)
-    base = base_of(record_of(modal(RIG, RIG, force_n, 1)), RIG)
-    return base, residual_of(base, RIG)
+    linearization = linearized(record_of(modal(RIG, RIG, force_n, 1)), RIG)
+    return linearization, residual_of(linearization, RIG)
 
 
 @pytest.mark.parametrize("body", ["cradle", "barrel"])
@@ -36,14 +36,14 @@ def believed():
     ],
 )
 def test_its_column_is_that_of_the_model(believed, effect, body):
-    base, at = believed
+    linearization, at = believed
     moved = effect_named(f"{effect},relative_position=0.7,body={body}").applied_to(RIG)
-    (linear, contacts), (expected, laws) = attached(base, moved, at), derivative(base, moved, at)
+    (linear, contacts), (expected, laws) = attached(linearization, moved, at), derivative(linearization, moved, at)
     assert np.linalg.norm(linear - expected) < 0.05 * np.linalg.norm(expected)
     assert all(np.corrcoef(a, b)[0, 1] > 0.9 for a, b in zip(contacts, laws, strict=True))
 
 
 def test_of_any_other_rig_there_is_none(believed):
-    base, at = believed
-    assert attached(base, RIG, at) is None
-    assert attached(base, effect_named("force_gain:factor=1.1").applied_to(RIG), at) is None
+    linearization, at = believed
+    assert attached(linearization, RIG, at) is None
+    assert attached(linearization, effect_named("force_gain:factor=1.1").applied_to(RIG), at) is None

@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from identify.gaps.residual.fit import derivative
 from identify.gaps.residual.likelihood import reference_of
-from identify.gaps.residual.residual import base_of, residual_of
+from identify.gaps.residual.residual import linearized, residual_of
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.hypothesis import Search, fit_effects
@@ -58,12 +58,14 @@ def stacked(linear, contacts):
 def test_the_derivative_by_the_strength_foretells_the_residual_on_its_other_side(recorded):
     candidate, truth, record = recorded
     actual = candidate.applied(RIG, truth)
-    base = base_of(record, actual)
-    at = residual_of(base, actual)
+    linearization = linearized(record, actual)
+    at = residual_of(linearization, actual)
     step = np.zeros(truth.size)
     step[0] = 0.1 * candidate.steps[0]
-    column = stacked(*derivative(base, candidate.applied(RIG, truth + step), at))
-    there = residual_of(base, candidate.applied(RIG, truth - step), at.nuisance, tuple(c.unknowns for c in at.contacts))
+    column = stacked(*derivative(linearization, candidate.applied(RIG, truth + step), at))
+    there = residual_of(
+        linearization, candidate.applied(RIG, truth - step), at.nuisance, tuple(c.unknowns for c in at.contacts)
+    )
     grown = stacked(there.linear, [c.residual for c in there.contacts]) - stacked(
         at.linear, [c.residual for c in at.contacts]
     )
@@ -73,10 +75,10 @@ def test_the_derivative_by_the_strength_foretells_the_residual_on_its_other_side
 
 def test_a_fit_from_a_third_of_its_strength_finds_it(recorded):
     candidate, truth, record = recorded
-    base, believed = fit_nuisance(record, RIG)
+    linearization, believed = fit_nuisance(record, RIG)
     neutral = [p.neutral for p in candidate.parameters.values()]
     start = np.array([t if n is None else n + 0.3 * (t - n) for t, n in zip(truth, neutral, strict=True)])
-    begun = Search(reference_of(base_of(record, RIG)), base, believed, ())
+    begun = Search(reference_of(linearized(record, RIG)), linearization, believed, ())
     found = fit_effects(begun, (candidate,), start, believed).hypothesis
     assert found.misfit.minus_two_log < begun.nothing().cost
     np.testing.assert_allclose(found.values, truth, rtol=0.05, atol=1e-12)
@@ -84,6 +86,6 @@ def test_a_fit_from_a_third_of_its_strength_finds_it(recorded):
 
 def test_the_frequency_of_a_tone_stands_out_of_the_residual():
     _, truth, record = case("tone:mass")
-    base, believed = fit_nuisance(record, RIG)
-    found = followed_hz(base, believed, 3)
+    linearization, believed = fit_nuisance(record, RIG)
+    found = followed_hz(linearization, believed, 3)
     assert np.min(np.abs(found - truth[2])) < 0.1 / SETTINGS.duration_s

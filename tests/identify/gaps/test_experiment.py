@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from identify.gaps.decision import experiment
 from identify.gaps.decision.experiment import begun_on, disagreement, experiments, next_experiments, refitted
 from identify.gaps.residual.likelihood import reference_of
-from identify.gaps.residual.residual import base_of
+from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import AGAIN
 from identify.gaps.search.candidates import candidates, scale_of
@@ -35,7 +35,7 @@ def believed():
 def cause(believed):
     """A cause at some value, known as exactly as its standard error says."""
     record, _ = believed
-    nothing = Search(reference_of(base_of(record, RIG)), *fit_nuisance(record, RIG), ()).nothing().hypothesis
+    nothing = Search(reference_of(linearized(record, RIG)), *fit_nuisance(record, RIG), ()).nothing().hypothesis
     known = candidates(scale_of(record, RIG), [s.name for s in RIG.sensors], record.zero_known)
 
     def made(name, value, error):

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import periodogram
 
 from rig.errors import RigError
-from rig.simulation.excitation import QUIET_S, RISE_S, excitation_of, force_course, force_history
+from rig.simulation.excitation import QUIET_S, RISE_S, excitation_of, force_history, force_signal
 
 STEP_S = 2.0**-11
 KINDS = ["gaussian", "burst", "sweep", "multisine", "free_decay"]
@@ -121,7 +121,7 @@ def test_a_force_that_cannot_be_is_refused(changes, sentence):
 
 def long_force(duration_s=1100.0, step_s=STEP_S, **changes):
     settings = {"rms_n": 3.0, "low_hz": 20.0, "high_hz": 80.0} | changes
-    return force_course(excitation_of("gaussian", **settings), duration_s, step_s)
+    return force_signal(excitation_of("gaussian", **settings), duration_s, step_s)
 
 
 def test_a_long_force_is_the_same_however_it_is_sliced_and_stepped():
@@ -144,7 +144,7 @@ def test_a_long_force_has_its_level_and_its_band_everywhere():
 
 def test_a_force_that_is_not_long_is_an_array():
     assert isinstance(
-        force_course(excitation_of("gaussian", rms_n=3.0, low_hz=20.0, high_hz=80.0), 30.0, STEP_S), np.ndarray
+        force_signal(excitation_of("gaussian", rms_n=3.0, low_hz=20.0, high_hz=80.0), 30.0, STEP_S), np.ndarray
     )
 
 

@@ -5,7 +5,7 @@ import pytest
 from msgspec.structs import replace
 
 from identify.gaps.residual.nuisance import apply_nuisance
-from identify.gaps.residual.residual import base_of, residual_of
+from identify.gaps.residual.residual import linearized, residual_of
 from identify.gaps.residual.spectra import record_of
 from rig.model.tolerances import LABORATORY
 from rig.simulation.excitation import force_history
@@ -17,16 +17,16 @@ RIG = SETTINGS.rig()
 
 
 @pytest.fixture(scope="module")
-def base():
+def linearization():
     force_n = force_history(SETTINGS.force(), SETTINGS.duration_s, 1 / RIG.sample_rate_hz)
-    return base_of(record_of(modal(RIG, RIG, force_n, 1)), RIG)
+    return linearized(record_of(modal(RIG, RIG, force_n, 1)), RIG)
 
 
-def test_nuisance_parameters_of_a_single_mass_and_its_sensor_are_put_into_the_rig(base):
-    values = np.arange(1.0, 1.0 + len(base.columns.parameters))
-    found, put = apply_nuisance(RIG, base.columns.parameters, values, LABORATORY)
-    by_name = {p.name: v for p, v in zip(base.columns.parameters, values, strict=True)}
-    taken = [p.kind in ("frequency", "damping", "gain") for p in base.columns.parameters]
+def test_nuisance_parameters_of_a_single_mass_and_its_sensor_are_put_into_the_rig(linearization):
+    values = np.arange(1.0, 1.0 + len(linearization.columns.parameters))
+    found, put = apply_nuisance(RIG, linearization.columns.parameters, values, LABORATORY)
+    by_name = {p.name: v for p, v in zip(linearization.columns.parameters, values, strict=True)}
+    taken = [p.kind in ("frequency", "damping", "gain") for p in linearization.columns.parameters]
     np.testing.assert_array_equal(put, np.where(taken, values, 0.0))
     (body,), (sensor,) = RIG.bodies, RIG.sensors
     assert found.bodies == (
@@ -47,14 +47,14 @@ def test_columns_are_what_another_rig_leaves_through_a_sensor_that_reads_wrong()
     sensors = tuple(replace(s, gain=0.5 if i == 2 else 1.0, delay_s=0.0) for i, s in enumerate(believed.sensors))
     rig = replace(believed, sensors=sensors)
     force_n = force_history(settings.force(), settings.duration_s, 1 / rig.sample_rate_hz)
-    base = base_of(record_of(modal(rig, rig, force_n, 1)), rig)
+    linearization = linearized(record_of(modal(rig, rig, force_n, 1)), rig)
     small = 1e-2
     for body in rig.bodies:
         modulus = body.youngs_modulus_pa * (1 + small * LABORATORY.frequency) ** 2
         bodies = tuple(replace(b, youngs_modulus_pa=modulus) if b == body else b for b in rig.bodies)
-        change = residual_of(base, rig).bare - residual_of(base, replace(rig, bodies=bodies)).bare
-        names = [p.name for p in base.columns.parameters]
-        expected = small * base.columns.residual[names.index(f"frequency of {body.name}")]
+        change = residual_of(linearization, rig).bare - residual_of(linearization, replace(rig, bodies=bodies)).bare
+        names = [p.name for p in linearization.columns.parameters]
+        expected = small * linearization.columns.residual[names.index(f"frequency of {body.name}")]
         assert np.linalg.norm(change - expected) < 0.02 * np.linalg.norm(change)
 
 
@@ -67,11 +67,11 @@ def test_a_mode_whose_frequency_is_off_leaves_its_column_exactly_by_the_measured
         b.scale_frequencies(1 + stiffer * LABORATORY.frequency) if b.name == "barrel" else b for b in rig.bodies
     )
     record = record_of(modal(rig, replace(rig, bodies=bodies), force_n, 1))
-    base = base_of(record, rig)
-    names = [p.name for p in base.columns.parameters]
+    linearization = linearized(record, rig)
+    names = [p.name for p in linearization.columns.parameters]
     values = np.zeros(len(names))
     values[names.index("frequency of barrel")] = stiffer
-    before, after = (residual_of(base, rig, v).linear for v in (np.zeros(len(names)), values))
+    before, after = (residual_of(linearization, rig, v).linear for v in (np.zeros(len(names)), values))
     assert np.linalg.norm(after) < 0.1 * np.linalg.norm(before)
 
 
@@ -80,11 +80,11 @@ def test_the_fitted_rig_leaves_by_itself_what_was_left_beside_the_nuisance_param
     rig = settings.rig()
     force_n = force_history(settings.force(), settings.duration_s, 1 / rig.sample_rate_hz)
     record = record_of(modal(rig, rig, force_n, 1))
-    base = base_of(record, rig)
-    held = [p.mode is None and p.kind not in ("position", "high-pass") for p in base.columns.parameters]
+    linearization = linearized(record, rig)
+    held = [p.mode is None and p.kind not in ("position", "high-pass") for p in linearization.columns.parameters]
     values = np.where(held, 0.3 * np.random.default_rng(1).standard_normal(len(held)), 0.0)
-    at, believed = residual_of(base, rig, values), residual_of(base, rig)
-    there = residual_of(base_of(record, at.corrected_rig), at.corrected_rig)
+    at, believed = residual_of(linearization, rig, values), residual_of(linearization, rig)
+    there = residual_of(linearized(record, at.corrected_rig), at.corrected_rig)
     assert np.linalg.norm(there.linear - at.linear) < 0.05 * np.linalg.norm(believed.linear - at.linear)
 
 
@@ -94,4 +94,4 @@ def test_a_rig_whose_modes_leave_the_band_has_the_same_nuisance_parameters():
     force_n = force_history(settings.force(), settings.duration_s, 1 / rig.sample_rate_hz)
     record = record_of(modal(rig, rig, force_n, 1))
     softer = replace(rig, bodies=tuple(replace(b, youngs_modulus_pa=0.5 * b.youngs_modulus_pa) for b in rig.bodies))
-    assert base_of(record, softer).columns.parameters == base_of(record, rig).columns.parameters
+    assert linearized(record, softer).columns.parameters == linearized(record, rig).columns.parameters

@@ -127,7 +127,7 @@ def test_nuisances_do_not_shrink_the_data(world):
     gains = [v for name, v in zip(own.names, fitted.theta, strict=True) if name.startswith("gain")]
     assert len(gains) == len(world.rig.sensors) + 1
     assert np.max(np.abs(gains)) < 4
-    shrinking = without(replace(own, stretch=np.zeros_like(own.stretch)))
+    shrinking = without(replace(own, trace=np.zeros_like(own.trace)))
     assert np.sum(shrinking.theta**2) > np.sum(fitted.theta**2)
 
 

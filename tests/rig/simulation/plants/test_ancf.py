@@ -95,7 +95,7 @@ def test_a_free_beam_keeps_its_momentum():
     assert rate == pytest.approx(4 * np.sum(force_n) * step_s / beam.mass_kg, rel=5e-3)
 
 
-def test_stretches_hardly_show(monkeypatch):
+def test_segments_hardly_show(monkeypatch):
     rig = BarrelCradle(stations=4, clearance_1_m=1.0, clearance_2_m=1.0).rig()  # no contact: it would amplify rounding
     step_s = 2.0**-12
     force_n = 40 * np.sin(2 * np.pi * 10 * np.arange(700) * step_s)

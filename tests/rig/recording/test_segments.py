@@ -1,4 +1,4 @@
-"""A recording read stretch by stretch."""
+"""A recording read segment by segment."""
 
 import tracemalloc
 
@@ -7,7 +7,7 @@ import pytest
 
 from rig.errors import RigError
 from rig.recording import channel_groups, container, read, writing
-from rig.recording.stretches import stretches
+from rig.recording.segments import segments
 from rig.simulation.reference import Sdof
 
 RIG = Sdof().rig()
@@ -17,7 +17,7 @@ SAMPLES = 400_000
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
-    path = tmp_path_factory.mktemp("stretches") / "long.mcap"
+    path = tmp_path_factory.mktemp("segments") / "long.mcap"
     rng = np.random.default_rng(1)
     with writing(path, RIG, channel_groups(RIG), {"made_by": "a test"}) as recording:
         for first in range(0, SAMPLES, 3000):
@@ -27,9 +27,9 @@ def path(tmp_path_factory):
 
 
 @pytest.mark.parametrize(("length_s", "overlap_s"), [(20.0, 0.0), (20.0, 5.0), (31.7, 12.0), (1e4, 1.0)])
-def test_the_stretches_are_what_is_in_the_file(path, length_s, overlap_s):
+def test_the_segments_are_what_is_in_the_file(path, length_s, overlap_s):
     whole = read(path)
-    begin, parts = 0, list(stretches(path, length_s, overlap_s))
+    begin, parts = 0, list(segments(path, length_s, overlap_s))
     for part in parts:
         assert part.rig == whole.rig
         assert part.start_s == begin / RATE_HZ
@@ -43,10 +43,10 @@ def test_the_stretches_are_what_is_in_the_file(path, length_s, overlap_s):
         assert length_s / 2 < parts[-1].duration_s < 1.5 * length_s
 
 
-def test_no_more_is_held_than_a_stretch(path, monkeypatch):
+def test_no_more_is_held_than_a_segment(path, monkeypatch):
     monkeypatch.setattr(container, "_PIECE_BYTES", 1 << 19)
     tracemalloc.start()
-    for _ in stretches(path, 10.0, 2.0):
+    for _ in segments(path, 10.0, 2.0):
         pass
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
@@ -58,7 +58,7 @@ def test_a_file_that_is_cut_off_says_so_where_it_ends(path, tmp_path):
     cut.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     found = []
     with pytest.raises(RigError, match=f"{cut}: is cut off or damaged"):
-        found.extend(stretches(cut, 20.0, 0.0))
+        found.extend(segments(cut, 20.0, 0.0))
 
 
 def test_a_file_without_a_force_is_refused(tmp_path):
@@ -68,4 +68,4 @@ def test_a_file_without_a_force_is_refused(tmp_path):
         for name, channels in groups.items():
             recording.append(name, np.zeros((len(channels.names), 5000)))
     with pytest.raises(RigError, match="no channel /rig/force/block"):
-        next(stretches(path, 2.0, 0.0))
+        next(segments(path, 2.0, 0.0))

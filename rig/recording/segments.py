@@ -1,4 +1,4 @@
-"""A recording of any length, read stretch by stretch."""
+"""A recording of any length, read segment by segment."""
 
 from collections import defaultdict
 from collections.abc import Iterator
@@ -22,8 +22,8 @@ from rig.recording.file import (
 from rig.recording.messages import Block
 
 
-def stretches(path: Path, length_s: float, overlap_s: float) -> Iterator[Recording]:
-    """The recording in stretches of length_s, each with overlap_s of the one before; the last is up to half longer.
+def segments(path: Path, length_s: float, overlap_s: float) -> Iterator[Recording]:
+    """The recording in segments of length_s, each with overlap_s of the one before; the last is up to half longer.
 
     Holds no more than one of them. Raises RigError as `read` does, when it comes to what is wrong; and if the rig's
     description stands behind the samples.
@@ -31,12 +31,12 @@ def stretches(path: Path, length_s: float, overlap_s: float) -> Iterator[Recordi
     contents, blocks = Contents(), defaultdict[str, list[Block]](list)
     rig, begin = None, 0
     with container.opened(path) as file:
-        for name, block in container.told(path, gathering(container.whole(file, is_of_blocks), contents)):
+        for name, block in container.with_path_in_error(path, gathering(container.whole(file, is_of_blocks), contents)):
             rig = rig or _checked_rig(path, contents)
             blocks[name].append(block.copied())
             length, overlap = (round(s * rig.sample_rate_hz) for s in (length_s, overlap_s))
             if min(_end(blocks[name]) for name in contents.groups) >= begin + length + length // 2:
-                yield _stretch(path, rig, contents, blocks, begin, begin + length)
+                yield _segment(path, rig, contents, blocks, begin, begin + length)
                 begin += length - overlap
                 for held in blocks.values():
                     held[:] = [b for b in held if _end([b]) > begin]
@@ -44,7 +44,7 @@ def stretches(path: Path, length_s: float, overlap_s: float) -> Iterator[Recordi
     ends = {name: _end(blocks[name]) for name in contents.groups}
     if len(set(ends.values())) > 1:
         raise RigError(f"{path}: its groups differ in length ({ends}); every group needs the same samples")
-    yield _stretch(path, rig, contents, blocks, begin, ends["force"])
+    yield _segment(path, rig, contents, blocks, begin, ends["force"])
 
 
 def _checked_rig(path: Path, contents: Contents) -> Rig:
@@ -62,7 +62,7 @@ def _end(blocks: list[Block]) -> int:
     return blocks[-1].first_sample + blocks[-1].values.shape[1] if blocks else 0
 
 
-def _stretch(
+def _segment(
     path: Path, rig: Rig, contents: Contents, blocks: defaultdict[str, list[Block]], begin: int, end: int
 ) -> Recording:
     signals = {}
