@@ -9,7 +9,8 @@ from jaxtyping import Complex, Float
 from scipy.fft import irfft, next_fast_len, rfft
 
 from rig.errors import RigError
-from rig.model.description import Quantity, Rig, Sensor, Station
+from rig.model.description import Rig, Sensor, Station
+from rig.model.quantities import QuantityName
 from rig.model.sensing import PASSBAND
 from rig.recording import Recording
 
@@ -19,8 +20,8 @@ CORNER_HZ = 0.5
 QUIET_S = 0.25
 BEGUN, NORMAL_BY_MEDIAN = 6.0, 1.4826
 
-_ORDER: dict[Quantity, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
 Use = Literal["auto", "displacement", "velocity", "acceleration"]
+"""Sensors of the motion; the bending that strain gauges show is not used."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ class Kinematics:
         )
 
 
-def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNER_HZ) -> Kinematics:
+def kinematics(recording: Recording, use: Use | QuantityName = "auto", corner_hz: float = CORNER_HZ) -> Kinematics:
     """Displacement, velocity and acceleration at every station with a sensor.
 
     In the frequency domain, with the end of the record tapered off: each sensor's gain and delay are divided out, and
@@ -90,12 +91,12 @@ def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNE
     Raises RigError if no such sensor is there, or the record is too short for its ends to be left out.
     """
     rig, rate = recording.rig, recording.rig.sample_rate_hz
-    sensors = [s for s in rig.sensors if use in ("auto", s.quantity)]
+    sensors = [s for s in rig.sensors if use in ("auto", s.quantity) and not s.measures.bends]
     if not sensors:
         raise RigError(f"the recording has no {use} sensors; it has {', '.join(sorted(recording.signals))}")
     stations = tuple(dict.fromkeys(s.station for s in sensors))
-    chosen = {s: {sensor.quantity: sensor for sensor in sensors if sensor.station == s} for s in stations}
-    integrates = any("displacement" not in have for have in chosen.values())
+    chosen = {s: {sensor.measures.order: sensor for sensor in sensors if sensor.station == s} for s in stations}
+    integrates = any(0 not in have for have in chosen.values())
     left_out = TAPER_S + (2 / corner_hz if integrates else 0.1)
     usable = recording.samples - round(left_out * rate)
     if usable < recording.samples / 2:
@@ -119,9 +120,9 @@ def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNE
             sensor = _nearest(chosen[station], order)
             if sensor.name not in spectra:
                 spectra[sensor.name] = _undone(sensor, _channel(recording, sensor) * ending, omega, length)
-            moved = spectra[sensor.name] * powers(order - _ORDER[sensor.quantity])
+            moved = spectra[sensor.name] * powers(order - sensor.measures.order)
             motion.append(irfft(moved, length)[:usable])
-        nothing = "displacement" in chosen[station]  # else the last sensor gave the acceleration
+        nothing = 0 in chosen[station]  # else the last sensor gave the acceleration
         lost.append(np.zeros(usable) if nothing else irfft(moved * below, length)[:usable])
     return Kinematics(
         stations=stations,
@@ -144,15 +145,15 @@ def acceleration_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stat
     """
     if motion.quiet_samples:
         return motion.acceleration_m_per_s2[:, : motion.quiet_samples].std(axis=1)
-    densities = {s.station: s.noise_density for s in rig.sensors if s.quantity == "acceleration"}
+    densities = {s.station: s.noise_density for s in rig.sensors if s.measures.order == 2}
     return np.array([densities.get(s, 0.0) for s in motion.stations]) * np.sqrt(motion.sample_rate_hz / 2)
 
 
-def _nearest(have: dict[Quantity, Sensor], order: int) -> Sensor:
+def _nearest(have: dict[int, Sensor], order: int) -> Sensor:
     """The sensor of this derivative, else one that needs differentiating, else one that needs integrating."""
 
     def cost(sensor: Sensor) -> int:
-        lacking = order - _ORDER[sensor.quantity]
+        lacking = order - sensor.measures.order
         return lacking if lacking >= 0 else 10 - lacking
 
     return min(have.values(), key=cost)

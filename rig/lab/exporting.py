@@ -10,9 +10,10 @@ from jaxtyping import Float
 
 from rig.files import atomic_write, write_bytes
 from rig.model.description import to_json
+from rig.model.quantities import QUANTITIES
 from rig.recording import RIG_NAME, Recording
 
-_UFF_KINDS = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13}
+_UFF_KINDS = {q.name: q.uff_kind for q in QUANTITIES.values()} | {"force": 13}
 _UFF_TIME = 17
 TOGETHER = 16384
 """Lines of a table that are written at once."""

@@ -1,19 +1,13 @@
 """The units in which a laboratory writes its numbers, and what makes them SI."""
 
-from rig.errors import RigError
+from collections.abc import Mapping
 
-STANDARD_GRAVITY = 9.80665
-_INCH = 0.0254
+from rig.errors import RigError
+from rig.model.quantities import QUANTITIES
+
 _POUND_FORCE = 4.4482216152605
-_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": _INCH}
-FACTORS: dict[str, dict[str, float]] = {
-    "displacement": _LENGTHS,
-    "velocity": {f"{unit}/s": factor for unit, factor in _LENGTHS.items()},
-    "acceleration": {
-        **{f"{unit}/s^2": factor for unit, factor in _LENGTHS.items()},
-        "g": STANDARD_GRAVITY,
-        "mg": 1e-3 * STANDARD_GRAVITY,
-    },
+FACTORS: dict[str, Mapping[str, float]] = {
+    **{q.name: q.units for q in QUANTITIES.values()},
     "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "lbf": _POUND_FORCE},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},
 }

@@ -55,6 +55,11 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         return self.youngs_modulus_pa * self.width_m * self.thickness_m**3 / 12
 
     @property
+    def half_thickness_m(self) -> float:
+        """From the neutral fibre to the surface."""
+        return self.thickness_m / 2
+
+    @property
     def kind(self) -> str:
         return self.ends
 
@@ -106,6 +111,18 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         cosh and sinh are never formed: the shapes are written with decaying exponentials, so they stay exact to
         rounding up to mode 40 (Gonçalves, Brennan and Elliott, J. Sound Vib. 301, 2007, treat the problem).
         """
+        return self._shapes(positions_m, modes, 1.0)
+
+    def curvatures(
+        self, positions_m: Float[np.ndarray, " stations"], modes: int
+    ) -> Float[np.ndarray, "stations modes"]:
+        """Second derivatives of the shapes, 1/(m^2 sqrt(kg)): beta^2 times them, with the trigonometric part turned."""
+        squares = (self._wavenumbers(modes) / self.length_m) ** 2
+        return squares * self._shapes(positions_m, modes, -1.0)
+
+    def _shapes(
+        self, positions_m: Float[np.ndarray, " stations"], modes: int, turned: float
+    ) -> Float[np.ndarray, "stations modes"]:
         self._check_modes(modes)
         relative = np.asarray(positions_m, dtype=float)[:, None] / self.length_m
         rigid = np.concatenate([np.ones_like(relative), np.sqrt(12) * (relative - 0.5)], axis=1)[:, : self.rigid_modes]
@@ -119,7 +136,7 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         elastic = (
             growing / denominator * np.exp(beta * (relative - 1))
             + (1 + sigma) / 2 * np.exp(-argument)
-            + sign * (np.cos(argument) - sigma * np.sin(argument))
+            + turned * sign * (np.cos(argument) - sigma * np.sin(argument))
         )
         return np.concatenate([rigid, elastic], axis=1)[:, :modes] / np.sqrt(self.mass_kg)
 

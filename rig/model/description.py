@@ -1,7 +1,7 @@
 """A rig as a value: bodies, contacts, the exciting force and the sensors. It travels in every recording as rig.json."""
 
 from collections.abc import Iterable
-from typing import Any, Literal
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -11,12 +11,12 @@ from rig.errors import RigError
 from rig.model.beam import Beam
 from rig.model.contact_laws import AnyLaw, DeadZone
 from rig.model.oscillator import Oscillator
+from rig.model.quantities import QUANTITIES, Quantity, QuantityName
 from rig.model.structure import Structure
 from rig.model.tolerances import Tolerances
 
-Quantity = Literal["displacement", "velocity", "acceleration"]
 Body = Beam | Oscillator | Structure
-UNITS: dict[str, str] = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N"}
+UNITS: dict[str, str] = {q.name: q.unit for q in QUANTITIES.values()} | {"force": "N"}
 LONGEST_DELAY_S = 1.0
 RISE_S = 0.5
 """Over which base motions and tones set in, so that a simulation begins at rest."""
@@ -47,17 +47,23 @@ class Sensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """A transverse motion sensor and its chain: delivers gain times the motion of delay_s ago, plus noise.
 
     noise_density is one-sided, in the quantity's unit per sqrt(Hz). measuring_range clips at plus and minus that value;
-    bits divides twice the range into 2^bits steps. None leaves either out.
+    bits divides twice the range into 2^bits steps. None leaves either out. fibre_m is a strain gauge's distance from
+    the neutral fibre; None stands for half the thickness of a beam.
     """
 
     name: str
     station: Station
-    quantity: Quantity
+    quantity: QuantityName
     gain: float = 1.0
     delay_s: float = 0.0
     noise_density: float = 0.0
     measuring_range: float | None = None
     bits: int | None = None
+    fibre_m: float | None = None
+
+    @property
+    def measures(self) -> Quantity:
+        return QUANTITIES[self.quantity]
 
     def __post_init__(self) -> None:
         if not _is_gain(self.gain):
@@ -72,6 +78,10 @@ class Sensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
             )
         if self.bits is not None and (self.measuring_range is None or not 2 <= self.bits <= 32):
             raise RigError(f"sensor {self.name!r}: bits is {self.bits}; give 2 to 32, together with a measuring_range")
+        if self.fibre_m is not None and not (self.measures.bends and 0 < abs(self.fibre_m) < np.inf):
+            raise RigError(
+                f"sensor {self.name!r}: fibre_m is {self.fibre_m}; give it to strain gauges, other than zero"
+            )
 
 
 class PointMass(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -236,6 +246,7 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         self._check_station("the force", self.force_at)
         for sensor in self.sensors:
             self._check_station(f"sensor {sensor.name!r}", sensor.station)
+            self.fibre_m(sensor)
         for contact in self.contacts:
             for station in contact_stations(contact):
                 self._check_station(f"contact {contact.name!r}", station)
@@ -261,6 +272,19 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
             if body.name == name:
                 return body
         raise RigError(f"rig {self.name!r} has no body {name!r}; it has {', '.join(b.name for b in self.bodies)}")
+
+    def fibre_m(self, sensor: Sensor) -> float:
+        """A strain gauge's distance from the neutral fibre; zero of other sensors. Raises RigError if not known."""
+        if not sensor.measures.bends:
+            return 0.0
+        body = self.body(sensor.station.body)
+        if body.is_mass:
+            raise RigError(
+                f"sensor {sensor.name!r} measures {sensor.quantity} of {body.name!r}, a mass; put it on a beam"
+            )
+        if sensor.fibre_m is None and body.half_thickness_m is None:
+            raise RigError(f"sensor {sensor.name!r}: how thick {body.name!r} is there is not known; give fibre_m")
+        return sensor.fibre_m or body.half_thickness_m or 0.0
 
     @property
     def beams(self) -> tuple[Beam, ...]:

@@ -28,6 +28,9 @@ class Modes(Protocol):
     def shapes(
         self, positions_m: Float[np.ndarray, " stations"], modes: int
     ) -> Float[np.ndarray, "stations modes"]: ...
+    def curvatures(
+        self, positions_m: Float[np.ndarray, " stations"], modes: int
+    ) -> Float[np.ndarray, "stations modes"]: ...
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,17 @@ class FiniteElementModes:
         return self.beam.damping_ratios(modes)
 
     def shapes(self, positions_m: Float[np.ndarray, " stations"], modes: int) -> Float[np.ndarray, "stations modes"]:
-        rows = [hermite(self.nodes_m, float(x)) for x in positions_m]
+        return self._interpolated(positions_m, modes, 0)
+
+    def curvatures(
+        self, positions_m: Float[np.ndarray, " stations"], modes: int
+    ) -> Float[np.ndarray, "stations modes"]:
+        return self._interpolated(positions_m, modes, 2)
+
+    def _interpolated(
+        self, positions_m: Float[np.ndarray, " stations"], modes: int, order: int
+    ) -> Float[np.ndarray, "stations modes"]:
+        rows = [hermite(self.nodes_m, float(x), order) for x in positions_m]
         return np.array(rows).reshape(len(rows), len(self.vectors)) @ self.vectors[:, :modes]
 
 
@@ -72,6 +85,11 @@ class CoupledModes:
 
     def shapes(self, positions_m: Float[np.ndarray, " stations"], modes: int) -> Float[np.ndarray, "stations modes"]:
         return self.structure.shapes(positions_m, self.structure.max_modes) @ self.vectors[:, :modes]
+
+    def curvatures(
+        self, positions_m: Float[np.ndarray, " stations"], modes: int
+    ) -> Float[np.ndarray, "stations modes"]:
+        return self.structure.curvatures(positions_m, self.structure.max_modes) @ self.vectors[:, :modes]
 
 
 Meshed = Beam | Oscillator
@@ -220,21 +238,22 @@ def held_coordinates(rig: Rig, body: Body) -> int:
 
 
 def hermite(nodes_m: Float[np.ndarray, " nodes"], position_m: float, order: int = 0) -> Float[np.ndarray, " n"]:
-    """Weights of (displacement, slope) of every node in the displacement at a position, or (order 1) in the slope.
+    """Weights of (displacement, slope) of every node in the displacement at a position, its slope or its curvature.
 
-    Cubic Hermite shapes. A single node is a mass: one coordinate, which has no slope.
+    Cubic Hermite shapes; the order of the derivative is 0, 1 or 2. A single node is a mass: one coordinate, which has
+    neither slope nor curvature.
     """
     if len(nodes_m) == 1:
-        return np.full(1, 1.0 - order)
+        return np.full(1, float(order == 0))
     i = int(np.clip(np.searchsorted(nodes_m, position_m, side="right") - 1, 0, len(nodes_m) - 2))
     h = nodes_m[i + 1] - nodes_m[i]
     s = (position_m - nodes_m[i]) / h
     weights = np.zeros(2 * len(nodes_m))
     weights[2 * i : 2 * i + 4] = (
-        (1 - 3 * s**2 + 2 * s**3, h * (s - 2 * s**2 + s**3), 3 * s**2 - 2 * s**3, h * (s**3 - s**2))
-        if order == 0
-        else (6 * (s**2 - s) / h, 1 - 4 * s + 3 * s**2, 6 * (s - s**2) / h, 3 * s**2 - 2 * s)
-    )
+        (1 - 3 * s**2 + 2 * s**3, h * (s - 2 * s**2 + s**3), 3 * s**2 - 2 * s**3, h * (s**3 - s**2)),
+        (6 * (s**2 - s) / h, 1 - 4 * s + 3 * s**2, 6 * (s - s**2) / h, 3 * s**2 - 2 * s),
+        ((12 * s - 6) / h**2, (6 * s - 4) / h, (6 - 12 * s) / h**2, (6 * s - 2) / h),
+    )[order]
     return weights
 
 

@@ -31,6 +31,11 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
             )
 
     @property
+    def half_thickness_m(self) -> None:
+        """It does not bend."""
+        return None
+
+    @property
     def kind(self) -> str:
         return "mass on a spring"
 
@@ -78,6 +83,12 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     def shapes(self, positions_m: Float[np.ndarray, " stations"], modes: int) -> Float[np.ndarray, "stations modes"]:
         return np.full((len(positions_m), self._one(modes)), 1 / np.sqrt(self.mass_kg))
+
+    def curvatures(
+        self, positions_m: Float[np.ndarray, " stations"], modes: int
+    ) -> Float[np.ndarray, "stations modes"]:
+        """It does not bend."""
+        return np.zeros((len(positions_m), self._one(modes)))
 
     def _one(self, modes: int) -> int:
         if modes != 1:

@@ -1,14 +1,15 @@
 """Which sensors a rig has of each quantity, and the band in which a recording shows them."""
 
-from rig.model.description import Quantity, Rig, Sensor
+from rig.model.description import Rig, Sensor
+from rig.model.quantities import QuantityName
 
 PASSBAND = 0.4
 """The chain is flat within 2e-5 up to this fraction of the sampling rate (and down by 100 dB at 1 - PASSBAND)."""
 
 
-def sensors_of(rig: Rig, quantity: Quantity) -> tuple[Sensor, ...]:
+def sensors_of(rig: Rig, quantity: QuantityName) -> tuple[Sensor, ...]:
     return tuple(s for s in rig.sensors if s.quantity == quantity)
 
 
-def quantities_of(rig: Rig) -> tuple[Quantity, ...]:
+def quantities_of(rig: Rig) -> tuple[QuantityName, ...]:
     return tuple(dict.fromkeys(s.quantity for s in rig.sensors))

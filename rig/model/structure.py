@@ -85,6 +85,11 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         return np.array([row.position_m for row in self.rows])
 
     @property
+    def half_thickness_m(self) -> None:
+        """Its modes do not say."""
+        return None
+
+    @property
     def kind(self) -> str:
         known = f"modal basis, {self.max_modes} modes"
         try:
@@ -137,6 +142,12 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         """Slopes of the spline through the shapes, in 1/(m sqrt(kg)); zero if only one place is given."""
         return self._interpolated(positions_m, 1)[:, : self._checked(modes)]
 
+    def curvatures(
+        self, positions_m: Float[np.ndarray, " stations"], modes: int
+    ) -> Float[np.ndarray, "stations modes"]:
+        """Second derivatives of the spline through the shapes: as good as the places are dense."""
+        return self._interpolated(positions_m, 2)[:, : self._checked(modes)]
+
     def gives(self, position_m: float) -> bool:
         """Whether the shapes at this place are data."""
         return bool(np.min(np.abs(self.positions_m - position_m)) <= SAME_PLACE_M)
@@ -169,7 +180,7 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         spline = _spline(self.rows)
         inside = np.clip(wanted, given[0], given[-1])
         if order:
-            return np.asarray(spline(inside, 1))
+            return np.asarray(spline(inside, order))
         found = np.asarray(spline(inside) + spline(inside, 1) * (wanted - inside)[:, None])
         if wanted.size:
             away = np.abs(wanted[:, None] - given[None, :])

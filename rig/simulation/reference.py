@@ -7,8 +7,9 @@ import msgspec
 from rig.errors import RigError
 from rig.model.beam import Beam
 from rig.model.contact_laws import DeadZone
-from rig.model.description import Contact, Quantity, Rig, Sensor, Station
+from rig.model.description import Contact, Rig, Sensor, Station
 from rig.model.oscillator import Oscillator
+from rig.model.quantities import QuantityName
 from rig.simulation.excitation import Excitation, excitation_of
 
 
@@ -168,7 +169,7 @@ def reference(scenario: str, settings: dict[str, str]) -> Sdof | BarrelCradle:
         raise RigError(f"{scenario}: {error}; see `rig record --help` for the settings") from error
 
 
-def _quantities(sensors: Quantity | Literal["both"]) -> tuple[Quantity, ...]:
+def _quantities(sensors: QuantityName | Literal["both"]) -> tuple[QuantityName, ...]:
     return ("displacement", "acceleration") if sensors == "both" else (sensors,)
 
 
@@ -181,7 +182,7 @@ def _equal_sides(clearance_m: float, stiffness_n_per_m: float, damping_n_s_per_m
     )
 
 
-def _sensor(station: Station, quantity: Quantity, noise_density: float) -> Sensor:
+def _sensor(station: Station, quantity: QuantityName, noise_density: float) -> Sensor:
     """A sensor named by body, position and quantity; displacement sensors stand in for the paper's known motion."""
     return Sensor(
         name=f"{station.body}_{round(station.position_m * 1000):04d}mm_{quantity}",

@@ -8,7 +8,8 @@ from jaxtyping import Float
 from scipy.signal.windows import kaiser
 
 from rig.errors import RigError
-from rig.model.description import Quantity, Rig, Sensor
+from rig.model.description import Rig, Sensor
+from rig.model.quantities import QuantityName
 from rig.model.sensing import quantities_of
 from rig.simulation.decimation import Decimator, decimated, decimator
 from rig.simulation.motion import Motion, Rows
@@ -22,7 +23,7 @@ class Samples:
     """A segment of a recording: the force and, per quantity, one row per sensor of that quantity; and the truth."""
 
     force_n: Float[np.ndarray, " samples"]
-    sensed: dict[Quantity, Float[np.ndarray, "sensors samples"]]
+    sensed: dict[QuantityName, Float[np.ndarray, "sensors samples"]]
     truth: dict[str, Float[np.ndarray, "rows samples"]]
 
 
@@ -92,7 +93,7 @@ def _filtered(
 
 def _delivered_all(
     rig: Rig,
-    quantity: Quantity,
+    quantity: QuantityName,
     filtered: Float[np.ndarray, "sensors samples"],
     streams: list[np.random.Generator],
 ) -> Float[np.ndarray, "some samples"]:

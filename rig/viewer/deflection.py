@@ -7,13 +7,12 @@ from jaxtyping import Float, Int
 from scipy.signal.windows import tukey
 
 from rig.errors import RigError
-from rig.model.description import Body, Quantity, Rig, Station
+from rig.model.description import Body, Rig, Station
 from rig.recording import Recording
 
 CORNER_HZ = 1.0
 TAPER_S = 0.5
 ALL = slice(None)
-_ORDER: dict[Quantity, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
 
 
 @dataclass(frozen=True)
@@ -60,16 +59,17 @@ def deflection(recording: Recording, truth: Recording | None) -> Deflection:
         stations = tuple(s for s in known.channels.stations if s is not None)
         return Deflection(truth.rig, stations, known.values, approximate=False)
     rig = recording.rig
-    nearest = {s.station: s for s in sorted(rig.sensors, key=lambda s: _ORDER[s.quantity], reverse=True)}
+    moving = [s for s in rig.sensors if not s.measures.bends]
+    nearest = {s.station: s for s in sorted(moving, key=lambda s: s.measures.order, reverse=True)}
     for body in rig.bodies:
         if body.name not in {station.body for station in nearest}:
-            raise RigError(f"body {body.name!r} has no sensor, so its motion cannot be shown; record one")
+            raise RigError(f"body {body.name!r} has no sensor of its motion, so that it cannot be shown; record one")
     rows = []
     for sensor in nearest.values():
         signals = recording.signals[sensor.quantity]
         row = signals.values[signals.channels.names.index(sensor.name)] / sensor.gain
-        rows.append(_integrated(row, _ORDER[sensor.quantity], rig.sample_rate_hz))
-    approximate = any(s.quantity != "displacement" for s in nearest.values())
+        rows.append(_integrated(row, sensor.measures.order, rig.sample_rate_hz))
+    approximate = any(s.measures.order for s in nearest.values())
     return Deflection(rig, tuple(nearest), np.stack(rows), approximate)
 
 

@@ -37,7 +37,7 @@ def drawn(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draws"]
         sensors.append(
             replace(sensor, station=moved[sensor.station], gain=sensor.gain * gain, delay_s=sensor.delay_s + delay_s)
         )
-        corners_hz.append(corner_hz if sensor.quantity == "acceleration" else 0.0)
+        corners_hz.append(corner_hz if sensor.measures.ac_coupled else 0.0)
     gain = rig.force_sensor.gain * (1 + tolerances.force_gain * next(draw))
     contacts = tuple(_contact(contact, tolerances, draw) for contact in rig.contacts)
     bodies = tuple(_body(rig, body, sensors, tolerances, draw) for body in rig.bodies)

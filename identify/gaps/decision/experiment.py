@@ -113,7 +113,7 @@ def experiments(record: Record, force_n: Float[np.ndarray, " samples"]) -> Itera
         end = Station(body.name, body.length_m)
         hung = partial(_with_mass, mass=PointMass(station=end, mass_kg=mass_kg))
         yield Experiment(f"hang a known {1e3 * mass_kg:.3g} g on {_said(rig, end)}", hung, again)
-    if any(s.quantity != "displacement" for s in rig.sensors):
+    if any(s.measures.order for s in rig.sensors):
         yield Experiment("measure displacements in place of accelerations", _with_displacements, again)
 
 

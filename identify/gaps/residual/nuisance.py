@@ -115,7 +115,7 @@ def _of_sensors(record: Record, model: Linear) -> Iterator[_Change]:
     turning = 1j * record.omega
     for i, sensor in enumerate(record.sensors):
         own = record.tolerances.of_sensor(sensor.name)
-        corner = 2 * np.pi * own.high_pass_hz if sensor.quantity == "acceleration" else 0.0
+        corner = 2 * np.pi * own.high_pass_hz if sensor.measures.ac_coupled else 0.0
         factors: dict[Kind, Complex[np.ndarray, " lines"]] = {
             "gain": np.full(turning.size, own.gain, dtype=complex),
             "delay": -own.delay_s * turning,

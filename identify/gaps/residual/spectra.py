@@ -22,7 +22,7 @@ from identify.signals.kinematics import (
 )
 from identify.signals.spectra import force_band
 from rig.errors import RigError
-from rig.model.description import Quantity, Rig, Sensor
+from rig.model.description import Rig, Sensor
 from rig.model.sensing import PASSBAND, sensors_of
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
@@ -40,7 +40,6 @@ FINE_HZ = 8000.0
 """Contact laws are evaluated at no less; at twice that nothing changes."""
 COUNTED_HZ = 20.0
 """So many samples a second count as independent, of all channels together."""
-ORDER: dict[Quantity, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
 
 
 @dataclass(frozen=True)
@@ -143,7 +142,10 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         )
     if not np.any(recording.force_n):
         raise RigError("the measured force is zero throughout; the diagnosis needs an excited record")
-    quantity: Quantity = max((s.quantity for s in rig.sensors), key=ORDER.__getitem__)
+    moving = [s for s in rig.sensors if not s.measures.bends]
+    if not moving:
+        raise RigError("the recording has no sensors of motion; the diagnosis needs them, best accelerometers")
+    quantity = max(moving, key=lambda s: s.measures.order).quantity
     sensors = sensors_of(rig, quantity)
     motion = kinematics(recording, quantity)
     high_hz = min(REACH * force_band(recording.force_n, rate)[1], motion.trusted_hz[1])
@@ -164,12 +166,12 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     measured = spectrum(np.stack([_row(recording, s) for s in sensors]))
     beyond_rad = 2 * np.pi * rate / length * np.arange(lines - 1, measured.shape[1])
     turned, twice_less = (
-        np.stack([integrated(omega, order - ORDER[s.quantity], low_hz) for s in sensors]) for order in (2, 0)
+        np.stack([integrated(omega, order - s.measures.order, low_hz) for s in sensors]) for order in (2, 0)
     )
     smooth = uniform_filter1d(np.abs(measured[:, :lines]) ** 2, max(1, round(SMOOTHED_HZ * length / rate)), axis=1)
     noise = acceleration_noise(motion, rig)
     densities = _densities(sensors, motion)
-    size = np.stack([omega ** (2 - ORDER[s.quantity]) for s in sensors])
+    size = np.stack([omega ** (2 - s.measures.order) for s in sensors])
     return Record(
         rig=rig,
         sensors=sensors,
@@ -209,7 +211,7 @@ def _eta_beyond(
         for station, sign in ((contact.at, 1.0), (contact.against, -1.0)):
             for i, sensor in enumerate(sensors):
                 if sensor.station == station:
-                    found[j] += sign * heard * measured[i] * integrated(omega, -ORDER[sensor.quantity], CORNER_HZ)
+                    found[j] += sign * heard * measured[i] * integrated(omega, -sensor.measures.order, CORNER_HZ)
     return found
 
 
@@ -238,5 +240,5 @@ def _densities(sensors: tuple[Sensor, ...], motion: Kinematics) -> Float[np.ndar
         inner = (hz > 0) & (hz < PASSBAND * rate)
         heard = dict(zip(motion.stations, np.sqrt(np.median(power[:, inner], axis=1) / np.log(2)), strict=True))
     return np.array(
-        [heard.get(s.station, s.noise_density) if s.quantity == "acceleration" else s.noise_density for s in sensors]
+        [heard.get(s.station, s.noise_density) if s.measures.order == 2 else s.noise_density for s in sensors]
     )

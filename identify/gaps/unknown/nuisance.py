@@ -51,7 +51,7 @@ def nuisances(
     singly = np.eye(len(record.sensors))
     for sensor, single, delivered in zip(record.sensors, singly, record.delivered / model.sensor_response, strict=True):
         exact = tolerances.of_sensor(sensor.name)
-        corner = 2 * np.pi * exact.high_pass_hz if sensor.quantity == "acceleration" else 0.0
+        corner = 2 * np.pi * exact.high_pass_hz if sensor.measures.ac_coupled else 0.0
         turned = np.stack([-exact.delay_s * 1j * omega, -corner / (1j * omega + max(corner, 1e-12))])
         take(f"gain of {sensor.name}", exact.gain * single[:, None], delivered, single)
         take(f"delay of {sensor.name}", single[:, None] * turned[0], delivered, single)

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 
 from identify.gaps.residual.linear import Linear, linear_model
-from identify.gaps.residual.spectra import ORDER, Record
+from identify.gaps.residual.spectra import Record
 from identify.signals.kinematics import NORMAL_BY_MEDIAN, taper
 from identify.structure.response import Response
 from rig.errors import RigError
@@ -218,7 +218,7 @@ def plain_noise(record: Record) -> Float[np.ndarray, "sensors lines"]:
     found = record.noise.copy()
     for i, sensor in enumerate(record.sensors):
         if sensor.noise_density > 0:
-            size = sensor.noise_density * record.omega ** (2 - ORDER[sensor.quantity])
+            size = sensor.noise_density * record.omega ** (2 - sensor.measures.order)
             found[i] = np.minimum(found[i], record.samples * size**2 * record.sample_rate_hz / 2)
     return found
 

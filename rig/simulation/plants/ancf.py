@@ -31,6 +31,7 @@ from rig.simulation.plants.mesh import (
     coordinates_at_rest,
     inertia,
     mesh_positions,
+    sensor_row,
     static_load,
     station_row,
 )
@@ -75,8 +76,9 @@ def simulate(
         time_s = np.arange(len(force_n)) * step_s
         courses_n = [applied_n, *(tone.force_n(time_s) for tone in rig.tones)]
         limits_m = softening_limits_m(rig)
-        kinds = ["displacement", *sorted({s.quantity for s in rig.sensors} - {"displacement"})]
-        readers = {kind: _read_nodes(exu, mbs, meshes, kind) for kind in kinds}
+        readers = {
+            order: _read_nodes(exu, mbs, meshes, order) for order in {0, *(s.measures.order for s in rig.sensors)}
+        }
         force_readers = [
             mbs.AddSensor(
                 _item("SensorObject")(
@@ -93,7 +95,7 @@ def simulate(
             for load, course_n in zip(loads, courses_n, strict=True):
                 system.SetLoadParameter(load, "load", float(course_n[sample]))
             if base and set_base:
-                set_base(float(base["acceleration"][sample]))
+                set_base(float(base[2][sample]))
             for change in changes:
                 change(sample, time_s)
             return True
@@ -103,29 +105,29 @@ def simulate(
         if rig.loads:
             mbs.systemData.SetODE2Coordinates(coordinates_at_rest(rig, meshes), exu.ConfigurationType.Initial)
         settings = _settings(exu, step_s)
-        places = {*stations_of(rig), *(sensor.station for sensor in rig.sensors), *(c.at for c in connections(rig))}
-        rows = {s: station_row(meshes, s) for s in places}
+        rows = {s: station_row(meshes, s) for s in {*stations_of(rig), *(c.at for c in connections(rig))}}
+        sensors = [(s.measures, sensor_row(rig, meshes, s)) for s in rig.sensors]
         for first in range(0, len(force_n) - 1, BLOCK_STEPS):
             last = min(first + BLOCK_STEPS, len(force_n) - 1)
             _advance(exu, mbs, settings, first, last, step_s)
             keep = slice(0 if first == 0 else 1, None)
-            moved = {kind: read()[:, keep] for kind, read in readers.items()}
+            moved = {order: read()[:, keep] for order, read in readers.items()}
             if not all(np.isfinite(m).all() for m in moved.values()):
                 raise RigError(
                     f"the ancf plant diverged before {last * step_s:.3f} s at step {step_s} s; use a smaller step"
                 )
-            displaced = {s: row @ moved["displacement"] for s, row in rows.items()}
+            displaced = {s: row @ moved[0] for s, row in rows.items()}
             between = [displaced[c.at] - (displaced[c.against] if c.against else 0) for c in connections(rig)]
-            check_softening(limits_m, _stack(between, moved["displacement"].shape[1]))
-            count = moved["displacement"].shape[1]
-            now = slice(last + 1 - count, last + 1)
-            carried = {kind: base[kind][now] if base else 0.0 for kind in kinds}
+            check_softening(limits_m, _stack(between, moved[0].shape[1]))
+            now = slice(last + 1 - (count := moved[0].shape[1]), last + 1)
+            carried = [course[now] for course in base] if base else [0.0] * 3
+            sensed = [row @ moved[m.order] + carried[m.order] * (not m.bends) for m, row in sensors]
             yield Motion(
                 start_s=(first + (0 if first == 0 else 1)) * step_s,
                 step_s=step_s,
                 force_n=force_n[now],
-                sensed=_stack([rows[s.station] @ moved[s.quantity] + carried[s.quantity] for s in rig.sensors], count),
-                displacement_m=_stack([displaced[s] + carried["displacement"] for s in stations_of(rig)], count),
+                sensed=_stack(sensed, count),
+                displacement_m=_stack([displaced[s] + carried[0] for s in stations_of(rig)], count),
                 eta_m=_stack(between[: len(rig.contacts)], count),
                 contact_force_n=_stack([mbs.GetSensorStoredData(s)[keep, 1] for s in force_readers], count),
             )
@@ -285,10 +287,9 @@ def free_coordinates(rig: Rig, mesh: Mesh) -> Int[np.ndarray, " free"]:
     return transverse[held_coordinates(rig, mesh.body) :]
 
 
-def _read_nodes(exu: Any, mbs: Any, meshes: list[Mesh], kind: str) -> Callable[[], Float[np.ndarray, "rows samples"]]:
-    """Sensors on every node for one kind of motion; the returned function gives all transverse coordinates."""
-    suffix = {"displacement": "", "velocity": "_t", "acceleration": "_tt"}[kind]
-    output = getattr(exu.OutputVariableType, "Coordinates" + suffix)
+def _read_nodes(exu: Any, mbs: Any, meshes: list[Mesh], order: int) -> Callable[[], Float[np.ndarray, "rows samples"]]:
+    """Sensors on every node for one derivative in time; the returned function gives all transverse coordinates."""
+    output = getattr(exu.OutputVariableType, ("Coordinates", "Coordinates_t", "Coordinates_tt")[order])
     sensors = [
         (mbs.AddSensor(_item("SensorNode")(nodeNumber=node, storeInternal=True, outputVariableType=output)), mesh)
         for mesh in meshes

@@ -13,7 +13,6 @@ from rig.simulation.motion import ForceSignal
 
 SPLINED = 64
 """So many samples to either side decide a spline's value to the last digit."""
-_ORDERS = ("displacement", "velocity", "acceleration")
 
 
 def true_force(
@@ -34,14 +33,15 @@ def true_force(
     return np.where(shifted < 0, measured_n[:1], between) / sensor.gain
 
 
-def base_motion(rig: Rig, samples: int, step_s: float) -> dict[str, Float[np.ndarray, " samples"]]:
+def base_motion(rig: Rig, samples: int, step_s: float) -> tuple[Float[np.ndarray, " samples"], ...]:
     """Displacement, velocity and acceleration of the base at multiples of the step, each the other's derivative.
 
-    It sets in from rest over half a second. Raises RigError if the band does not fit the record or the step.
+    Empty where it stands still. It sets in from rest over half a second. Raises RigError if the band does not fit the
+    record or the step.
     """
     base = rig.base_motion
     if base is None:
-        return {}
+        return ()
     if base.high_hz * step_s > 0.25:
         raise RigError(f"step is {step_s} s; a base motion up to {base.high_hz} Hz needs at most 1/(4 high_hz)")
     spectrum = noise_spectrum(samples, step_s, base.low_hz, base.high_hz, base.seed)
@@ -54,7 +54,7 @@ def base_motion(rig: Rig, samples: int, step_s: float) -> dict[str, Float[np.nda
     rise, slope, bend = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2, 60 * s * (1 - s) * (1 - 2 * s)
     slope, bend = slope / RISE_S, bend / RISE_S**2
     moved = (rise * d, slope * d + rise * v, bend * d + 2 * slope * v + rise * a)
-    return {order: scale * row for order, row in zip(_ORDERS, moved, strict=True)}
+    return tuple(scale * row for row in moved)
 
 
 def connections(rig: Rig) -> tuple[Contact, ...]:

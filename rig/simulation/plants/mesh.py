@@ -8,7 +8,7 @@ from jaxtyping import Float
 from scipy.linalg import block_diag, eigh
 
 from rig.model.beam import Beam
-from rig.model.description import Rig, Station, contact_stations
+from rig.model.description import Rig, Sensor, Station, contact_stations
 from rig.model.modes import Meshed, held_coordinates, hermite, matrices
 from rig.simulation.plants.loading import connections, equilibrium
 
@@ -24,9 +24,9 @@ class Mesh:
     def node_at(self, position_m: float) -> int:
         return self.nodes[int(np.argmin(np.abs(self.positions_m - position_m)))]
 
-    def row(self, position_m: float) -> Float[np.ndarray, " transverse"]:
-        """Weights of (value, slope) of every node in the transverse motion at a position: cubic Hermite shapes."""
-        return hermite(self.positions_m, position_m)
+    def row(self, position_m: float, order: int = 0) -> Float[np.ndarray, " transverse"]:
+        """Weights of (value, slope) of every node in the transverse motion at a position, or a derivative along it."""
+        return hermite(self.positions_m, position_m, order)
 
     @property
     def transverse(self) -> list[int]:
@@ -50,14 +50,20 @@ def mesh_positions(rig: Rig, beam: Beam, elements: int) -> Float[np.ndarray, " n
     return np.append(np.concatenate(pieces), beam.length_m)
 
 
-def station_row(meshes: list[Mesh], station: Station) -> Float[np.ndarray, " rows"]:
-    """Weights of all transverse coordinates of all bodies in the motion of a station."""
+def station_row(meshes: list[Mesh], station: Station, order: int = 0) -> Float[np.ndarray, " rows"]:
+    """Weights of all transverse coordinates of all bodies in the motion of a station, or a derivative of it along."""
     return np.concatenate(
         [
-            mesh.row(station.position_m if mesh.body.name == station.body else 0.0) * (mesh.body.name == station.body)
+            mesh.row(station.position_m, order) if mesh.body.name == station.body else 0.0 * mesh.row(0.0)
             for mesh in meshes
         ]
     )
+
+
+def sensor_row(rig: Rig, meshes: list[Mesh], sensor: Sensor) -> Float[np.ndarray, " rows"]:
+    """Its measurement operator over all transverse coordinates; the curvature is that of the finite elements."""
+    value, curvature = (station_row(meshes, sensor.station, order) for order in (0, 2))
+    return sensor.measures.operator(value, curvature, rig.fibre_m(sensor))
 
 
 def static_load(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:

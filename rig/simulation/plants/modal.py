@@ -10,7 +10,7 @@ from scipy.linalg import expm
 
 from rig.errors import RigError
 from rig.model.contact_laws import ContactLaw
-from rig.model.description import Body, Rig, Station, contact_stations, stations_of
+from rig.model.description import Body, Rig, Sensor, Station, contact_stations, stations_of
 from rig.model.modes import Modes, modes_of, modes_wanted, participation
 from rig.simulation.motion import ForceSignal, Motion, Progress, Projected
 from rig.simulation.plants.loading import (
@@ -31,12 +31,14 @@ BENT = 8
 class _Model:
     """Modes of all bodies, the shapes at every station, what acts on them, and where they rest.
 
-    gains are the modal forces per unit of each known force: the exciting force, static loads, the base, tones.
+    sensed are the sensors' measurement operators over the modal coordinates, gains the modal forces per unit of each
+    known force: the exciting force, static loads, the base, tones.
     """
 
     omega: Float[np.ndarray, " modes"]
     zeta: Float[np.ndarray, " modes"]
     rows: dict[Station, Float[np.ndarray, " modes"]]
+    sensed: Float[np.ndarray, "sensors modes"]
     across: Float[np.ndarray, "contacts modes"]
     laws: tuple[ContactLaw, ...]
     gains: Float[np.ndarray, "inputs modes"]
@@ -64,7 +66,7 @@ def simulate(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress, 
 
     limits_m = softening_limits_m(rig)
     base = base_motion(rig, len(force_n), step_s)
-    model = _model(rig, bool(base), modes)
+    model, measured = _model(rig, bool(base), modes), [s.measures for s in rig.sensors]
     propagate, response = _propagator(model.omega, model.zeta, step_s)
     driven, pushed = (
         (response[:, None] * g[:, None]).reshape(3, len(g), 2 * model.omega.size) for g in (model.gains, -model.across)
@@ -95,14 +97,16 @@ def simulate(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress, 
         heard_n = _without_alias(course_n, course_bent_n)
         sensed = _observed(rig, model, moved, applied[:, 1:], heard_n)
         if base:
-            sensed += np.array([base[s.quantity][now] for s in rig.sensors]).reshape(sensed.shape)
+            sensed += np.array([0.0 * base[0][now] if m.bends else base[m.order][now] for m in measured]).reshape(
+                sensed.shape
+            )
         coordinates = moved[:, : model.omega.size]
         yield Motion(
             start_s=first * step_s,
             step_s=step_s,
             force_n=force_n[now],
             sensed=sensed,
-            displacement_m=Projected(shapes, coordinates, base["displacement"][now] if base else None),
+            displacement_m=Projected(shapes, coordinates, base[0][now] if base else None),
             eta_m=Projected(model.across[: len(rig.contacts)], coordinates),
             contact_force_n=contact_n[: len(rig.contacts)],
         )
@@ -119,14 +123,12 @@ def _observed(
     size = model.omega.size
     sensed = np.empty((len(rig.sensors), len(states)))
     first = 0
-    for quantity, alike in groupby(rig.sensors, lambda s: s.quantity):
-        rows = np.array([model.rows[s.station] for s in alike])
+    for order, alike in groupby(rig.sensors, lambda s: s.measures.order):
+        rows = model.sensed[first : first + len(list(alike))]
         into = sensed[first : first + len(rows)]
         first += len(rows)
-        if quantity == "displacement":
-            np.matmul(rows, states[:, :size].T, out=into)
-        elif quantity == "velocity":
-            np.matmul(rows, states[:, size:].T, out=into)
+        if order < 2:
+            np.matmul(rows, states[:, order * size : (order + 1) * size].T, out=into)
         else:
             own = np.concatenate([-(model.omega**2) * rows, -2 * model.zeta * model.omega * rows], axis=1)
             pushed = np.concatenate([rows @ model.gains.T, -rows @ model.across.T], axis=1)
@@ -174,6 +176,7 @@ def _model(rig: Rig, moving_base: bool, modes: int) -> _Model:
         omega=omega,
         zeta=zeta,
         rows=rows,
+        sensed=np.array([_sensed_row(rig, bodies, s) for s in rig.sensors]).reshape(-1, omega.size),
         across=across,
         laws=laws,
         gains=np.array(gains),
@@ -183,7 +186,7 @@ def _model(rig: Rig, moving_base: bool, modes: int) -> _Model:
 
 
 def _applied(
-    rig: Rig, force_n: ForceSignal, base: dict[str, Float[np.ndarray, " samples"]], step_s: float, now: slice
+    rig: Rig, force_n: ForceSignal, base: tuple[Float[np.ndarray, " samples"], ...], step_s: float, now: slice
 ) -> tuple[Float[np.ndarray, "inputs more"], Float[np.ndarray, "inputs more"]]:
     """The known forces at the samples `now` and at the one before, and how they bend in between.
 
@@ -195,7 +198,7 @@ def _applied(
     if rig.loads:
         rows.append(np.ones(rows[0].size))
     if base:
-        rows.append(np.append(np.zeros(rest), base["acceleration"][around]))
+        rows.append(np.append(np.zeros(rest), base[2][around]))
     time_s = np.arange(around.start - rest, around.stop) * step_s
     rows += [tone.force_n(time_s) for tone in rig.tones]
     inputs = np.array(rows)
@@ -239,14 +242,22 @@ def _bends(inputs: Float[np.ndarray, "inputs samples"]) -> Float[np.ndarray, "in
     return bends
 
 
-def _shape_row(bodies: list[tuple[Body, Modes, int]], station: Station) -> Float[np.ndarray, " allmodes"]:
-    """The shapes of all bodies' modes at a station; zero for the modes of the other bodies."""
+def _shape_row(
+    bodies: list[tuple[Body, Modes, int]], station: Station, curvature: bool = False
+) -> Float[np.ndarray, " allmodes"]:
+    """The shapes, or their curvatures, of all bodies' modes at a station; zero for the modes of the other bodies."""
+    place = np.array([station.position_m])
     return np.concatenate(
         [
-            shapes.shapes(np.array([station.position_m]), n)[0] if body.name == station.body else np.zeros(n)
-            for body, shapes, n in bodies
+            (modes.curvatures if curvature else modes.shapes)(place, n)[0] if body.name == station.body else np.zeros(n)
+            for body, modes, n in bodies
         ]
     )
+
+
+def _sensed_row(rig: Rig, bodies: list[tuple[Body, Modes, int]], sensor: Sensor) -> Float[np.ndarray, " allmodes"]:
+    shape, curvature = (_shape_row(bodies, sensor.station, bent) for bent in (False, True))
+    return sensor.measures.operator(shape, curvature, rig.fibre_m(sensor))
 
 
 def _propagator(

@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
+import rig
 from identify.signals.kinematics import CORNER_HZ, TAPER_S, acceleration_noise, kinematics
 from rig.errors import RigError
 from rig.model.contact_laws import DeadZone
@@ -13,6 +15,7 @@ from rig.model.oscillator import Oscillator
 from rig.model.sensing import PASSBAND
 from rig.recording import Recording, Signals
 from rig.recording.channels import Channels
+from rig.simulation.reference import BarrelCradle
 
 RATE_HZ = 512.0
 DURATION_S = 16.0
@@ -190,3 +193,16 @@ def test_noise_is_heard_before_the_force_or_else_described(quiet_s):
     heard = max(1.0, (quiet_s - 0.05) * RATE_HZ)
     tolerance = 4 / np.sqrt(2 * heard) if quiet_s else 1e-12
     assert found == pytest.approx(density * np.sqrt(RATE_HZ / 2), rel=tolerance)
+
+
+def test_strain_gauges_are_recorded_and_left_out(tmp_path):
+    settings = BarrelCradle(sensors="displacement", duration_s=4.0)
+    believed = settings.rig()
+    gauge = Sensor(name="root", station=Station("cradle", 0.0), quantity="strain", noise_density=1e-9)
+    without, beside = (
+        rig.record(one, tmp_path / f"{k}.mcap", force=settings.force(), duration_s=4.0, step_s=settings.step_s)
+        for k, one in enumerate((believed, msgspec.structs.replace(believed, sensors=(*believed.sensors, gauge))))
+    )
+    assert beside["root"].unit == "m/m"
+    assert 1e-6 < np.std(beside["root"]) < 1e-2
+    np.testing.assert_array_equal(kinematics(without).displacement_m, kinematics(beside).displacement_m)

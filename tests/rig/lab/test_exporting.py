@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from rig.lab.exporting import WRITERS, export
 from rig.lab.importing import import_file
+from rig.model.description import Sensor, Station
 from rig.recording import channel_groups, read, writing
 from rig.simulation.reference import BarrelCradle
 
@@ -12,6 +14,8 @@ from rig.simulation.reference import BarrelCradle
 @pytest.mark.parametrize("form", WRITERS)
 def test_an_exported_recording_comes_back_by_the_map_beside_it(tmp_path, form):
     rig, rng = BarrelCradle(stations=4).rig(), np.random.default_rng(2)
+    gauge = Sensor(name="root", station=Station("cradle", 0.0), quantity="strain")
+    rig = replace(rig, sensors=(*rig.sensors, gauge))
     groups = channel_groups(rig)
     with writing(tmp_path / "r.mcap", rig, groups, {}) as recording:
         for name, group in groups.items():

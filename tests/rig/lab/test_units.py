@@ -16,6 +16,8 @@ from rig.lab.units import FACTORS, si_factor
         ("velocity", "m/s", "mm/s", 1e3),
         ("force", "lbf", "N", 0.45359237 * 9.80665),
         ("time", "min", "ms", 60e3),
+        ("strain", "ustrain", "m/m", 1e-6),
+        ("strain", "µm/m", "mm/m", 1e-3),
     ],
 )
 def test_units_are_what_they_are_defined_to_be(quantity, unit, other, ratio):

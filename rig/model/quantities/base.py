@@ -1,0 +1,39 @@
+"""What a sensor measures: the measurement operator from a body's transverse motion to the channel's unit."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+Row = Float[np.ndarray, " coordinates"]
+LENGTHS: Mapping[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": 0.0254}
+
+
+def value(at_place: Row, _: Row, __: float) -> Row:
+    """The motion at the sensor's place."""
+    return at_place
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """d^order/dt^order of a linear operator on w(x): with w = sum shapes(x) q, one row over the coordinates q.
+
+    `operator` makes the row from those of w and of its curvature w'' at the sensor's place, and the distance of a
+    strain gauge from the neutral fibre. `units` are what laboratories write, with their values in `unit`, which is SI.
+    """
+
+    name: str
+    unit: str
+    units: Mapping[str, float]
+    order: int
+    operator: Callable[[Row, Row, float], Row] = value
+    ac_coupled: bool = False
+    """Whether its sensors have a high-pass (IEPE)."""
+    uff_kind: int = 0
+    """Data type in universal file format 58; 0: general."""
+    bends: bool = field(init=False)
+    """Whether it is of the curvature: a moving base, and a body that moves without bending, are not sensed."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "bends", bool(np.any(self.operator(np.zeros(1), np.ones(1), 1.0))))
