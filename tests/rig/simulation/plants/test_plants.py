@@ -11,7 +11,8 @@ from scipy.integrate import cumulative_trapezoid, solve_ivp
 from rig.errors import RigError
 from rig.model.contact_laws import DeadZone
 from rig.model.contact_laws.hunt_crossley import HuntCrossley
-from rig.model.description import Sensor, Station, contact_stations
+from rig.model.description import Contact, Rig, Sensor, Station, contact_stations
+from rig.model.oscillator import Oscillator
 from rig.simulation.excitation import QUIET_S, BandLimitedGaussian, force_history
 from rig.simulation.motion import joined
 from rig.simulation.plants import PLANTS, ancf, modal, plant_named
@@ -95,6 +96,48 @@ def test_one_mass_with_any_law_moves_as_a_solver_says(plant, law):
     motion = simulated(plant, rig, 5 * np.sin(6 * np.pi * time_s), step_s)
     assert np.count_nonzero(np.diff(law.penetration_m(motion.eta_m[0], time_s) != 0)) > 4
     assert np.linalg.norm(motion.eta_m[0] - expected) < 1e-3 * np.linalg.norm(expected)
+
+
+def test_three_masses_in_a_chain_move_as_a_solver_says(plant):
+    """Each knocks against the next, the last against the ground too: a third body needs nothing of its own."""
+    masses = tuple(
+        Oscillator(name=f"mass {k}", mass_kg=1.0 + k, frequency_hz=4.0, damping_ratio=0.02) for k in range(3)
+    )
+    places = [Station(m.name) for m in masses]
+    law = DeadZone(lower_clearance_m=4e-4, upper_clearance_m=3e-4, stiffness_n_per_m=2e4, damping_n_s_per_m=10.0)
+    pairs = ((0, 1), (1, 2), (2, None))
+    rig = Rig(
+        name="chain",
+        bodies=masses,
+        contacts=tuple(
+            Contact(name=f"contact {i}", at=places[i], against=None if j is None else places[j], law=law)
+            for i, j in pairs
+        ),
+        force_at=places[0],
+        sensors=tuple(
+            Sensor(name=m.name, station=at, quantity="displacement") for m, at in zip(masses, places, strict=True)
+        ),
+        sample_rate_hz=512.0,
+    )
+    step_s = 2.0**-14
+    time_s = np.arange(2**14) * step_s
+    weights = np.zeros((3, 3))
+    for row, (i, j) in zip(weights, pairs, strict=True):
+        row[i], row[2 if j is None else j] = 1.0, 1.0 if j is None else -1.0
+    mass_kg, stiffness, damping = (
+        np.array([getattr(m, field) for m in masses]) for field in ("mass_kg", "stiffness_n_per_m", "damping_n_s_per_m")
+    )
+
+    def rates(now_s, state):
+        x, v = np.split(state, 2)
+        push = np.array([8 * np.sin(6 * np.pi * now_s), 0.0, 0.0])
+        forces = push - stiffness * x - damping * v - weights.T @ law.force_n(weights @ x, weights @ v)
+        return np.concatenate([v, forces / mass_kg])
+
+    expected = solve_ivp(rates, (0, 1), np.zeros(6), t_eval=time_s, rtol=1e-9, atol=1e-12, max_step=2e-3).y[:3]
+    motion = simulated(plant, rig, 8 * np.sin(6 * np.pi * time_s), step_s)
+    assert all(np.count_nonzero(row) > 100 for row in motion.contact_force_n)
+    assert np.linalg.norm(motion.sensed - expected) < 3e-3 * np.linalg.norm(expected)
 
 
 ELEMENTS = 20
