@@ -19,7 +19,6 @@ from rich.table import Table
 
 from identify.contacts.estimates import Contacts, find_contacts
 from identify.contacts.joint import Joint
-from identify.signals.tolerances import jittered
 from rig.commands.command_line import run
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Rig
@@ -28,6 +27,7 @@ from rig.recording import Recording, Signals, channel_groups, read
 from rig.simulation.plants import modal, plant_named
 from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle
+from scenarios.jitter import jittered
 from scenarios.tasks import Dask, run_tasks
 
 QUANTITIES = ("clearance", "stiffness", "damping")

@@ -11,11 +11,11 @@ from scipy.stats import norm, t
 
 from identify.signals.descent import Step, descended
 from identify.signals.drift import Drift, Spline, spline
+from identify.signals.scores import PARTS, part_scores
 from identify.signals.spectra import decimated, oversampled
 from rig.errors import RigError
 from rig.model.contact_laws import DeadZone
 
-PARTS = 16
 STEPS, SETTLED = 30, 1e-7
 FINE_HZ = 16384.0
 """The contact force is evaluated at this rate at least, so that its kinks do not alias."""
@@ -149,10 +149,9 @@ def fit_joint(seen: ContactRecord, nuisance_signals: Sequence[NuisanceSignal] = 
     chosen[-len(free) :] = np.eye(len(free))
     inverse = splu(hessian).solve(chosen)
     influence = (_jacobian(state, curve, tie * scale) @ inverse) * weights[:, None] ** 2  # of residuals on parameters
-    parts = zip(np.array_split(influence, PARTS), np.array_split(state.residual, PARTS), strict=True)
     left = PARTS - len(free)  # parts are few: Student's t, so that 1.96 standard errors cover 95 %
     few = np.sqrt(PARTS / left) * t.ppf(0.975, left) / norm.ppf(0.975)
-    scatter = few * np.array([i.T @ r for i, r in parts])
+    scatter = few * part_scores(influence, state.residual)
     moved = [force - state.by_eta * eta[:: seen.factor][: force.size] for force, eta in nuisance_signals]
     doubted = np.array([influence.T @ m for m in moved]).reshape(-1, len(free))
     drifted = curve.curvature @ inverse[: curve.knots]  # each row of the prior is uncertain by one

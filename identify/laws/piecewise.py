@@ -8,13 +8,13 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 from scipy.signal import resample
 
+from identify.signals.scores import part_scores
 from identify.signals.spectra import decimated
 
 FINE_HZ = 4096.0
 """A law is evaluated at this rate at least, so that its knees do not alias."""
 HATS = 81
 STIFFENING = 1e-3
-PARTS = 16
 WORSE = 1.02
 """A knee is left out if the error of the fit without it is at most this multiple."""
 FINEST = 1e-3
@@ -164,8 +164,7 @@ def _fitted(seen: Sampled, rows: Rows, start_m: Float[np.ndarray, " knees"]) -> 
     columns, heights, residual = linear(knees)
     full = np.concatenate([columns, by_knees(knees, heights)], axis=1) if knees.size else columns
     influence = full @ np.linalg.pinv(full.T @ full)
-    parts = zip(np.array_split(influence, PARTS), np.array_split(residual, PARTS), strict=True)
-    scores = np.array([i.T @ r for i, r in parts])
+    scores = part_scores(influence, residual)
     count = heights.size
     slope_scores = np.cumsum(scores[:, 1:count], axis=1)
     law = PiecewiseLinear(

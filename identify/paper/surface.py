@@ -6,11 +6,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import least_squares, minimize
 
+from identify.signals.scores import PARTS, part_scores
 from identify.signals.spectra import decimated
 from identify.structure.modal import ModalEquation
 from rig.model.contact_laws import penetration_m
 
-PARTS = 16
 """Into how many parts a record is cut for standard errors."""
 LEAST_CONTACT = 2e-3
 """A contact that is closed for a smaller share of the time tells nothing about its clearance."""
@@ -170,8 +170,5 @@ def _sandwich(
     scale[scale == 0] = 1.0
     scaled = jacobian / scale
     inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)
-    scores = np.array(
-        [j.T @ r for j, r in zip(np.array_split(scaled, PARTS), np.array_split(residual, PARTS), strict=True)]
-    )
-    middle = scores.T @ scores * PARTS / (PARTS - 1)
-    return np.asarray(inverse @ middle @ inverse / np.outer(scale, scale))
+    scores = part_scores(scaled @ inverse, residual) / scale
+    return np.asarray(scores.T @ scores * PARTS / (PARTS - 1))

@@ -9,13 +9,13 @@ from identify.gaps.residual.linear import linear_model
 from identify.gaps.residual.nuisance import columns_of
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates
-from identify.signals.tolerances import jittered
 from rig.effects.base import Scale
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.structure import structure_of
 from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import Recording, read
+from scenarios.jitter import jittered
 
 FINELY = np.linspace(0, 1, 401)
 

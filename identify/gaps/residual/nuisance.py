@@ -13,6 +13,7 @@ from identify.gaps.residual.linear import Linear, bent
 from identify.gaps.residual.projection import Projection
 from identify.gaps.residual.spectra import Record
 from identify.structure.response import Response, times
+from identify.structure.sensor_chain import chain_sensitivities
 from rig.model.description import Body, Rig, Sensor
 from rig.model.modes import modes_of
 from rig.model.tolerances import Tolerances
@@ -109,19 +110,11 @@ def _projected(
 
 
 def _of_sensors(record: Record, model: Linear) -> Iterator[_Change]:
-    """Gain g, delay tau and the corner w of a first-order high-pass i omega / (i omega + w) of each sensor."""
+    """Of each sensor's chain."""
     explained = record.delivered - model.residual[: len(record.sensors)] * model.deviation
     displaced = record.displaced / model.sensor_response
-    turning = 1j * record.omega
     for i, sensor in enumerate(record.sensors):
-        own = record.tolerances.of_sensor(sensor.name)
-        corner = 2 * np.pi * own.high_pass_hz if sensor.measures.ac_coupled else 0.0
-        factors: dict[Kind, Complex[np.ndarray, " lines"]] = {
-            "gain": np.full(turning.size, own.gain, dtype=complex),
-            "delay": -own.delay_s * turning,
-            "high-pass": -corner / (turning + corner) if corner else np.zeros_like(turning),
-        }
-        for kind, factor in factors.items():
+        for kind, factor in chain_sensitivities(sensor, record.tolerances, record.omega).items():
             if np.any(factor):
                 yield _Change(Nuisance(kind, sensor.name), [i], factor * explained[[i]], factor * displaced[[i]])
 

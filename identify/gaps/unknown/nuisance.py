@@ -7,6 +7,7 @@ from identify.gaps.residual.nuisance import BEYOND
 from identify.gaps.residual.spectra import Record
 from identify.gaps.unknown.observed import Observed, bare_residual, inverse_of, with_columns
 from identify.signals.kinematics import CORNER_HZ, integrated
+from identify.structure.sensor_chain import chain_sensitivities
 from rig.model.description import Rig
 
 
@@ -50,12 +51,8 @@ def nuisances(
     take("gain of the force", tolerances.force_gain * by_force, record.force, np.zeros(len(record.sensors)))
     singly = np.eye(len(record.sensors))
     for sensor, single, delivered in zip(record.sensors, singly, record.delivered / model.sensor_response, strict=True):
-        exact = tolerances.of_sensor(sensor.name)
-        corner = 2 * np.pi * exact.high_pass_hz if sensor.measures.ac_coupled else 0.0
-        turned = np.stack([-exact.delay_s * 1j * omega, -corner / (1j * omega + max(corner, 1e-12))])
-        take(f"gain of {sensor.name}", exact.gain * single[:, None], delivered, single)
-        take(f"delay of {sensor.name}", single[:, None] * turned[0], delivered, single)
-        take(f"high-pass of {sensor.name}", single[:, None] * turned[1], delivered, single)
+        for kind, factor in chain_sensitivities(sensor, tolerances, omega).items():
+            take(f"{kind} of {sensor.name}", single[:, None] * factor, delivered, single)
     for response, motion in zip(model.responses, own.modal, strict=True):
         body = response.body
         inverse = np.zeros((response.count, len(record.sensors)))

@@ -38,6 +38,6 @@ def test_the_reference_gives_its_rig_and_not_its_force():
 
 
 def test_the_rule_would_notice():
-    forbidden = ast.parse("from rig.simulation.plants import modal\nfrom identify.signals.tolerances import jittered")
+    forbidden = ast.parse("from rig.simulation.plants import modal\nfrom identify.signals.kinematics import kinematics")
     names = [node.module for node in ast.walk(forbidden) if isinstance(node, ast.ImportFrom)]
     assert not {*names} & ALLOWED
