@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import rerun as rr
 import rerun.blueprint as rrb
 
-from rig.model.description import Contact, Rig
+from rig.model.description import UNITS, Contact, Rig
+from rig.model.quantities import QUANTITIES, QuantityName
+from rig.model.sensing import quantities_of, sensors_of
 
 TIMELINE = "sim_time"
 WINDOW_S = 0.5
@@ -39,6 +41,11 @@ class Layout:
 def entity(*parts: str) -> str:
     """The entity path of these parts, whatever characters their names have."""
     return str(rr.new_entity_path(list(parts)))
+
+
+def plotted(rig: Rig) -> list[QuantityName]:
+    """The measured quantities that have plots: all but displacements, which the moving bodies show."""
+    return [name for name in quantities_of(rig) if QUANTITIES[name].order or QUANTITIES[name].bends]
 
 
 def blueprint(layout: Layout) -> rrb.Blueprint:
@@ -99,10 +106,11 @@ def _phase(layout: Layout, contact: Contact) -> rrb.View | rrb.Container:
 
 
 def _plots(layout: Layout) -> list[rrb.View | rrb.Container]:
-    accelerations = [
-        _plot(layout, entity("acceleration", body.name), f"{body.name}: acceleration, m/s²")
+    measured = [
+        _plot(layout, entity(quantity, body.name), f"{body.name}: {quantity}, {UNITS[quantity].replace('^2', '²')}")
+        for quantity in plotted(layout.rig)
         for body in layout.rig.bodies
-        if any(s.quantity == "acceleration" and s.station.body == body.name for s in layout.rig.sensors)
+        if any(s.station.body == body.name for s in sensors_of(layout.rig, quantity))
     ]
     return [
         *(
@@ -118,7 +126,7 @@ def _plots(layout: Layout) -> list[rrb.View | rrb.Container]:
         rrb.Tabs(
             *([rrb.TextLogView(origin="/events", name="Contacts that close and open")] if layout.rig.contacts else []),
             _plot(layout, "exciting_force", "Exciting force, N"),
-            *accelerations,
+            *measured,
             active_tab=0,
         ),
     ]

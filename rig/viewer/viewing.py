@@ -13,8 +13,9 @@ from rig.errors import RigError
 from rig.files import atomic_write
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Contact
+from rig.model.sensing import sensors_of
 from rig.recording import Recording
-from rig.viewer.blueprint import Layout, blueprint, entity
+from rig.viewer.blueprint import Layout, blueprint, entity, plotted
 from rig.viewer.contact_view import Play, send_close_up, send_events, send_over_time, send_phase
 from rig.viewer.deflection import deflection
 from rig.viewer.drawing import FAINT, FORCE, LINES, STEEL, pixels, send, send_lines, style
@@ -114,8 +115,7 @@ def _belongs(truth: Recording, recording: Recording) -> bool:
 
 def _series_scalars(recording: Recording, truth: Recording | None) -> int:
     """How many scalars the time series have at full rate."""
-    accelerations = recording.signals.get("acceleration")
-    channels = len(accelerations.channels.names) if accelerations else 0
+    channels = sum(len(sensors_of(recording.rig, name)) for name in plotted(recording.rig))
     return recording.samples * (1 + channels + len(recording.rig.contacts) * (1 if truth is None else 2))
 
 
@@ -154,10 +154,10 @@ def _send_series(stream: rr.RecordingStream, recording: Recording, plays: Sequen
             path, name = entity("contact_force", play.contact.name), play.contact.name
             colours = (LINES[number % len(LINES)],)
             send_lines(stream, path, time_s[play.kept], play.force_n[None, play.kept], [name], colours)
-    if "acceleration" in recording.signals:
-        measured = recording.signals["acceleration"]
+    for quantity in plotted(recording.rig):
+        measured = recording.signals[quantity]
         for body in recording.rig.bodies:
             places = [(i, s) for i, s in enumerate(measured.channels.stations) if s is not None and s.body == body.name]
             values = measured.values[[i for i, _ in places], ::stride]
             names = [f"{s.position_m:g} m" for _, s in places]
-            send_lines(stream, entity("acceleration", body.name), time_s[::stride], values, names, LINES)
+            send_lines(stream, entity(quantity, body.name), time_s[::stride], values, names, LINES)

@@ -34,9 +34,9 @@ def drawn(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draws"]
             moved[sensor.station] = Station(sensor.station.body, place)
         gain, delay_s = 1 + own.gain * next(draw), own.delay_s * next(draw)
         corner_hz = abs(own.high_pass_hz * next(draw))
-        sensors.append(
-            replace(sensor, station=moved[sensor.station], gain=sensor.gain * gain, delay_s=sensor.delay_s + delay_s)
-        )
+        chain = {"gain": sensor.gain * gain, "delay_s": sensor.delay_s + delay_s}
+        fibre_m = rig.fibre_m(sensor) or None  # a structure does not know how thick it is
+        sensors.append(replace(sensor, station=moved[sensor.station], fibre_m=fibre_m, **chain))
         corners_hz.append(corner_hz if sensor.measures.ac_coupled else 0.0)
     gain = rig.force_sensor.gain * (1 + tolerances.force_gain * next(draw))
     contacts = tuple(_contact(contact, tolerances, draw) for contact in rig.contacts)

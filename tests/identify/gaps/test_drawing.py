@@ -5,6 +5,7 @@ import pytest
 from msgspec.structs import replace
 
 from identify.gaps.decision.drawing import drawn
+from rig.model.description import Sensor, Station
 from rig.model.tolerances import EXACT, LABORATORY
 from rig.simulation.reference import BarrelCradle, Sdof
 
@@ -48,3 +49,13 @@ def test_draws_scatter_as_the_tolerances_say():
     assert first.std() == pytest.approx(np.sqrt(2) * LABORATORY.frequency, rel=0.15)  # its own, and all together
     ratios = np.log([r.bodies[0].damping_ratios(3) / rig.bodies[0].damping_ratios(3) for r in rigs])
     assert ratios.std() == pytest.approx(np.sqrt(2) * LABORATORY.damping, rel=0.15)
+
+
+def test_strain_gauges_keep_their_fibre():
+    """The bodies that are drawn are given by their modes, which do not say how thick they are."""
+    rig = BarrelCradle(sensors="acceleration").rig()
+    gauge = Sensor(name="root", station=Station("cradle", 0.0), quantity="strain")
+    actual, _ = drawn(
+        replace(rig, sensors=(*rig.sensors, gauge)), LABORATORY, np.random.default_rng(3).standard_normal(600)
+    )
+    assert actual.sensors[-1].fibre_m == rig.body("cradle").half_thickness_m
