@@ -1,29 +1,15 @@
 """The library of unmodelled effects. One file each: adding an effect is adding a file, which is found by itself."""
 
-from importlib import import_module
-from pkgutil import iter_modules
-
 import msgspec
 
 from rig.effects.base import Effect
 from rig.errors import RigError
+from rig.registry import subclasses
 
 
 def effects() -> dict[str, type[Effect]]:
     """Every effect by its name, in alphabetical order."""
-    found = {}
-    for module in iter_modules(__path__, f"{__name__}."):
-        if module.name == Effect.__module__:
-            continue
-        for kind in vars(import_module(module.name)).values():
-            if (
-                isinstance(kind, type)
-                and issubclass(kind, Effect)
-                and kind is not Effect
-                and kind.__module__ == module.name
-            ):
-                found[kind.name] = kind
-    return dict(sorted(found.items()))
+    return {kind.name: kind for kind in sorted(subclasses(__path__, __name__, Effect), key=lambda kind: kind.name)}
 
 
 def effect_named(text: str) -> Effect:

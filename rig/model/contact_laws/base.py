@@ -1,6 +1,6 @@
 """What every contact law is: two stops with clearances, a force, its derivatives and the energy that it stores."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import msgspec
 import numpy as np
@@ -22,6 +22,9 @@ class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     conditions on the law's own numbers alone.
     """
 
+    signed: ClassVar[tuple[str, ...]] = ()
+    """Its numbers that may be below zero."""
+
     lower_clearance_m: float
     upper_clearance_m: float
     stiffness_n_per_m: float
@@ -31,7 +34,7 @@ class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     def __post_init__(self) -> None:
         for field in self.__struct_fields__:
             value = getattr(self, field)
-            if not (np.isfinite(value) and (value >= 0 or field == "cubic_n_per_m3")):
+            if not (np.isfinite(value) and (value >= 0 or field in self.signed)):
                 raise RigError(f"contact law: {field} is {value}; give a finite value, zero or above")
 
     @staticmethod

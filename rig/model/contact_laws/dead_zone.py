@@ -1,6 +1,6 @@
 """The dead zone (figures 2 and 11 of the paper)."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -29,6 +29,8 @@ class DeadZone(ContactLaw, frozen=True, kw_only=True, tag="dead_zone"):
     penetration, and the friction turns round over v0 = 0.02 m/s: a force that jumped would leave an implicit solver
     without a solution at some steps.
     """
+
+    signed: ClassVar[tuple[str, ...]] = ("cubic_n_per_m3",)
 
     cubic_n_per_m3: float = 0.0
     friction_n: float = 0.0
