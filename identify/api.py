@@ -236,7 +236,7 @@ def gap(
     validation: Source | None = None,
     *,
     simulator: str = "modal",
-    nulls: str | Path | None = None,
+    null_reference: str | Path | None = None,
     tolerances: Tolerances | str | None = None,
     matters: Matters | None = None,
     next_experiment: bool = False,
@@ -245,8 +245,8 @@ def gap(
     """Where the believed rig differs from reality, which effect causes it, how far the gap shrinks with it.
 
     The validation is not fitted: one of the recordings, or another; without it the last of several, or the last part of
-    a single one. `nulls` is a file, or a folder for it, that keeps the null reference for the next time. Raises
-    RigError if the recordings do not fit together or allow no diagnosis.
+    a single one. `null_reference` is a file, or a folder for it, that keeps the null reference for the next time.
+    Raises RigError if the recordings do not fit together or allow no diagnosis.
     """
     every = [recordings] if isinstance(recordings, Recording | str | Path) else list(recordings)
     known = {_identity(one): one for one in every}
@@ -254,9 +254,9 @@ def gap(
         raise RigError("a recording is given twice; give each once")
     given = {identity: _recording(one) for identity, one in known.items()}
     first = next(iter(given.values()))
-    kept = None if nulls is None else Path(nulls)
+    kept = None if null_reference is None else Path(null_reference)
     if kept and kept.is_dir():
-        kept /= f"{first.rig.name}-{simulator}.nulls.json"
+        kept /= f"{first.rig.name}-{simulator}.null_reference.json"
     with threadpool_limits(1):  # the matrices are small
         found, corrected = diagnose(
             list(given.values()),

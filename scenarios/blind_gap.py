@@ -76,14 +76,14 @@ def diagnose(
         str | None,
         typer.Option(help="How exactly the rigs are believed: laboratory, exact, or a TOML file; else as they say."),
     ] = None,
-    nulls_of: Annotated[
+    null_references_of: Annotated[
         Path | None, typer.Option(help="Folder of null references of another run; what lacks there is made.")
     ] = None,
     dask: Dask = None,
 ) -> None:
     """Diagnoses every case from its recordings alone; run again after an interruption, it goes on."""
     believed = tolerances_named(tolerances) if tolerances else None
-    found = diagnosed_cases(cases / "recordings", out, believed, nulls_of, dask)
+    found = diagnosed_cases(cases / "recordings", out, believed, null_references_of, dask)
     Console().print(f"{len(found)} diagnoses in {out / 'found.json'}", soft_wrap=True)
 
 

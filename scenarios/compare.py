@@ -114,7 +114,7 @@ def equation_by_equation(comparison: Comparison, title: str) -> None:
                 stiffness.contact,
                 "not told" if gap is None else f"{100 * (gap / law.clearance_m - 1):+.4f}",
                 f"{100 * (stiffness.mean_n_per_m.value / law.stiffness_n_per_m - 1):+.4f}",
-                f"{100 * stiffness.rms_spread_n_per_m / law.stiffness_n_per_m:.3f}",
+                f"{100 * stiffness.rms_deviation_n_per_m / law.stiffness_n_per_m:.3f}",
                 "nearly invisible" if stiffness.contact in each.nearly_invisible else "",
             )
     Console().print(table)

@@ -117,8 +117,8 @@ def diagnosed(recording: Recording) -> Told:
 
 def blind_diagnosed(fit: Recording, validate: Recording) -> Told:
     """As `scenarios.blind_gap diagnose` does it, with a null reference made anew."""
-    with tempfile.TemporaryDirectory() as nulls:
-        return told_of_gap(fit, gap_of(fit, validate, Path(nulls), None))
+    with tempfile.TemporaryDirectory() as null_reference:
+        return told_of_gap(fit, gap_of(fit, validate, Path(null_reference), None))
 
 
 def told_of_contacts(recording: Recording, report: ContactReport) -> Told:

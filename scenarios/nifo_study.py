@@ -56,7 +56,7 @@ class NifoEstimate(msgspec.Struct, frozen=True, kw_only=True):
     true_n_per_m: float
     mean_n_per_m: float
     error_n_per_m: float
-    spread_n_per_m: float
+    deviation_n_per_m: float
 
     @property
     def off_percent(self) -> float:
@@ -68,7 +68,7 @@ class NifoEstimate(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def spread_percent(self) -> float:
-        return 100 * self.spread_n_per_m / self.true_n_per_m
+        return 100 * self.deviation_n_per_m / self.true_n_per_m
 
 
 class NifoOutcome(msgspec.Struct, frozen=True):
@@ -208,9 +208,9 @@ def _estimates(rig: Rig, result: Nifo, form: Form, block_s: float, noise_density
             true_n_per_m=rig.contacts[j].law.stiffness_n_per_m,
             mean_n_per_m=float(mean),
             error_n_per_m=float(error),
-            spread_n_per_m=float(spread),
+            deviation_n_per_m=float(spread),
         )
         for j, mean, error, spread in zip(
-            result.contacts, result.mean_n_per_m, result.stiffness_error_n_per_m, result.spread_n_per_m, strict=True
+            result.contacts, result.mean_n_per_m, result.stiffness_error_n_per_m, result.deviation_n_per_m, strict=True
         )
     ]

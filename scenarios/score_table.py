@@ -21,7 +21,7 @@ def shown(boards: Mapping[str, Score], title: str) -> Table:
     table.add_row(
         "CPU time of a case, median, largest", *(f"{b.cpu_s_median:.0f} s, {b.cpu_s_largest:.0f} s" for b in several)
     )
-    table.add_row("CPU time of a null reference", *(_nulls(b) for b in several))
+    table.add_row("CPU time of a null reference", *(_null_reference(b) for b in several))
     table.add_row("largest memory", *(f"{b.memory_mib_largest:.0f} MiB" for b in several))
     return table
 
@@ -65,7 +65,7 @@ def _closure(board: Score) -> str:
     )
 
 
-def _nulls(board: Score) -> str:
-    if board.nulls_cpu_s_median is None:
+def _null_reference(board: Score) -> str:
+    if board.null_reference_cpu_s_median is None:
         return "made before"
-    return f"{board.nulls_cpu_s_median:.0f} s, {board.nulls_cpu_s_largest:.0f} s"
+    return f"{board.null_reference_cpu_s_median:.0f} s, {board.null_reference_cpu_s_largest:.0f} s"

@@ -43,8 +43,8 @@ class Score(msgspec.Struct, frozen=True, kw_only=True):
     closures: int
     cpu_s_median: float
     cpu_s_largest: float
-    nulls_cpu_s_median: float | None
-    nulls_cpu_s_largest: float | None
+    null_reference_cpu_s_median: float | None
+    null_reference_cpu_s_largest: float | None
     memory_mib_largest: float
     limits: dict[str, float]
 
@@ -148,7 +148,9 @@ def scored(compared: Sequence[ScoredCase]) -> Score:
         _rate("parameter in its 95 % interval", (abs(z) < 1.96 for _, z in parameter_errors(compared))),
     )
     closures = [c.gap.causes[0].explained / c.best.closes for c in compared if c.right and c.above]
-    made = list({c.found.key: c.found.nulls_cpu_s for c in compared if c.found.nulls_cpu_s > 0}.values())
+    made = list(
+        {c.found.key: c.found.null_reference_cpu_s for c in compared if c.found.null_reference_cpu_s > 0}.values()
+    )
     cpu_s = [c.found.cpu_s for c in compared]
     return Score(
         cases=len(compared),
@@ -157,8 +159,8 @@ def scored(compared: Sequence[ScoredCase]) -> Score:
         closures=len(closures),
         cpu_s_median=float(np.median(cpu_s)),
         cpu_s_largest=max(cpu_s),
-        nulls_cpu_s_median=float(np.median(made)) if made else None,
-        nulls_cpu_s_largest=max(made) if made else None,
+        null_reference_cpu_s_median=float(np.median(made)) if made else None,
+        null_reference_cpu_s_largest=max(made) if made else None,
         memory_mib_largest=max(c.found.memory_mib for c in compared),
         limits=detection_limits(compared),
     )

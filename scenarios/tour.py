@@ -89,7 +89,9 @@ def tour(
     #    and kept in a file.
     with progress_bar("diagnosing") as progress:
         simulator = Simulator("modal", simulate)
-        found, corrected = diagnose(monday, tuesday, simulator, out / "nulls.json", lambda _, done: progress(done))
+        found, corrected = diagnose(
+            monday, tuesday, simulator, out / "null_reference.json", lambda _, done: progress(done)
+        )
     print(f"6. {found.sentence}")
 
     # 7. Correct. The diagnosis gives the rig with the effect in it, ready to be believed from now on.

@@ -194,7 +194,7 @@ def print_report(report: ContactReport, console: Console) -> None:
                 each.equation,
                 stiffness.contact,
                 _shown(stiffness.mean_n_per_m),
-                f"{100 * stiffness.rms_spread_n_per_m / abs(stiffness.mean_n_per_m.value):.2g}",
+                f"{100 * stiffness.rms_deviation_n_per_m / abs(stiffness.mean_n_per_m.value):.2g}",
                 "nearly invisible" if stiffness.contact in each.nearly_invisible else "",
             )
         answered = {s.contact for s in each.stiffness}

@@ -31,7 +31,7 @@ def gap(
     simulator: Annotated[
         str, typer.Option(help="What simulates the rig: modal, ancf, or one that you installed.")
     ] = "modal",
-    nulls: Annotated[
+    null_reference: Annotated[
         Path | None,
         typer.Option(
             help="File of the null reference, made where it is not there or of another rig; else beside the first REAL."
@@ -66,7 +66,7 @@ def gap(
     """
     if out is not None:
         refuse_existing(out / "gap.json", force)
-    stages = {"nulls": (0.0, 0.6), "causes": (0.6, 0.4)}
+    stages = {"null_reference": (0.0, 0.6), "causes": (0.6, 0.4)}
     with progress_bar(f"diagnosing {', '.join(path.name for path in real)}") as progress:
 
         def show(stage: str, fraction: float) -> None:
@@ -77,7 +77,7 @@ def gap(
             real,
             validate,
             simulator=simulator,
-            nulls=nulls or real[0].parent,
+            null_reference=null_reference or real[0].parent,
             tolerances=tolerances,
             matters=Matters(matters / 100, matters_contact / 100),
             next_experiment=next_experiment,

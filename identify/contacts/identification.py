@@ -157,9 +157,9 @@ def _decimation(rig: Rig, motion: Kinematics) -> int:
 
 
 def _main(spectra: list[Nifo], wanted: str | None) -> Nifo:
-    """The equation that is wanted, or the one with the least spread of the stiffnesses over frequency."""
+    """The equation that is wanted, or the one with the least deviation of the stiffnesses over frequency."""
 
-    def spread(result: Nifo) -> tuple[int, float]:
-        return -len(result.contacts), float(np.max(result.spread_n_per_m / np.abs(result.mean_n_per_m), initial=0.0))
+    def deviation(result: Nifo) -> tuple[int, float]:
+        return -len(result.contacts), float(np.max(result.deviation_n_per_m / np.abs(result.mean_n_per_m), initial=0.0))
 
-    return min((n for n in spectra if wanted in (None, n.equation.name)), key=spread)
+    return min((n for n in spectra if wanted in (None, n.equation.name)), key=deviation)

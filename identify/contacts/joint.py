@@ -30,7 +30,7 @@ OUTSIDE = 3.0
 """So many of those shares off, a force of either sign that rings weighs little in the next turn (Geman, McClure)."""
 LEAST_CLOSED = 1e-3
 """A stop that is clearly touched for a smaller share of the record is not told by it."""
-STRAINED = 25.0
+MOST_PULL = 25.0
 """A drift whose curvature is on average more than the root of this away from what was measured is no drift."""
 LOST = 3.0
 """If between two closures the noise, integrated twice, wanders by more than this multiple of the median penetration,
@@ -123,7 +123,7 @@ def fit_joint(seen: ContactRecord, nuisance_signals: Sequence[NuisanceSignal] = 
     samples at which the contact is clearly closed.
 
     The covariance is a sandwich estimate over sixteenths of the record (residuals may be coloured), plus the square of
-    what each doubt would do.
+    what each tolerance would do.
 
     Raises RigError if the contact is hardly ever closed or the fit does not converge.
     """
@@ -135,7 +135,7 @@ def fit_joint(seen: ContactRecord, nuisance_signals: Sequence[NuisanceSignal] = 
     law, knots = regressed(seen, curve)
     for begin in (knots, np.zeros_like(knots)):  # rarely, the regression's drift leads astray
         state, weights = _fitted(seen, curve, tie, _linearised(seen, curve, law, begin))
-        if _strain(curve, state) <= STRAINED:
+        if _curvature_pull(curve, state) <= MOST_PULL:
             break
     else:
         raise RigError(
@@ -152,11 +152,11 @@ def fit_joint(seen: ContactRecord, nuisance_signals: Sequence[NuisanceSignal] = 
     left = PARTS - len(free)  # parts are few: Student's t, so that 1.96 standard errors cover 95 %
     few = np.sqrt(PARTS / left) * t.ppf(0.975, left) / norm.ppf(0.975)
     scatter = few * part_scores(influence, state.residual)
-    moved = [force - state.by_eta * eta[:: seen.factor][: force.size] for force, eta in nuisance_signals]
-    doubted = np.array([influence.T @ m for m in moved]).reshape(-1, len(free))
+    by_tolerance = [force - state.by_eta * eta[:: seen.factor][: force.size] for force, eta in nuisance_signals]
+    of_each = np.array([influence.T @ m for m in by_tolerance]).reshape(-1, len(free))
     drifted = curve.curvature @ inverse[: curve.knots]  # each row of the prior is uncertain by one
-    spread = tie * scale
-    of_scatter, of_tolerances, of_drift = (spread @ (x.T @ x) @ spread.T for x in (scatter, doubted, drifted))
+    to_law = tie * scale
+    of_scatter, of_tolerances, of_drift = (to_law @ (x.T @ x) @ to_law.T for x in (scatter, of_each, drifted))
     return Joint(
         parameters=state.law,
         covariance=of_scatter + of_tolerances + of_drift,
@@ -184,7 +184,7 @@ def _closed(seen: ContactRecord) -> Bool[np.ndarray, " fewer"]:
     return size > max(CLEAR_SHARE * float(np.quantile(size, 0.995)), ABOVE_NOISE * seen.quiet_n)
 
 
-def _strain(curve: Spline, state: _State) -> float:
+def _curvature_pull(curve: Spline, state: _State) -> float:
     """Mean square of the drift's curvature less what was measured of it, in its standard deviations; about 1 to 2."""
     return float(np.mean((curve.curvature @ state.knots - curve.target) ** 2)) if curve.knots else 0.0
 

@@ -125,7 +125,7 @@ def _methods(found: Identification) -> str:
             each.equation,
             s.contact,
             _said(s.mean_n_per_m, "N/m"),
-            f"{100 * s.rms_spread_n_per_m / abs(s.mean_n_per_m.value):.2g} %",
+            f"{100 * s.rms_deviation_n_per_m / abs(s.mean_n_per_m.value):.2g} %",
             "nearly invisible" if s.contact in each.nearly_invisible else "",
         )
         for each in report.nifo
@@ -149,7 +149,7 @@ def _methods(found: Identification) -> str:
         f"({low:.3g} to {high:.3g} Hz) and the restoring force surface are applied to every modal equation. Their "
         "standard errors do not know the tolerances. The figures show "
         f"{escape(report.main_equation)}.</p><details><summary>All of them</summary>"
-        + page.table(("equation", "contact", "stiffness by NIFO", "rms spread", ""), nifo)
+        + page.table(("equation", "contact", "stiffness by NIFO", "rms deviation", ""), nifo)
         + page.table(("contact", "clearance by", "value"), sorted(clearances))
         + page.table(("mode", "frequency", "damping"), modes)
         + "</details>"

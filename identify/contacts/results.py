@@ -38,11 +38,11 @@ class Mode(msgspec.Struct, frozen=True):
 
 
 class Stiffness(msgspec.Struct, frozen=True):
-    """A contact's stiffness over frequency in one modal equation: spectral mean of the real part, rms spread."""
+    """A contact's stiffness over frequency in one modal equation: spectral mean of the real part, rms deviation."""
 
     contact: str
     mean_n_per_m: Estimate
-    rms_spread_n_per_m: float
+    rms_deviation_n_per_m: float
 
 
 class NifoResult(msgspec.Struct, frozen=True):

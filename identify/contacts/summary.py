@@ -67,9 +67,9 @@ def _modes(spectra: list[Nifo]) -> tuple[results.Mode, ...]:
 
 def _nifo_result(rig: Rig, found: Nifo) -> results.NifoResult:
     stiffness = tuple(
-        results.Stiffness(rig.contacts[j].name, results.Estimate(float(mean), float(error)), float(spread))
-        for j, mean, error, spread in zip(
-            found.contacts, found.mean_n_per_m, found.stiffness_error_n_per_m, found.spread_n_per_m, strict=True
+        results.Stiffness(rig.contacts[j].name, results.Estimate(float(mean), float(error)), float(deviation))
+        for j, mean, error, deviation in zip(
+            found.contacts, found.mean_n_per_m, found.stiffness_error_n_per_m, found.deviation_n_per_m, strict=True
         )
     )
     hidden = tuple(

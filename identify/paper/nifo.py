@@ -38,7 +38,7 @@ class Nifo:
         return self.stiffness_n_per_m.real.mean(axis=1)
 
     @property
-    def spread_n_per_m(self) -> Float[np.ndarray, " contacts"]:
+    def deviation_n_per_m(self) -> Float[np.ndarray, " contacts"]:
         """The rms over frequency of the deviation from the spectral mean."""
         return np.sqrt(np.mean(np.abs(self.stiffness_n_per_m - self.mean_n_per_m[:, None]) ** 2, axis=1))
 

@@ -130,7 +130,7 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """Whether only a known zero of the relative displacements shows it."""
     stochastic: ClassVar[bool] = False
     """Whether only the spectrum of what it does is known, so that no fit over time finds its parameters."""
-    scanned: ClassVar[str | None] = None
+    grid_screened: ClassVar[str | None] = None
     """The parameter, if there is one, that a few starts cannot find: a frequency, sharp to one over the duration."""
     of_a_record: ClassVar[tuple[str, ...]] = ()
     """The parameters, if there are any, that every record has its own of, such as a phase."""

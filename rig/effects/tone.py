@@ -13,7 +13,7 @@ class HarmonicForce(Effect, frozen=True):
 
     name: ClassVar[str] = "tone"
     separated_by: ClassVar[str] = "record without force, with motors and mains switched on and off"
-    scanned: ClassVar[str | None] = "frequency_hz"
+    grid_screened: ClassVar[str | None] = "frequency_hz"
     of_a_record: ClassVar[tuple[str, ...]] = ("cosine_n", "sine_n")
     cosine_n: Annotated[float, Parameter("N", -5.0, 5.0, 0.0)] = 1.0
     sine_n: Annotated[float, Parameter("N", -5.0, 5.0, 0.0)] = 0.5

@@ -52,14 +52,14 @@ def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
     Every value becomes SI: value times scale times the unit. Raises RigError with one sentence if the map, the rig or
     the data cannot be used; nothing is written then.
     """
-    told, rig = _read_map(map_path)
-    columns = columns_of(source, told.csv)
-    names, given = {s.name for s in rig.sensors}, set(told.sensors)
+    mapping, rig = _read_map(map_path)
+    columns = columns_of(source, mapping.csv)
+    names, given = {s.name for s in rig.sensors}, set(mapping.sensors)
     for wrong, what in ((given - names, "is no sensor of the rig"), (names - given, "is missing")):
         if wrong:
             raise RigError(f"{map_path}: sensor {min(wrong)!r} {what}; [sensors] needs {', '.join(sorted(names))}")
-    wanted = {"force": ("force", told.force)}
-    wanted |= {s.name: (s.quantity, told.sensors[s.name]) for s in rig.sensors}
+    wanted = {"force": ("force", mapping.force)}
+    wanted |= {s.name: (s.quantity, mapping.sensors[s.name]) for s in rig.sensors}
     try:
         taken = {name: _found(columns, entry) for name, (_, entry) in wanted.items()}
         _check_taken(taken)
@@ -67,9 +67,9 @@ def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
     except RigError as error:
         raise RigError(f"{map_path}: {error}") from error
     try:
-        time_s = _time(told, columns, list(taken.values()))
+        time_s = _time(mapping, columns, list(taken.values()))
         rows = np.stack([_in_si(factors[name], column) for name, column in taken.items()])
-        values, resampled = even(rows, time_s, rig.sample_rate_hz, told.resample)
+        values, resampled = even(rows, time_s, rig.sample_rate_hz, mapping.resample)
     except RigError as error:
         raise RigError(f"{source}: {error}") from error
     steps = (
@@ -97,8 +97,8 @@ def _write(
 
 def _read_map(path: Path) -> tuple[Map, Rig]:
     try:
-        told = msgspec.toml.decode(path.read_bytes(), type=Map)
-        place = path.parent / told.rig
+        mapping = msgspec.toml.decode(path.read_bytes(), type=Map)
+        place = path.parent / mapping.rig
         text = place.read_bytes()
     except OSError as error:
         raise RigError(f"{error.filename}: cannot be opened ({error.strerror}); check the name") from error
@@ -106,7 +106,7 @@ def _read_map(path: Path) -> tuple[Map, Rig]:
         raise RigError(f"{path}: is no map ({error}); see rig/lab/README.md") from error
     rig = from_json(text, str(place))
     check_given(rig, str(place))
-    return told, rig
+    return mapping, rig
 
 
 def _found(columns: Sequence[Column], entry: Source) -> Column:
@@ -166,16 +166,16 @@ def _in_si(factor: float, column: Column) -> Float[np.ndarray, " samples"]:
     return values
 
 
-def _time(told: Map, columns: Sequence[Column], taken: Sequence[Column]) -> Float[np.ndarray, " samples"]:
+def _time(mapping: Map, columns: Sequence[Column], taken: Sequence[Column]) -> Float[np.ndarray, " samples"]:
     """The time stamps: a column, or the even rate that the map or the file says."""
     samples = taken[0].values.size
-    if told.time is not None:
-        column = _found(columns, told.time)
+    if mapping.time is not None:
+        column = _found(columns, mapping.time)
         if column.values.size != samples or not np.isfinite(column.values).all():
             raise RigError(f"its time, column {column.name!r}, does not hold {samples} finite numbers; repair it")
-        return column.values * told.time.scale * si_factor("time", told.time.unit or "s")
+        return column.values * mapping.time.scale * si_factor("time", mapping.time.unit or "s")
     rates = {c.sample_rate_hz for c in taken if c.sample_rate_hz is not None}
-    rate = told.sample_rate_hz or min(rates, default=None)
+    rate = mapping.sample_rate_hz or min(rates, default=None)
     if rate is None:
         raise RigError("it does not say when its samples were taken; give sample_rate_hz or time in the map")
     for other in rates:

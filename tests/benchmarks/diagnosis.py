@@ -15,7 +15,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from identify.gaps.decision.answer import Simulator, diagnose
-from identify.gaps.decision.null_reference import null_reference
+from identify.gaps.decision.null_reference import null_reference_of
 from rig.effects import effect_named
 from rig.model.tolerances import LABORATORY
 from rig.recording import Recording
@@ -35,8 +35,8 @@ DURATION_S = 30.0
 
 def figures() -> Iterator[Figure]:
     with tempfile.TemporaryDirectory() as folder:
-        kept = Path(folder) / "nulls.json"
-        cpu_s, memory_mb = _apart(_nulls, kept)
+        kept = Path(folder) / "null_reference.json"
+        cpu_s, memory_mb = _apart(_null_reference, kept)
         yield Figure("CPU s of a null reference", cpu_s, "s", at_most=60)
         yield Figure("... peak memory", memory_mb, "MB", at_most=1000)
         for name, effects in CASES.items():
@@ -64,10 +64,10 @@ def _recordings(effects: tuple[str, ...]) -> tuple[Recording, Recording]:
     return first, second
 
 
-def _nulls(kept: Path) -> tuple[float, float]:
+def _null_reference(kept: Path) -> tuple[float, float]:
     _, validation = _recordings(())
     begin = time.process_time()
-    null_reference(validation, LABORATORY, replay.modal, "modal", kept=kept)
+    null_reference_of(validation, LABORATORY, replay.modal, "modal", kept=kept)
     return time.process_time() - begin, _peak_mb()
 
 

@@ -102,13 +102,13 @@ def force(kind, body=None, position_m=None, sensor=None, contact=None, law="", a
     )
 
 
-def found(of, name="case", sha256=None, cpu_s=10.0, nulls_cpu_s=0.0, key="key"):
+def found(of, name="case", sha256=None, cpu_s=10.0, null_reference_cpu_s=0.0, key="key"):
     return Found(
         case=name,
         sha256=sha256 or {},
         gap=of,
         cpu_s=cpu_s,
-        nulls_cpu_s=nulls_cpu_s,
+        null_reference_cpu_s=null_reference_cpu_s,
         memory_mib=500.0,
         key=key,
         tolerances=None,

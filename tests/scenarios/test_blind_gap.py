@@ -11,7 +11,7 @@ from rig.errors import RigError
 from rig.model.tolerances import EXACT, LABORATORY
 from scenarios import blind_comparison, blind_diagnosis
 from scenarios.blind_comparison import opened, pairs_of
-from scenarios.blind_diagnosis import Found, NullsMade, NullsToMake, without_curves
+from scenarios.blind_diagnosis import Found, NullReferenceMade, NullReferenceToMake, without_curves
 from scenarios.blind_gap import app
 from scenarios.scoreboard import Score
 from scenarios.tolerance_sensitivity import settings
@@ -51,8 +51,8 @@ def quick(monkeypatch):
     """Diagnoses at once, and lets every effect be above its limit; the calls of either."""
     calls = []
 
-    def diagnosed(fit, _validate, nulls, tolerances):
-        calls.append((fit.samples, nulls, tolerances))
+    def diagnosed(fit, _validate, null_reference, tolerances):
+        calls.append((fit.samples, null_reference, tolerances))
         return gap("no_gap", nothing=0.9)
 
     def best(answers, *_):
@@ -60,7 +60,7 @@ def quick(monkeypatch):
 
     monkeypatch.setattr(blind_diagnosis, "run_tasks", run_here)
     monkeypatch.setattr(blind_diagnosis, "gap_of", diagnosed)
-    monkeypatch.setattr(blind_diagnosis, "nulls_made", lambda task: NullsMade(task.key, 30.0, 400.0))
+    monkeypatch.setattr(blind_diagnosis, "null_reference_made", lambda task: NullReferenceMade(task.key, 30.0, 400.0))
     monkeypatch.setattr(blind_comparison, "best_of", best)
     return calls
 
@@ -108,26 +108,40 @@ def test_diagnosing_needs_no_answers(cases):
 
 def test_cases_of_one_level_share_a_null_reference(cases, quick):
     some = read(diagnosed(cases))
-    assert {f.nulls_cpu_s for f in some} == {30.0}
+    assert {f.null_reference_cpu_s for f in some} == {30.0}
     assert len({f.key for f in some}) < 3
-    assert {(nulls, tolerances) for _, nulls, tolerances in quick} == {(cases.parent / "found" / "nulls", None)}
+    assert {(null_reference, tolerances) for _, null_reference, tolerances in quick} == {
+        (cases.parent / "found" / "null_references", None)
+    }
 
 
 def test_tolerances_and_null_references_of_others(cases, quick, tmp_path):
-    ran("diagnose", "--cases", cases, "--out", tmp_path / "a", "--tolerances", "exact", "--nulls-of", tmp_path / "kept")
-    assert all((nulls, tolerances) == (tmp_path / "kept", EXACT) for _, nulls, tolerances in quick)
+    ran(
+        "diagnose",
+        "--cases",
+        cases,
+        "--out",
+        tmp_path / "a",
+        "--tolerances",
+        "exact",
+        "--null-references-of",
+        tmp_path / "kept",
+    )
+    assert all((null_reference, tolerances) == (tmp_path / "kept", EXACT) for _, null_reference, tolerances in quick)
     ran("diagnose", "--cases", cases, "--out", tmp_path / "b")
     assert {f.key for f in read(tmp_path / "a")}.isdisjoint(f.key for f in read(tmp_path / "b"))
 
 
 def test_a_null_reference_that_is_there_costs_nothing(cases, monkeypatch, tmp_path):
     asked = []
-    monkeypatch.setattr(blind_diagnosis, "null_reference", lambda *_, kept: asked.append(kept))
+    monkeypatch.setattr(blind_diagnosis, "null_reference_of", lambda *_, kept: asked.append(kept))
     fit, other = (str(cases / "recordings" / f"case_000{end}.mcap") for end in ("", "_validate"))
-    task = NullsToMake(key="0123456789abcdefgh", fit=fit, validate=other, nulls=str(tmp_path), tolerances=None)
-    assert blind_diagnosis.nulls_made(task).cpu_s > 0
+    task = NullReferenceToMake(
+        key="0123456789abcdefgh", fit=fit, validate=other, null_reference=str(tmp_path), tolerances=None
+    )
+    assert blind_diagnosis.null_reference_made(task).cpu_s > 0
     (tmp_path / "0123456789abcdef.json").touch()
-    assert blind_diagnosis.nulls_made(task).cpu_s == 0
+    assert blind_diagnosis.null_reference_made(task).cpu_s == 0
     assert asked == [Path(tmp_path)] * 2
 
 

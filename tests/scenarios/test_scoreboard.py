@@ -51,7 +51,7 @@ COMPARED = [
             "explained",
             cause("sensor_gain", sensor_gain__factor=Value(1.12, 0.005, "1"), sensor_gain__sensor=SENSOR),
         ),
-        nulls_cpu_s=40.0,
+        null_reference_cpu_s=40.0,
     ),
     compared(
         MASS,
@@ -65,13 +65,15 @@ COMPARED = [
                 added_mass__body="barrel",
             ),
         ),
-        nulls_cpu_s=40.0,
+        null_reference_cpu_s=40.0,
     ),
     compared(SHAKE, gap("no_gap", cause("base_motion")), BELOW),
     compared(LATE, gap("explained", cause("force_shift", explained=1.0, force_shift__shift_s=Value(5e-4, 1e-6, "s")))),
     compared(PAIR, gap("explained", cause("force_gain", "preload"))),
     compared(PAIR, gap("explained", cause("preload"))),
-    compared(DRAG, gap("unknown", unknown=0.9, force=ON_THE_BARREL), cpu_s=20.0, nulls_cpu_s=60.0, key="another"),
+    compared(
+        DRAG, gap("unknown", unknown=0.9, force=ON_THE_BARREL), cpu_s=20.0, null_reference_cpu_s=60.0, key="another"
+    ),
     compared(DRAG, gap("explained", cause("coulomb_friction")), before=1.2),
 ]
 
@@ -107,8 +109,8 @@ def test_closure_is_beside_that_of_the_truth():
 def test_costs_count_a_shared_null_reference_once():
     board = scored(COMPARED)
     assert (board.cpu_s_median, board.cpu_s_largest) == (10.0, 20.0)
-    assert (board.nulls_cpu_s_median, board.nulls_cpu_s_largest) == (50.0, 60.0)
-    assert scored(COMPARED[:1]).nulls_cpu_s_median is None
+    assert (board.null_reference_cpu_s_median, board.null_reference_cpu_s_largest) == (50.0, 60.0)
+    assert scored(COMPARED[:1]).null_reference_cpu_s_median is None
 
 
 def test_a_limit_asks_for_what_matters_and_for_evidence():

@@ -11,7 +11,7 @@ from identify.gaps.decision.causes import ALIKE, bands_of, cause_of, confirmed_b
 from identify.gaps.decision.comparison import Judged, closed, judged, log_priors
 from identify.gaps.decision.differences import differences
 from identify.gaps.decision.experiment import next_experiments
-from identify.gaps.decision.null_reference import NullReference, Simulate, null_reference
+from identify.gaps.decision.null_reference import NullReference, Simulate, null_reference_of
 from identify.gaps.decision.recordings import parts_of, sound
 from identify.gaps.decision.response_comparison import compared
 from identify.gaps.decision.sentence import sentence
@@ -73,7 +73,9 @@ def diagnose(
     fitted = [k for k in range(len(parts)) if k != last]
     searched_on = max(fitted, key=lambda k: float(np.std(parts[k].force_n)))
     fit_record = every[searched_on]
-    nulls = null_reference(other, believed, simulator.simulate, simulator.name, lambda x: progress("nulls", x), kept)
+    null_reference = null_reference_of(
+        other, believed, simulator.simulate, simulator.name, lambda x: progress("null_reference", x), kept
+    )
     several = len(fitted) > 1
     hypotheses, known = searched(fit_record, lambda x: progress("causes", (0.4 if several else 0.7) * x))
     reference = _reference(record)
@@ -84,8 +86,8 @@ def diagnose(
     priors = log_priors(hypotheses, known)
     linearization, at = fit_nuisance(record, record.rig, rounds=1)
     ranked = judged(record, reference, at, hypotheses, priors, lambda x: progress("causes", 0.7 + 0.2 * x))
-    told = _decided(fit_record, record, reference, at, ranked, nulls, matters)
-    decision, unknown, swinging = told.decision, told.unknown, told.swinging
+    found = _decided(fit_record, record, reference, at, ranked, null_reference, matters)
+    decision, unknown, swinging = found.decision, found.unknown, found.swinging
     between = None
     if several:
         cause = decision.best if decision.verdict in ("explained", "partly_explained") else None
@@ -96,7 +98,7 @@ def diagnose(
     figures, curves = compared(other, other.rig, likeliest, simulator.simulate)
     progress("causes", 1.0)
     causes = tuple(
-        cause_of(j, p, nulls, matters)
+        cause_of(j, p, null_reference, matters)
         for j, p in zip(ranked, decision.probabilities, strict=True)
         if j.hypothesis.parts
     )
@@ -118,9 +120,9 @@ def diagnose(
         probability_nothing=decision.probabilities[ranked.index(nothing)],
         probability_unknown=decision.unknown,
         nothing_minus_two_log=nothing.misfit.minus_two_log,
-        unknown_gain=told.unknown_gain,
+        unknown_gain=found.unknown_gain,
         unknown=unmeasured(other.rig, unknown.described() if unknown else None, swinging, rest, matters),
-        bands=bands_of(without, after, nulls),
+        bands=bands_of(without, after, null_reference),
         equivalent=equivalent(causes) if causes else (),
         separate_by=confirmed_by(causes, ranked),
         next_experiments=further,
@@ -166,7 +168,7 @@ def _decided(
     reference: Reference,
     at: Residual,
     ranked: list[Judged],
-    nulls: NullReference,
+    null_reference: NullReference,
     matters: Matters,
 ) -> _Decided:
     """The verdict; and of a gap that no effect explains, what acts unmeasured: beside the likeliest effects, if those
@@ -174,13 +176,13 @@ def _decided(
 
     Effects that leave more than tolerances and noise must be likelier than something unmeasured, however little it is.
     """
-    decision = decided(ranked, None, nulls, matters)
+    decision = decided(ranked, None, null_reference, matters)
     if decision.verdict == "no_gap" or (decision.verdict == "explained" and decision.p_after >= USUAL):
         return _Decided(decision)
     unknown, nothing, best = _unknown(fit_record, record, record.rig), decision.nothing, decision.best
     cost = cost_with(record, reference, record.rig, unknown, nothing.misfit) if unknown else None
     gain = None if cost is None else nothing.misfit.minus_two_log - cost
-    decision = decided(ranked, cost, nulls, matters)
+    decision = decided(ranked, cost, null_reference, matters)
     if decision.verdict in ("no_gap", "explained"):
         return _Decided(decision, unknown_gain=gain)
     if best and closed(best.without, best.misfit, matters) >= HALF:
@@ -188,7 +190,7 @@ def _decided(
         beside = None
         if rest and not acts_where_they_do(rest.there.candidate, record.rig, best.rig):
             beside = cost_with(record, reference, best.rig, rest, best.misfit)
-        decision = decided(ranked, cost, nulls, matters, beside)
+        decision = decided(ranked, cost, null_reference, matters, beside)
         if decision.verdict == "partly_explained":
             unknown, at = rest, fit_nuisance(record, best.rig, rounds=1)[1]
     if decision.verdict in ("no_gap", "explained"):

@@ -24,7 +24,7 @@ def left_of(left: Misfit, rig: Rig, p_value: float) -> Left:
     )
 
 
-def cause_of(one: Judged, probability: float, nulls: NullReference, matters: Matters) -> Cause:
+def cause_of(one: Judged, probability: float, null_reference: NullReference, matters: Matters) -> Cause:
     """Standard errors hold what the effect leaves: residuals were weighed by the scales estimated from it."""
     parameters: dict[str, Value] = {}
     places: dict[str, str] = {}
@@ -46,16 +46,16 @@ def cause_of(one: Judged, probability: float, nulls: NullReference, matters: Mat
         places=places,
         explained=closed(one.without, one.misfit, matters),
         interval_95=closed_interval(one.without, one.misfit, matters),
-        left=left_of(one.misfit, one.rig, nulls.p_value(one.misfit)),
+        left=left_of(one.misfit, one.rig, null_reference.p_value(one.misfit)),
         log_prior=one.log_prior,
         minus_two_log=one.misfit.minus_two_log,
     )
 
 
-def bands_of(without: Misfit, after: Misfit, nulls: NullReference) -> tuple[Band, ...]:
+def bands_of(without: Misfit, after: Misfit, null_reference: NullReference) -> tuple[Band, ...]:
     return tuple(
         Band(low_hz=BAND_HZ * i, high_hz=BAND_HZ * (i + 1), before=float(b), after=float(a), usual=float(u))
-        for i, (b, a, u) in enumerate(zip(without.shares, after.shares, nulls.usual_shares(), strict=False))
+        for i, (b, a, u) in enumerate(zip(without.shares, after.shares, null_reference.usual_shares(), strict=False))
     )
 
 

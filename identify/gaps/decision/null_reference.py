@@ -29,8 +29,8 @@ from rig.model.description import Rig, to_json
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording
 
-NULLS = 12
-"""Their mean and spread are known within 30 and 20 % of the spread; the p-value's Student distribution knows that."""
+NULL_SIMULATIONS = 12
+"""Their mean is known within 29 % of their standard deviation, that within 21 %: Student's distribution knows."""
 RISE_S = 0.1
 LEVEL = 1.25
 """Forces within this factor of each other share a null reference."""
@@ -40,7 +40,7 @@ Simulate = Callable[[Rig, Rig, Float[np.ndarray, " samples"], int], Recording]
 simulator that the diagnosis is handed."""
 
 
-class Null(msgspec.Struct, frozen=True):
+class NullSimulation(msgspec.Struct, frozen=True):
     """What one null simulation leaves: -2 ln p, the contacts' part of it and that of the worst band, and the
     unexplained shares by band, overall, and of each contact force."""
 
@@ -56,42 +56,42 @@ class NullReference(msgspec.Struct, frozen=True):
     """The null simulations of one rig; `key` says of which rig, tolerances, simulator, force and program."""
 
     key: str
-    nulls: tuple[Null, ...]
+    simulations: tuple[NullSimulation, ...]
 
     def p_value(self, left: Misfit) -> float:
-        """How often tolerances and noise alone leave as much: Student's prediction from the nulls' -2 ln p.
+        """How often tolerances and noise alone leave as much: Student's prediction from the null simulations' -2 ln p.
 
         The contacts' part and that of the worst band are judged apart, as one contact or one sharp line is a small
         share of the whole; the smallest p-value counts, three times (Bonferroni).
         """
-        parts = np.array([[n.minus_two_log - n.law, n.law, n.peak] for n in self.nulls])
+        parts = np.array([[n.minus_two_log - n.law, n.law, n.peak] for n in self.simulations])
         deviations = np.maximum(parts.std(axis=0, ddof=1) * np.sqrt(1 + 1 / len(parts)), 1.0)
         here = np.array([left.minus_two_log - left.law, left.law, left.peak])
         beyond = student.sf((here - parts.mean(axis=0)) / deviations, len(parts) - 1)
         return min(1.0, 3 * float(beyond.min()))
 
     def usual_shares(self) -> Float[np.ndarray, " bands"]:
-        """By band: the share that nineteen of twenty nulls stay below."""
-        common = min(len(n.shares) for n in self.nulls)  # the bands of a record end where its force does
-        rows = np.array([n.shares[:common] for n in self.nulls])
+        """By band: the share that nineteen of twenty null simulations stay below."""
+        common = min(len(n.shares) for n in self.simulations)  # the bands of a record end where its force does
+        rows = np.array([n.shares[:common] for n in self.simulations])
         beyond = student.ppf(0.95, len(rows) - 1) * np.sqrt(1 + 1 / len(rows))
         return np.asarray(rows.mean(axis=0) + beyond * rows.std(axis=0, ddof=1))
 
 
-def null_reference(
+def null_reference_of(
     measured: Recording,
     tolerances: Tolerances,
     simulate: Simulate,
     simulator: str,
     progress: Callable[[float], None] = lambda _: None,
     kept: Path | None = None,
-    nulls: int = NULLS,
+    simulations: int = NULL_SIMULATIONS,
 ) -> NullReference:
     """That of a recording's rig, length and force, from the file `kept` if that is of the same; else made, and kept.
 
     Of a folder it is the file named after the key, so that many rigs and levels have theirs in one.
     """
-    key = null_key(measured, tolerances, simulator, nulls)
+    key = null_key(measured, tolerances, simulator, simulations)
     if kept and kept.is_dir():
         kept = kept / f"{key[:16]}.json"
     if kept and (found := _read(kept, key)):
@@ -100,13 +100,13 @@ def null_reference(
     density = float(np.sqrt(seen.force_noise / seen.samples))
     start = round(seen.excited_s * seen.sample_rate_hz)
     rows = []
-    for seed, normals in enumerate(_normals(measured.rig, nulls)):
+    for seed, normals in enumerate(_normals(measured.rig, simulations)):
         rng = np.random.default_rng([seed, 77])
         actual, corners_hz = drawn(measured.rig, tolerances, normals)
         force_n = phase_randomized(measured.force_n, start, measured.rig.sample_rate_hz, rng)
         made = simulate(measured.rig, actual, force_n, seed)
         rows.append(_left(_instrumented(made, corners_hz, density, rng), tolerances))
-        progress((seed + 1) / nulls)
+        progress((seed + 1) / simulations)
     reference = NullReference(key, tuple(rows))
     if kept:
         kept.parent.mkdir(parents=True, exist_ok=True)
@@ -126,10 +126,10 @@ def phase_randomized(
     return np.concatenate([np.zeros(start), turned])
 
 
-def _normals(rig: Rig, nulls: int) -> Float[np.ndarray, "nulls draws"]:
-    """Standard normal draws of every tolerance, spread evenly over the nulls (Latin hypercube)."""
+def _normals(rig: Rig, simulations: int) -> Float[np.ndarray, "simulations draws"]:
+    """Standard normal draws of every tolerance, spread evenly over them (Latin hypercube)."""
     draws = 512 + 8 * len(rig.sensors)
-    return np.asarray(norm.ppf(qmc.LatinHypercube(draws, seed=7).random(nulls)))
+    return np.asarray(norm.ppf(qmc.LatinHypercube(draws, seed=7).random(simulations)))
 
 
 def _instrumented(
@@ -157,11 +157,11 @@ def _high_passed(row: Float[np.ndarray, " samples"], corner_hz: float, rate_hz: 
     return np.asarray(lfilter(*bilinear([1.0, 0.0], [1.0, omega], rate_hz), row))
 
 
-def _left(recording: Recording, tolerances: Tolerances) -> Null:
+def _left(recording: Recording, tolerances: Tolerances) -> NullSimulation:
     record = record_of(recording, tolerances=tolerances)
     reference = reference_of(linearized(record, record.rig))
     left = misfit(record, reference, fit_nuisance(record, record.rig, rounds=1)[1])
-    return Null(
+    return NullSimulation(
         left.minus_two_log,
         left.law,
         left.peak,
@@ -171,14 +171,14 @@ def _left(recording: Recording, tolerances: Tolerances) -> Null:
     )
 
 
-def null_key(measured: Recording, tolerances: Tolerances, simulator: str, nulls: int = NULLS) -> str:
+def null_key(measured: Recording, tolerances: Tolerances, simulator: str, simulations: int = NULL_SIMULATIONS) -> str:
     """Of the rig, its tolerances, the simulator, the force's level and length, and the program."""
     level = round(float(np.log(max(np.std(measured.force_n), 1e-300)) / np.log(LEVEL)))
     version = importlib.metadata.version("rig-identify")
     parts = (
         to_json(replace(measured.rig, tolerances=None)),
         msgspec.json.encode(tolerances),
-        f"{simulator} {level} {measured.samples} {nulls} {version}".encode(),
+        f"{simulator} {level} {measured.samples} {simulations} {version}".encode(),
     )
     return hashlib.sha256(b"\n".join(parts)).hexdigest()
 

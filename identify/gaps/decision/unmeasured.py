@@ -15,9 +15,9 @@ from rig.model.description import Rig
 def cost_with(record: Record, reference: Reference, rig: Rig, found: Sought, alone: Misfit) -> float:
     """-2 ln p of a validation record with an unmeasured force beside a rig, which alone leaves `alone`.
 
-    The force is taken off what the sensors delivered, and the rig fitted to the rest like any other. Its course is free
-    to follow one direction of the residual's many: there nothing is gained. Nor is it where the records do not show the
-    same.
+    The force is taken off what the sensors delivered, and the rig fitted to the rest like any other. Its time history
+    is free to follow one direction of the residual's many: there nothing is gained. Nor is it where the records do not
+    show the same.
     """
     if not found.same_place:
         return alone.minus_two_log

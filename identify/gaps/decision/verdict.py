@@ -47,7 +47,7 @@ class Decision:
 def decided(
     ranked: Sequence[Judged],
     unknown: float | None,
-    nulls: NullReference,
+    null_reference: NullReference,
     matters: Matters,
     beside: float | None = None,
 ) -> Decision:
@@ -66,8 +66,8 @@ def decided(
         scores[ranked.index(best)] = float(np.logaddexp(best.log_posterior, with_force))
     scores.append(_log_posterior(0.0, unknown))
     *likely, of_unknown = (float(p) for p in probabilities(np.array(scores)))
-    p_before = nulls.p_value(nothing.misfit)
-    p_after = nulls.p_value(best.misfit) if best else p_before
+    p_before = null_reference.p_value(nothing.misfit)
+    p_after = null_reference.p_value(best.misfit) if best else p_before
     if matters_surely(nothing.misfit, matters) and p_before < USUAL:
         alone = ranked.index(nothing)
         of_unknown, likely[alone] = of_unknown + likely[alone], 0.0

@@ -90,10 +90,10 @@ class Record:
         """Of the recording's samples, from its beginning."""
         return np.arange(self.samples) / self.sample_rate_hz
 
-    def spectrum(self, course: Float[np.ndarray, " samples"]) -> Complex[np.ndarray, " lines"]:
-        """Of a course over the recording's samples, windowed as they were."""
+    def spectrum(self, signal: Float[np.ndarray, " samples"]) -> Complex[np.ndarray, " lines"]:
+        """Of a signal over the recording's samples, windowed as they were."""
         lines = np.round(self.omega * self.length / (2 * np.pi * self.sample_rate_hz)).astype(int)
-        return np.asarray(rfft(course * self.window, self.length)[lines])
+        return np.asarray(rfft(signal * self.window, self.length)[lines])
 
     def finely(
         self, eta: Complex[np.ndarray, "contacts lines"], derivative: int = 0, beyond: bool = True

@@ -64,7 +64,7 @@ class Candidate:
             self.default[i] - p.neutral
             if p.neutral is not None
             else p.low
-            if name == self.kind.scanned
+            if name == self.kind.grid_screened
             else p.high - p.low
             for i, (name, p) in enumerate(self.parameters.items())
         ]
@@ -76,13 +76,13 @@ class Candidate:
         """Which parameters say how much: they have a neutral value."""
         return [i for i, p in enumerate(self.parameters.values()) if p.neutral is not None]
 
-    def starts(self, scanned: Sequence[float] = ()) -> list[Float[np.ndarray, " parameters"]]:
+    def starts(self, grid_screened: Sequence[float] = ()) -> list[Float[np.ndarray, " parameters"]]:
         """The neutral strength at every place that is tried; `scanned` are the values of a scanned parameter."""
         grids = []
         for name, parameter in self.parameters.items():
             ends = (parameter.low, parameter.high)
-            if name == self.kind.scanned:
-                grids.append(np.array([v for v in scanned if ends[0] <= v <= ends[1]]))
+            if name == self.kind.grid_screened:
+                grids.append(np.array([v for v in grid_screened if ends[0] <= v <= ends[1]]))
                 continue
             logarithmic = parameter.low > 0 and parameter.high > 20 * parameter.low
             if parameter.neutral is not None:

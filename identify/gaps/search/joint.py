@@ -119,8 +119,8 @@ def _by_score(
     Where much is left the best is worth a fit whatever it promises: scales that what is left made itself hide its gain.
     """
     found = score_screening(linearization, at, candidates)
-    tones = [one for one in found if one.candidate.kind.scanned]
-    others = [one for one in found if not one.candidate.kind.scanned]
+    tones = [one for one in found if one.candidate.kind.grid_screened]
+    others = [one for one in found if not one.candidate.kind.grid_screened]
     promising = _worth(linearization, others, most) or (others[:1] if left.hypothesis.leaves_something else [])
     return promising + (tones if left.hypothesis.misfit.sharp > WORTH else [])
 

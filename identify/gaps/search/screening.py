@@ -43,10 +43,10 @@ def score_screening(linearization: Linearization, at: Residual, candidates: Sequ
     """
     equations = reduced(linearization, at)
     sharp_hz, loud = [], equations
-    if any(c.kind.scanned for c in candidates):
+    if any(c.kind.grid_screened for c in candidates):
         sharp_hz, loud = followed_hz(linearization, at, PEAKS).tolist(), equations.with_lines()
     found = [
-        max(_looked(linearization, loud if c.kind.scanned else equations, c, sharp_hz), key=lambda one: one.gain)
+        max(_looked(linearization, loud if c.kind.grid_screened else equations, c, sharp_hz), key=lambda one: one.gain)
         for c in candidates
     ]
     return sorted(found, key=lambda one: -one.gain)

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from identify.gaps.unknown.course import KNOTS_S, ForceHistory, softened
 from identify.gaps.unknown.forms import Fine, Form
 from identify.gaps.unknown.law import ForceLaw, fitted, solved, tone_of
+from identify.gaps.unknown.time_history import KNOTS_S, ForceHistory, softened
 from identify.signals.descent import Step, descended
 from identify.signals.kinematics import CORNER_HZ
 
@@ -17,26 +17,28 @@ TRUSTED = (1.0, 0.3, 0.1)
 """A law is first trusted to this share of the force: far from its numbers, details mislead."""
 
 
-def kept(course: ForceHistory, law: ForceLaw) -> float:
+def kept(history: ForceHistory, law: ForceLaw) -> float:
     """The share of the free force's gain on another record that a law keeps there, numbers as they are.
 
     A tone's phase is free, and so is the slow motion.
     """
     if law.form.slow:
-        at, _ = begun_at(course, law.form, only=law.parameter)
+        at, _ = begun_at(history, law.form, only=law.parameter)
         start = replace(at.start(law.parameter), coefficients=-np.array(law.coefficients), parameter=law.parameter)
         state = replace(at, frozen=True).descended(start)
-        return replace(at, frozen=True, course=course).descended(state).law.share
+        return replace(at, frozen=True, history=history).descended(state).law.share
     if law.form.name == "tone":
-        return fitted(softened(course, 0.0), tone_of(course), (law.parameter, law.parameter)).share
-    force = -np.array(law.coefficients) @ np.stack(law.form.shapes(course.moved_m, course.rate_m_per_s, law.parameter))
-    return course.gain(course.spectra(force)) / max(course.free_gain, 1e-300)
+        return fitted(softened(history, 0.0), tone_of(history), (law.parameter, law.parameter)).share
+    force = -np.array(law.coefficients) @ np.stack(
+        law.form.shapes(history.moved_m, history.rate_m_per_s, law.parameter)
+    )
+    return history.gain(history.spectra(force)) / max(history.free_gain, 1e-300)
 
 
-def begun_at(course: ForceHistory, form: Form, only: float | None = None) -> "tuple[Descent, State]":
+def begun_at(history: ForceHistory, form: Form, only: float | None = None) -> "tuple[Descent, State]":
     """The first numbers, by a law of which little is trusted: from the best of a grid, without slow motion."""
-    soft = softened(course, TRUSTED[0])
-    largest = float(np.abs(course.moved_m * (course.finely(course.counted) > 0)).max())
+    soft = softened(history, TRUSTED[0])
+    largest = float(np.abs(history.moved_m * (history.finely(history.counted) > 0)).max())
     low, high = (share * largest for share in form.range_share)
     parameter = 0.0
     if form.parameter and only is None:
@@ -46,15 +48,15 @@ def begun_at(course: ForceHistory, form: Form, only: float | None = None) -> "tu
     if only is not None:
         return at, at.start(only)
     state = at.descended(at.start(parameter))
-    at = replace(at, course=softened(course, TRUSTED[1]))
+    at = replace(at, history=softened(history, TRUSTED[1]))
     return at, at.descended(state)
 
 
-def ended(course: ForceHistory, at: "Descent", state: "State") -> "State":
+def ended(history: ForceHistory, at: "Descent", state: "State") -> "State":
     """From the first numbers on, the law trusted more and more."""
     for law_error in TRUSTED[2:]:
-        state = replace(at, course=softened(course, law_error)).descended(state)
-    return replace(at, course=course).descended(state)
+        state = replace(at, history=softened(history, law_error)).descended(state)
+    return replace(at, history=history).descended(state)
 
 
 @dataclass(frozen=True)
@@ -84,9 +86,9 @@ def _settled(at: _At) -> float:
 
 @dataclass(frozen=True)
 class Descent:
-    """Gauss-Newton of one form against one weighting of a course."""
+    """Gauss-Newton of one form against one weighting of a time history."""
 
-    course: ForceHistory
+    history: ForceHistory
     form: Form
     step: float
     within: tuple[float, float]
@@ -94,7 +96,7 @@ class Descent:
     frozen: bool = False
 
     def start(self, parameter: float) -> State:
-        coefficients, gain, errors = solved(self.course, self.form, parameter)
+        coefficients, gain, errors = solved(self.history, self.form, parameter)
         knots = np.zeros(len(self.prior))
         law = ForceLaw(
             self.form,
@@ -103,18 +105,18 @@ class Descent:
             parameter,
             0.0,
             0.0,
-            gain / self.course.free_gain,
+            gain / self.history.free_gain,
         )
         return State(coefficients, parameter, knots, law)
 
     def shapes(
         self, parameter: float, knots: Float[np.ndarray, " knots"], more_m: float = 0.0
     ) -> Float[np.ndarray, "coefficients fine"]:
-        moved = self.course.moved_m + self.course.finely(self.course.slow @ knots) + more_m
-        return np.stack(self.form.shapes(moved, self.course.rate_m_per_s, parameter))
+        moved = self.history.moved_m + self.history.finely(self.history.slow @ knots) + more_m
+        return np.stack(self.form.shapes(moved, self.history.rate_m_per_s, parameter))
 
     def value(self, force: Fine, knots: Float[np.ndarray, " knots"]) -> float:
-        return self.course.gain(self.course.spectra(force)) - float(knots @ self.prior @ knots)
+        return self.history.gain(self.history.spectra(force)) - float(knots @ self.prior @ knots)
 
     def descended(self, state: State) -> State:
         at, last = descended(self._at(state.coefficients, state.parameter, state.knots), self._step, _settled, STEPS)
@@ -125,8 +127,8 @@ class Descent:
             tuple(errors[:kinds].tolist()),
             at.parameter,
             float(errors[kinds]) if self.form.parameter else 0.0,
-            float(np.mean((self.course.slow @ at.knots)[self.course.counted > 0])),
-            -at.cost / max(self.course.free_gain, 1e-300),
+            float(np.mean((self.history.slow @ at.knots)[self.history.counted > 0])),
+            -at.cost / max(self.history.free_gain, 1e-300),
         )
         return State(at.coefficients, at.parameter, at.knots, law)
 
@@ -141,7 +143,7 @@ class Descent:
 
     def _step(self, at: _At) -> _Step:
         """Of the numbers and the slow motion; the coefficients are the best of where the others come to."""
-        course, form, kinds = self.course, self.form, len(self.form.units)
+        history, form, kinds = self.history, self.form, len(self.form.units)
         free = kinds + bool(form.parameter)
         shapes = self.shapes(at.parameter, at.knots)
         force = at.coefficients @ shapes
@@ -149,10 +151,10 @@ class Descent:
         if form.parameter:
             fine.append((at.coefficients @ self.shapes(at.parameter + self.step, at.knots) - force) / self.step)
         tangent = (at.coefficients @ self.shapes(at.parameter, at.knots, self.step) - force) / self.step
-        means = tangent.reshape(len(course.slow), -1).mean(axis=1)
-        along = course.coarsely((course.slow * means[:, None]).T)
-        columns = np.concatenate([course.spectra(np.stack(fine)), along, course.spectra(force)[None]])
-        matrix, rest = course.reduced(columns)
+        means = tangent.reshape(len(history.slow), -1).mean(axis=1)
+        along = history.coarsely((history.slow * means[:, None]).T)
+        columns = np.concatenate([history.spectra(np.stack(fine)), along, history.spectra(force)[None]])
+        matrix, rest = history.reduced(columns)
         gradient, matrix = rest[:-1] - matrix[:-1, -1], matrix[:-1, :-1]
         matrix[free:, free:] += self.prior
         gradient[free:] -= self.prior @ at.knots
@@ -174,15 +176,15 @@ class Descent:
 
     def scaled(self, parameter: float, knots: Float[np.ndarray, " knots"]) -> Float[np.ndarray, " coefficients"]:
         """The best coefficients at a parameter and slow motion."""
-        matrix, rest = self.course.reduced(self.course.spectra(self.shapes(parameter, knots)))
+        matrix, rest = self.history.reduced(self.history.spectra(self.shapes(parameter, knots)))
         size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         scaled = np.linalg.pinv(matrix / np.outer(size, size), rcond=1e-10, hermitian=True)
         return np.asarray(scaled @ (rest / size) / size)
 
 
-def _at(course: ForceHistory, form: Form, largest_m: float, within: tuple[float, float]) -> Descent:
+def _at(history: ForceHistory, form: Form, largest_m: float, within: tuple[float, float]) -> Descent:
     """The slow motion lies below the corner of integration and is no larger than what is left of the motion."""
-    knots = course.slow.shape[1]
+    knots = history.slow.shape[1]
     bend = np.diff(np.eye(knots), 2, axis=0) / (2 * np.pi * CORNER_HZ * KNOTS_S) ** 2
-    prior = (np.eye(knots) + bend.T @ bend) / float(np.std(course.moved_m)) ** 2
-    return Descent(course, form, 1e-4 * largest_m, within, prior)
+    prior = (np.eye(knots) + bend.T @ bend) / float(np.std(history.moved_m)) ** 2
+    return Descent(history, form, 1e-4 * largest_m, within, prior)

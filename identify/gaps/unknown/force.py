@@ -10,7 +10,6 @@ from jaxtyping import Complex, Float
 
 from identify.gaps.residual.spectra import Record
 from identify.gaps.results import ResidualMap, Value
-from identify.gaps.unknown.course import FINER, ForceHistory, course_of, explained_share, force_of
 from identify.gaps.unknown.descent import kept
 from identify.gaps.unknown.description import laws, shortest
 from identify.gaps.unknown.evidence import explained
@@ -19,6 +18,7 @@ from identify.gaps.unknown.law import ForceLaw
 from identify.gaps.unknown.location import Kind, Located, located, response_of
 from identify.gaps.unknown.nuisance import drift_accelerations, observed
 from identify.gaps.unknown.observed import BAND_HZ, Observed
+from identify.gaps.unknown.time_history import FINER, ForceHistory, explained_share, force_of, history_of
 from identify.signals.kinematics import QUIET_S
 from rig.model.description import Rig, Station
 
@@ -26,7 +26,7 @@ When = Literal["always", "in contact", "growing with time"]
 SAME_M = 0.05
 """Two records show the same place if theirs differ by no more, or by five standard errors."""
 DESCRIBED = 0.2
-"""No law is looked for if less is explained: nulls explain one direction of ten."""
+"""No law is looked for if less is explained: null simulations explain one direction of ten."""
 NAMED = 0.7
 """A law is named if it keeps at least this share of what the free force gains."""
 IN_BAND = 0.9
@@ -105,7 +105,7 @@ class Sought:
         return 0 if self.there.candidate.kind == "distributed" else 1
 
     def delivered(self) -> Complex[np.ndarray, "sensors alllines"]:
-        """What the sensors of the validation record deliver of it, at its likeliest course."""
+        """What the sensors of the validation record deliver of it, at its likeliest time history."""
         own, candidate = self.held.observed, self.held.candidate
         found = np.zeros(own.model.sensor_response.shape, dtype=complex)
         if candidate.kind == "distributed":
@@ -120,14 +120,14 @@ class Sought:
 
     def described(self) -> UnknownForce:
         """With its law, and when it acts."""
-        law, course, law_share, shown = None, None, 0.0, 0.0
+        law, history, law_share, shown = None, None, 0.0, 0.0
         if self.there.candidate.stations:
-            course = course_of(self.there)
-            law = shortest(laws(course), NAMED) if explained_share(self.there) > DESCRIBED else None
+            history = history_of(self.there)
+            law = shortest(laws(history), NAMED) if explained_share(self.there) > DESCRIBED else None
             if law is not None:
                 freely = explained(self.held.observed, self.held.response, self.held.before)
-                law_share, shown = law.share, kept(course_of(replace(self.held, after=freely)), law)
-        return _told(self.there, self.again, self.held, course, law, law_share, shown)
+                law_share, shown = law.share, kept(history_of(replace(self.held, after=freely)), law)
+        return _told(self.there, self.again, self.held, history, law, law_share, shown)
 
 
 def likeliest_force(fit: Record, rig: Rig, validation: Record) -> Sought:
@@ -171,7 +171,7 @@ def _told(
     there: Located,
     again: Located,
     held: Located,
-    course: ForceHistory | None,
+    history: ForceHistory | None,
     law: ForceLaw | None,
     law_share: float,
     shown: float,
@@ -184,8 +184,8 @@ def _told(
     tone = law is not None and law.form.name == "tone"
     rms = float(np.sqrt(np.sum(power) * own.record.sample_rate_hz / own.record.length))
     unit = "m/s^2" if candidate.kind == "sensor" else "N"
-    in_contact, by_time = (0.0, ()) if course is None else _times(course)
-    before = 0.0 if course is None else _before(course)
+    in_contact, by_time = (0.0, ()) if history is None else _times(history)
+    before = 0.0 if history is None else _before(history)
     return UnknownForce(
         kind=candidate.kind,
         body=first.body,
@@ -218,7 +218,7 @@ def _told(
         law_parameters={} if law is None else _parameters(law),
         law_share=law_share,
         validation_law_share=shown,
-        surface=None if course is None else _surface(course),
+        surface=None if history is None else _surface(history),
         spectrum_hz=tuple(((np.floor(own.omega[own.starts] / (2 * np.pi * BAND_HZ)) + 0.5) * BAND_HZ).tolist()),
         spectrum=tuple(density.tolist()),
     )
@@ -248,12 +248,12 @@ def _band(own: Observed, power: Float[np.ndarray, " bands"]) -> tuple[float, flo
     return float(low / (2 * np.pi)), float(high / (2 * np.pi))
 
 
-def _times(course: ForceHistory) -> tuple[float, tuple[float, ...]]:
+def _times(history: ForceHistory) -> tuple[float, tuple[float, ...]]:
     """The share of the force's mean square while a contact is closed, zero if one nearly always is; its rms in equal
     parts of the time."""
-    own = course.located.observed
+    own = history.located.observed
     record, model = own.record, own.model
-    squares = course.found_n[record.taken] ** 2
+    squares = history.found_n[record.taken] ** 2
     forces, open_n = record.in_time(model.contact_n), model.open_n(record)
     closed = np.zeros(squares.size, dtype=bool)
     for force, on_lines in zip(forces, open_n, strict=True):
@@ -264,9 +264,9 @@ def _times(course: ForceHistory) -> tuple[float, tuple[float, ...]]:
     return share if np.mean(closed) < MOSTLY else 0.0, tuple(parts)
 
 
-def _before(course: ForceHistory) -> float:
-    record = course.located.observed.record
-    found, excited = course.found_n[record.taken], record.time_s > record.excited_s
+def _before(history: ForceHistory) -> float:
+    record = history.located.observed.record
+    found, excited = history.found_n[record.taken], record.time_s > record.excited_s
     if np.mean(~excited) * found.size < QUIET_S * record.rate_hz:
         return 0.0
     return float(np.sqrt(np.mean(found[~excited] ** 2) / max(float(np.mean(found[excited] ** 2)), 1e-300)))
@@ -284,11 +284,11 @@ def _when(in_contact: float, by_time: tuple[float, ...], kind: Kind, law: ForceL
     return "always"
 
 
-def _surface(course: ForceHistory) -> ResidualMap:
+def _surface(history: ForceHistory) -> ResidualMap:
     """The mean of the force against the motion, where it is known."""
-    inside = course.counted == 1
-    w, v = course.moved_m[::FINER][inside], course.rate_m_per_s[::FINER][inside]
-    force, rows, columns = np.histogram2d(w, v, bins=CELLS, weights=-course.found_n[inside])
+    inside = history.counted == 1
+    w, v = history.moved_m[::FINER][inside], history.rate_m_per_s[::FINER][inside]
+    force, rows, columns = np.histogram2d(w, v, bins=CELLS, weights=-history.found_n[inside])
     count = np.histogram2d(w, v, bins=(rows, columns))[0]
     mean = force / np.maximum(count, 1)
     return ResidualMap(tuple(rows.tolist()), tuple(columns.tolist()), tuple(tuple(row) for row in mean.tolist()))

@@ -35,12 +35,12 @@ def nuisances(
     def take(
         name: str,
         pattern: Inexact[np.ndarray, "sensors _"],
-        course: Complex[np.ndarray, " alllines"],
+        history: Complex[np.ndarray, " alllines"],
         read: Float[np.ndarray, " sensors"],
     ) -> None:
-        """Accelerations pattern times course, which is read from those measured."""
+        """Accelerations pattern times history, which is read from those measured."""
         pattern = pattern * ones
-        column = own.gated(model.sensor_response * pattern * course / deviation)
+        column = own.gated(model.sensor_response * pattern * history / deviation)
         if np.any(column):
             names.append(name)
             columns.append(column.astype(np.complex64))  # they are many

@@ -94,8 +94,8 @@ class Observed:
             :, :, 0
         ].T
         length = record.length // record.factor
-        course = np.fft.irfft(free, length) * gate(record)
-        return self.whitened(self.rowed(np.fft.rfft(course)[:, self.lines]))
+        history = np.fft.irfft(free, length) * gate(record)
+        return self.whitened(self.rowed(np.fft.rfft(history)[:, self.lines]))
 
     def rowed(self, standard: Complex[np.ndarray, "sensors lines"]) -> Complex[np.ndarray, "lines rows"]:
         return np.asarray((self.basis @ standard.T[:, :, None])[:, :, 0])

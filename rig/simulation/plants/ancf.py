@@ -74,7 +74,7 @@ def simulate(
         mbs = container.AddSystem()
         meshes, connectors, loads = build(exu, mbs, rig, float(applied_n[0]), elements, extra)
         time_s = np.arange(len(force_n)) * step_s
-        courses_n = [applied_n, *(tone.force_n(time_s) for tone in rig.tones)]
+        histories_n = [applied_n, *(tone.force_n(time_s) for tone in rig.tones)]
         limits_m = softening_limits_m(rig)
         readers = {
             order: _read_nodes(exu, mbs, meshes, order) for order in {0, *(s.measures.order for s in rig.sensors)}
@@ -92,8 +92,8 @@ def simulate(
 
         def apply_force(system: Any, time_s: float) -> bool:
             sample = round(time_s / step_s)
-            for load, course_n in zip(loads, courses_n, strict=True):
-                system.SetLoadParameter(load, "load", float(course_n[sample]))
+            for load, history_n in zip(loads, histories_n, strict=True):
+                system.SetLoadParameter(load, "load", float(history_n[sample]))
             if base and set_base:
                 set_base(float(base[2][sample]))
             for change in changes:
@@ -120,7 +120,7 @@ def simulate(
             between = [displaced[c.at] - (displaced[c.against] if c.against else 0) for c in connections(rig)]
             check_softening(limits_m, _stack(between, moved[0].shape[1]))
             now = slice(last + 1 - (count := moved[0].shape[1]), last + 1)
-            carried = [course[now] for course in base] if base else [0.0] * 3
+            carried = [history[now] for history in base] if base else [0.0] * 3
             sensed = [row @ moved[m.order] + carried[m.order] * (not m.bends) for m, row in sensors]
             yield Motion(
                 start_s=(first + (0 if first == 0 else 1)) * step_s,

@@ -77,7 +77,7 @@ def simulate(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress, 
     last = np.append(model.at_rest, np.zeros(model.omega.size))
     none = np.zeros(len(model.across))
     held = np.stack([model.holding_n, model.across @ model.at_rest, none, none])
-    course_n, course_bent_n = np.tile(model.holding_n[:, None], 4), np.zeros((len(model.across), 1))
+    history_n, history_bent_n = np.tile(model.holding_n[:, None], 4), np.zeros((len(model.across), 1))
     for first in range(0, len(force_n), BLOCK):
         now = slice(first, min(first + BLOCK, len(force_n)))
         applied, bends = _applied(rig, force_n, base, step_s, now)
@@ -92,9 +92,9 @@ def simulate(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress, 
             )
         check_softening(limits_m, model.across @ moved[:, : model.omega.size].T)
         progress(now.stop / len(force_n))
-        course_n = np.concatenate([course_n[:, -4:], contact_n], axis=1)
-        course_bent_n = np.concatenate([course_bent_n[:, -1:], bent_n], axis=1)
-        heard_n = _without_alias(course_n, course_bent_n)
+        history_n = np.concatenate([history_n[:, -4:], contact_n], axis=1)
+        history_bent_n = np.concatenate([history_bent_n[:, -1:], bent_n], axis=1)
+        heard_n = _without_alias(history_n, history_bent_n)
         sensed = _observed(rig, model, moved, applied[:, 1:], heard_n)
         if base:
             sensed += np.array([0.0 * base[0][now] if m.bends else base[m.order][now] for m in measured]).reshape(
@@ -138,17 +138,17 @@ def _observed(
 
 
 def _without_alias(
-    course_n: Float[np.ndarray, "contacts longer"], bent_n: Float[np.ndarray, "contacts long"]
+    history_n: Float[np.ndarray, "contacts longer"], bent_n: Float[np.ndarray, "contacts long"]
 ) -> Float[np.ndarray, "contacts samples"]:
     """Contact forces whose samples give the true impulse when added up, as the samples of a force with corners do not.
 
     Accelerometers hear these: else each closure would leave an error in the velocity. What the bend of a step has more
-    than a smooth course would (-f'' h^2 / 12, from the samples before) is moved to the samples after it, about the
+    than a smooth force would (-f'' h^2 / 12, from the samples before) is moved to the samples after it, about the
     middle of the step. Begins with four more samples of the forces, and one more bend.
     """
-    second = np.diff(course_n, n=2)
+    second = np.diff(history_n, n=2)
     corner = bent_n + (3 * second[:, 1:] - second[:, :-1]) / 24
-    return course_n[:, 4:] + 1.5 * corner[:, 1:] - 0.5 * corner[:, :-1]
+    return history_n[:, 4:] + 1.5 * corner[:, 1:] - 0.5 * corner[:, :-1]
 
 
 def _model(rig: Rig, moving_base: bool, modes: int) -> _Model:

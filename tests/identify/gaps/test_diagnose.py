@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from identify.gaps.decision.answer import Simulator, diagnose
-from identify.gaps.decision.null_reference import null_reference
+from identify.gaps.decision.null_reference import null_reference_of
 from identify.gaps.faults import fault_of
 from identify.gaps.search import candidates
 from rig.effects import effect_named, effects
@@ -35,10 +35,10 @@ SIMULATOR = Simulator("modal", modal)
 
 
 @pytest.fixture(scope="session")
-def nulls(tmp_path_factory):
+def null_reference(tmp_path_factory):
     """The null reference of the rig at the force of the validation record, made once."""
-    path = tmp_path_factory.mktemp("nulls") / "nulls.json"
-    null_reference(records(RIG, RIG)[1], LABORATORY, modal, "modal", kept=path)
+    path = tmp_path_factory.mktemp("null_reference") / "null_reference.json"
+    null_reference_of(records(RIG, RIG)[1], LABORATORY, modal, "modal", kept=path)
     return path
 
 
@@ -48,12 +48,12 @@ def records(*actual: Rig) -> list[Recording]:
     ]
 
 
-def diagnosed(actual: Rig, nulls):
-    return diagnose(*records(actual, actual), SIMULATOR, nulls)
+def diagnosed(actual: Rig, null_reference):
+    return diagnose(*records(actual, actual), SIMULATOR, null_reference)
 
 
-def test_the_believed_rig_has_no_gap(nulls):
-    gap, corrected = diagnosed(RIG, nulls)
+def test_the_believed_rig_has_no_gap(null_reference):
+    gap, corrected = diagnosed(RIG, null_reference)
     assert gap.verdict == "no_gap"
     assert corrected == RIG
     assert gap.before.p_value > 0.01
@@ -68,9 +68,9 @@ def test_the_believed_rig_has_no_gap(nulls):
         ("added_mass:mass_kg=0.2", "added_mass.mass_kg", 0.2),
     ],
 )
-def test_an_effect_is_named_with_its_size(text, parameter, value, nulls):
+def test_an_effect_is_named_with_its_size(text, parameter, value, null_reference):
     actual = effect_named(text).applied_to(RIG)
-    gap, corrected = diagnosed(actual, nulls)
+    gap, corrected = diagnosed(actual, null_reference)
     assert gap.verdict == "explained"
     assert gap.causes[0].effects == (text.partition(":")[0],)
     found = gap.causes[0].parameters[parameter]
@@ -81,7 +81,7 @@ def test_an_effect_is_named_with_its_size(text, parameter, value, nulls):
     assert total == pytest.approx(1.0)
 
 
-def test_an_effect_in_a_file_of_its_own_is_found_by_itself(monkeypatch, nulls):
+def test_an_effect_in_a_file_of_its_own_is_found_by_itself(monkeypatch, null_reference):
     class GrowingLag(Effect, frozen=True):
         """The force channel is late by more than anybody thought."""
 
@@ -93,16 +93,16 @@ def test_an_effect_in_a_file_of_its_own_is_found_by_itself(monkeypatch, nulls):
 
     others = {name: kind for name, kind in effects().items() if name != "force_shift"}
     monkeypatch.setattr(candidates, "effects", lambda: {**others, GrowingLag.name: GrowingLag})
-    gap, _ = diagnosed(GrowingLag(lag_s=6e-3).applied_to(RIG), nulls)
+    gap, _ = diagnosed(GrowingLag(lag_s=6e-3).applied_to(RIG), null_reference)
     assert gap.causes[0].effects == ("growing_lag",)
     assert gap.causes[0].parameters["growing_lag.lag_s"].value == pytest.approx(6e-3, rel=0.05)
 
 
-def test_another_rigs_validation_is_refused(nulls):
+def test_another_rigs_validation_is_refused(null_reference):
     fit, validation = records(RIG, RIG)
     other = with_fields(validation, rig=replace(RIG, name="other"))
     with pytest.raises(RigError, match="of another rig"):
-        diagnose(fit, other, SIMULATOR, nulls)
+        diagnose(fit, other, SIMULATOR, null_reference)
 
 
 def refuse(_believed: Rig, _actual: Rig, _force_n: np.ndarray, _seed: int) -> Recording:
@@ -110,22 +110,22 @@ def refuse(_believed: Rig, _actual: Rig, _force_n: np.ndarray, _seed: int) -> Re
 
 
 def test_a_null_reference_of_another_rig_or_none_is_made_anew(tmp_path):
-    path = tmp_path / "nulls.json"
+    path = tmp_path / "null_reference.json"
     path.write_text("nothing of the kind")
     _, validation = records(RIG, RIG)
-    made = null_reference(validation, LABORATORY, modal, "modal", kept=path, nulls=2)
-    assert null_reference(validation, LABORATORY, refuse, "modal", kept=path, nulls=2) == made
+    made = null_reference_of(validation, LABORATORY, modal, "modal", kept=path, null_reference=2)
+    assert null_reference_of(validation, LABORATORY, refuse, "modal", kept=path, null_reference=2) == made
     other = with_fields(validation, rig=replace(RIG, name="other"))
-    assert null_reference(other, LABORATORY, modal, "modal", kept=path, nulls=2).key != made.key
+    assert null_reference_of(other, LABORATORY, modal, "modal", kept=path, null_reference=2).key != made.key
 
 
-def test_a_short_record_is_refused(nulls):
+def test_a_short_record_is_refused(null_reference):
     short = [
         with_fields(one, signals={n: Signals(s.channels, 0.0, s.values[:, :2000]) for n, s in one.signals.items()})
         for one in records(RIG, RIG)
     ]
     with pytest.raises(RigError, match=r"lasts 3.91 s; the diagnosis needs"):
-        diagnose(*short, SIMULATOR, nulls)
+        diagnose(*short, SIMULATOR, null_reference)
 
 
 @pytest.mark.parametrize(
@@ -136,7 +136,7 @@ def test_dead_and_clipped_channels_are_what_they_are(change, fault):
     assert fault_of(change(np.random.default_rng(1).standard_normal(10_000))) == fault
 
 
-def test_a_record_of_dead_channels_is_refused(nulls):
+def test_a_record_of_dead_channels_is_refused(null_reference):
     dead = []
     for one in records(RIG, RIG):
         moved = one.signals["displacement"]
@@ -144,4 +144,4 @@ def test_a_record_of_dead_channels_is_refused(nulls):
             with_fields(one, signals={**one.signals, "displacement": with_fields(moved, values=0 * moved.values)})
         )
     with pytest.raises(RigError, match="every channel is dead or clipped"):
-        diagnose(*dead, SIMULATOR, nulls)
+        diagnose(*dead, SIMULATOR, null_reference)

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from identify.commands.cli import app
 from identify.gaps.decision.answer import Simulator, diagnose
 from identify.gaps.decision.differences import differences
-from identify.gaps.decision.null_reference import null_reference
+from identify.gaps.decision.null_reference import null_reference_of
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.hypothesis import Search, fit_effects
@@ -52,9 +52,9 @@ def nominal():
 
 
 @pytest.fixture(scope="module")
-def nulls(tmp_path_factory, nominal):
-    path = tmp_path_factory.mktemp("nulls") / "nulls.json"
-    null_reference(nominal[2], LABORATORY, modal, "modal", kept=path)
+def null_reference(tmp_path_factory, nominal):
+    path = tmp_path_factory.mktemp("null_reference") / "null_reference.json"
+    null_reference_of(nominal[2], LABORATORY, modal, "modal", kept=path)
     return path
 
 
@@ -74,9 +74,9 @@ def test_a_parameter_shared_by_two_records_is_tighter_and_right():
     assert both.values[0] == pytest.approx(mass_kg, abs=1.96 * errors[2])
 
 
-def test_a_clearance_that_grows_is_told_and_a_stiffness_that_does_not_is_not(nulls):
+def test_a_clearance_that_grows_is_told_and_a_stiffness_that_does_not_is_not(null_reference):
     wider = with_effect("contact_clearance:factor=1.05")
-    gap, _ = diagnose(recordings(RIG, RIG, wider), None, SIMULATOR, nulls)
+    gap, _ = diagnose(recordings(RIG, RIG, wider), None, SIMULATOR, null_reference)
     (found,) = gap.between.differing
     assert found.parameter == "contact_clearance.factor"
     assert found.trend == "grows"
@@ -87,8 +87,8 @@ def test_a_clearance_that_grows_is_told_and_a_stiffness_that_does_not_is_not(nul
     assert "contact_clearance.factor (stop) grows" in gap.sentence
 
 
-def test_what_all_records_have_is_a_cause_and_no_difference(nulls):
-    gap, _ = diagnose(recordings(*[with_effect("contact_stiffness:factor=1.2")] * 3), None, SIMULATOR, nulls)
+def test_what_all_records_have_is_a_cause_and_no_difference(null_reference):
+    gap, _ = diagnose(recordings(*[with_effect("contact_stiffness:factor=1.2")] * 3), None, SIMULATOR, null_reference)
     assert gap.causes[0].effects == ("contact_stiffness",)
     assert gap.between.differing == ()
     (row,) = gap.between.cause
@@ -104,16 +104,16 @@ def test_nothing_differs_between_records_of_the_believed_rig(nominal):
     assert between.looked_at > 5
 
 
-def test_any_record_validates_and_a_recording_counts_once(nominal, nulls):
+def test_any_record_validates_and_a_recording_counts_once(nominal, null_reference):
     other = with_fields(nominal[1], rig=replace(RIG, name="other"))
     with pytest.raises(RigError, match="recording 2 is of another rig"):
-        diagnose([nominal[0], other, nominal[2]], None, SIMULATOR, nulls)
+        diagnose([nominal[0], other, nominal[2]], None, SIMULATOR, null_reference)
     with pytest.raises(RigError, match="recording 3 is the same as an earlier one"):
-        diagnose([*nominal[:2], with_fields(nominal[0])], None, SIMULATOR, nulls)
+        diagnose([*nominal[:2], with_fields(nominal[0])], None, SIMULATOR, null_reference)
     with pytest.raises(RigError, match="cannot validate itself"):
-        diagnose(nominal[0], nominal[0], SIMULATOR, nulls)
+        diagnose(nominal[0], nominal[0], SIMULATOR, null_reference)
     with pytest.raises(RigError, match="no recording"):
-        diagnose([], None, SIMULATOR, nulls)
+        diagnose([], None, SIMULATOR, null_reference)
 
 
 def test_a_file_given_twice_or_missing_is_named(nominal, tmp_path):

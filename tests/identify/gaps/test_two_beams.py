@@ -6,7 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from identify.gaps.decision.answer import Simulator, diagnose
-from identify.gaps.decision.null_reference import null_reference
+from identify.gaps.decision.null_reference import null_reference_of
 from rig.effects import effect_named
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Contact, Station
@@ -31,18 +31,18 @@ def records(actual=RIG):
 
 
 @pytest.fixture(scope="module")
-def nulls(tmp_path_factory):
-    path = tmp_path_factory.mktemp("nulls") / "nulls.json"
-    null_reference(records()[1], LABORATORY, modal, "modal", kept=path)
+def null_reference(tmp_path_factory):
+    path = tmp_path_factory.mktemp("null_reference") / "null_reference.json"
+    null_reference_of(records()[1], LABORATORY, modal, "modal", kept=path)
     return path
 
 
-def diagnosed(actual, nulls):
-    return diagnose(*records(actual), Simulator("modal", modal), nulls)
+def diagnosed(actual, null_reference):
+    return diagnose(*records(actual), Simulator("modal", modal), null_reference)
 
 
-def test_the_believed_rig_has_no_gap(nulls):
-    gap, corrected = diagnosed(RIG, nulls)
+def test_the_believed_rig_has_no_gap(null_reference):
+    gap, corrected = diagnosed(RIG, null_reference)
     assert gap.verdict == "no_gap"
     assert corrected == RIG
 
@@ -58,19 +58,19 @@ def test_the_believed_rig_has_no_gap(nulls):
         (("contact_clearance:factor=1.2,contact=contact_1", "added_mass:mass_kg=0.2"), "added_mass.mass_kg", 0.2),
     ],
 )
-def test_effects_are_named_with_their_size(nulls, effects, parameter, value):
+def test_effects_are_named_with_their_size(null_reference, effects, parameter, value):
     actual = reduce(lambda rig, text: effect_named(text).applied_to(rig), effects, RIG)
-    gap, _ = diagnosed(actual, nulls)
+    gap, _ = diagnosed(actual, null_reference)
     assert set(gap.causes[0].effects) == {text.split(":")[0] for text in effects}
     found = gap.causes[0].parameters[parameter]
     assert abs(found.value - value) < 4 * found.standard_error
 
 
-def test_what_the_library_lacks_is_unknown_and_described(nulls):
+def test_what_the_library_lacks_is_unknown_and_described(null_reference):
     """A third contact, of the cradle with the ground."""
     law = DeadZone(lower_clearance_m=1e-3, upper_clearance_m=1e-3, stiffness_n_per_m=3e4)
     third = Contact(name="third", at=Station("cradle", 0.75), against=None, law=law)
-    gap, corrected = diagnosed(replace(RIG, contacts=(*RIG.contacts, third)), nulls)
+    gap, corrected = diagnosed(replace(RIG, contacts=(*RIG.contacts, third)), null_reference)
     assert gap.verdict == "unknown"
     assert "cradle" in gap.unknown.sentence
     assert corrected == RIG

@@ -71,7 +71,7 @@ def test_the_weak_form_is_exact_where_the_papers_form_leaks(window, bound):
     cut = cut_of(force.size, window=window)
     weak, paper = (nifo(equation, force, depth, cut, form) for form in ("weak", "paper"))
     np.testing.assert_allclose(weak.mean_n_per_m, STIFFNESS_N_PER_M, rtol=1e-4)
-    for error in (frf_error, lambda n: float(np.max(n.spread_n_per_m / STIFFNESS_N_PER_M))):
+    for error in (frf_error, lambda n: float(np.max(n.deviation_n_per_m / STIFFNESS_N_PER_M))):
         assert error(weak) < error(paper) / 10
         assert error(weak) < bound
 
@@ -128,7 +128,7 @@ def test_mean_and_spread_over_frequency():
     assert isinstance(found, Nifo)
     changed = replace(found, stiffness_n_per_m=stiffness, frequency_hz=np.array([1.0, 2.0]), frf=np.ones(2, complex))
     np.testing.assert_allclose(changed.mean_n_per_m, [2.0, 5.0])
-    np.testing.assert_allclose(changed.spread_n_per_m, [np.sqrt(5.0), 0.0])
+    np.testing.assert_allclose(changed.deviation_n_per_m, [np.sqrt(5.0), 0.0])
 
 
 @pytest.fixture(scope="module")

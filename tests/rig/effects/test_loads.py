@@ -50,7 +50,7 @@ def test_the_base_moves_as_it_is_told():
     machine = effect_named("base_motion:acceleration_rms_m_per_s2=0.3,low_hz=5,high_hz=9").applied_to(MACHINE)
     samples = round(8 / STEP_S)
     base = base_motion(machine, samples, STEP_S)
-    assert all(course[0] == 0 for course in base)
+    assert all(history[0] == 0 for history in base)
     assert np.sqrt(np.mean(base[2] ** 2)) == pytest.approx(0.3, rel=0.05)
     for lower, higher in pairwise(base):
         error = np.abs(np.gradient(lower, STEP_S) - higher)[1:-1].max()

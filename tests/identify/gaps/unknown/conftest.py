@@ -76,7 +76,7 @@ class World:
         return (body.shapes(np.asarray(to), MODES) * body.shapes(np.array([at]), MODES)[0]) @ each
 
     def displacements(self, forces, to):
-        """By (station, course in time) at stations."""
+        """By (station, time history) at stations."""
         found = np.zeros((len(to), self.omega.size), dtype=complex)
         for station, force in forces:
             for i, place in enumerate(to):
@@ -93,13 +93,13 @@ class World:
         rig, forces = self.rig, []
         if unknown is not None:
             stations, law = unknown
-            course = np.zeros(self.time_s.size)
+            history = np.zeros(self.time_s.size)
             for _ in range(40):
-                forces = [(s, sign * course) for s, sign in zip(stations, (1.0, -1.0), strict=False)]
+                forces = [(s, sign * history) for s, sign in zip(stations, (1.0, -1.0), strict=False)]
                 moved = self.displacements([(rig.force_at, force), *forces], stations)
                 relative = moved[0] - (moved[1] if len(stations) > 1 else 0.0)
                 motion = [np.fft.irfft((1j * self.omega) ** n * relative, self.time_s.size) for n in (0, 1)]
-                course = 0.5 * course + 0.5 * law(self.time_s, *motion)
+                history = 0.5 * history + 0.5 * law(self.time_s, *motion)
         places = [s.station for s in rig.sensors]
         seen = -(self.omega**2) * self.displacements([(rig.force_at, force), *forces], places)
         signals = np.fft.irfft(seen, self.time_s.size)

@@ -1,4 +1,4 @@
-"""A known force that nobody measured is found: its place, its course in time and its law."""
+"""A known force that nobody measured is found: its place, its time history and its law."""
 
 from dataclasses import replace
 
@@ -60,8 +60,8 @@ def test_a_tone_that_runs_before_the_excitation_is_no_noise(world):
 
 def test_a_random_force_has_a_band_and_no_law(world):
     rms_n, place_m = 0.3, 0.47
-    course = world.random_n(rms_n, (5.0, 25.0))
-    found = found_in(world, ((Station("beam", place_m),), lambda *_: course))
+    history = world.random_n(rms_n, (5.0, 25.0))
+    found = found_in(world, ((Station("beam", place_m),), lambda *_: history))
     assert found.position_m.value == pytest.approx(place_m, abs=WITHIN_M)
     assert found.law == ""
     assert found.rms.value == pytest.approx(rms_n, rel=0.15)
@@ -111,8 +111,8 @@ def test_a_null_shows_no_force(world):
 
 
 def test_a_small_force_is_placed_and_gains_more_than_nothing(world):
-    course = world.random_n(0.01)
-    small = ((Station("beam", 0.7),), lambda *_: course)
+    history = world.random_n(0.01)
+    small = ((Station("beam", 0.7),), lambda *_: history)
     records = [both(world, unknown) for unknown in (None, small)]
     nothing, found = (likeliest_force(fit, world.rig, validation).described() for fit, validation in records)
     assert found.same_place
@@ -132,9 +132,9 @@ def test_nuisances_do_not_shrink_the_data(world):
 
 
 def test_the_criterion_falls_most_at_the_true_place(world):
-    course = world.random_n(0.3)
+    history = world.random_n(0.3)
     place_m = 0.5
-    own = observed(world.record(5.0, ((Station("beam", place_m),), lambda *_: course)), world.rig)
+    own = observed(world.record(5.0, ((Station("beam", place_m),), lambda *_: history)), world.rig)
     before = without(own)
 
     def criterion(at_m):
@@ -146,9 +146,9 @@ def test_the_criterion_falls_most_at_the_true_place(world):
 
 
 def test_the_place_has_an_honest_error(world):
-    course = world.random_n(0.05)
+    history = world.random_n(0.05)
     place_m = 0.5
-    own = observed(world.record(5.0, ((Station("beam", place_m),), lambda *_: course)), world.rig)
+    own = observed(world.record(5.0, ((Station("beam", place_m),), lambda *_: history)), world.rig)
     found = located(own)
     assert 0 < found.error_m < WITHIN_M
     assert abs(found.candidate.stations[0].position_m - place_m) < max(6 * found.error_m, 2e-3)

@@ -1,4 +1,4 @@
-"""The course in time of an unmeasured force whose place is known, and of the motion there; laws laid against it."""
+"""The time history of an unmeasured force whose place is known, and of the motion there; laws laid against it."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -78,9 +78,9 @@ class ForceHistory:
         coarse = np.fft.irfft(np.fft.rfft(fine_n)[..., :lines] / FINER, record.length // record.factor)
         return self.coarsely(coarse)
 
-    def coarsely(self, course_n: Float[np.ndarray, "*rows alltimes"]) -> Complex[np.ndarray, "*rows lines"]:
+    def coarsely(self, history_n: Float[np.ndarray, "*rows alltimes"]) -> Complex[np.ndarray, "*rows lines"]:
         own = self.located.observed
-        found = np.fft.rfft(course_n * self.counted)[..., own.lines] * own.record.factor
+        found = np.fft.rfft(history_n * self.counted)[..., own.lines] * own.record.factor
         return np.asarray(found * self.located.after.size)
 
     def reduced(
@@ -123,7 +123,7 @@ def force_of(located: Located) -> Complex[np.ndarray, " alllines"]:
     return force
 
 
-def course_of(located: Located) -> ForceHistory:
+def history_of(located: Located) -> ForceHistory:
     """Of a force or a pair."""
     own, after = located.observed, located.after
     record, force = own.record, force_of(located)
@@ -152,22 +152,22 @@ def course_of(located: Located) -> ForceHistory:
     return weighing(whole, weights)
 
 
-def softened(course: ForceHistory, law_error: float) -> ForceHistory:
+def softened(history: ForceHistory, law_error: float) -> ForceHistory:
     """With a law trusted to this share of the force only."""
-    own, after = course.located.observed, course.located.after
+    own, after = history.located.observed, history.located.after
     noise, spectrum = own.on_lines(after.noise), own.on_lines(after.spectrum)
-    return weighing(course, own.count / (noise + law_error**2 * spectrum * after.size**2))
+    return weighing(history, own.count / (noise + law_error**2 * spectrum * after.size**2))
 
 
-def weighing(course: ForceHistory, weights: Float[np.ndarray, " lines"]) -> ForceHistory:
+def weighing(history: ForceHistory, weights: Float[np.ndarray, " lines"]) -> ForceHistory:
     """With other weights of the lines in the direction of the force."""
-    less = course.weights - weights
-    halves = _halves(course.nuisances)
+    less = history.weights - weights
+    halves = _halves(history.nuisances)
     return replace(
-        course,
+        history,
         weights=weights,
-        matrix=course.matrix - _halves(course.nuisances * less) @ halves.T,
-        rest=course.rest - _halves(course.nuisances * less) @ _halves(course.bare),
+        matrix=history.matrix - _halves(history.nuisances * less) @ halves.T,
+        rest=history.rest - _halves(history.nuisances * less) @ _halves(history.bare),
     )
 
 
