@@ -150,11 +150,11 @@ def _found(actual: Rig, contacts: Contacts) -> FoundContact:
         if not isinstance(answer, Joint):
             refused.append(f"{contact.name}: {answer}")
             continue
-        law, spread = contact.law, np.sqrt(np.diag(answer.covariance))
+        law, (_, _, of_stiffness, of_damping) = contact.law, answer.errors
         for quantity, value, estimate, error in (
             ("clearance", law.clearance_m, answer.clearance_m, answer.clearance_error_m),
-            ("stiffness", law.stiffness_n_per_m, answer.parameters[2], spread[2]),
-            ("damping", law.damping_n_s_per_m, answer.parameters[3], spread[3]),
+            ("stiffness", law.stiffness_n_per_m, answer.stiffness_n_per_m, of_stiffness),
+            ("damping", law.damping_n_s_per_m, answer.values[-1], of_damping),
         ):
             names.append(f"{contact.name} {quantity}")
             true.append(value)

@@ -263,7 +263,7 @@ def _of_both(begun: Sequence[Sequence[Search]], one: Hypothesis) -> float:
         again = _best(begun[1], one)
         first, second = (np.linalg.pinv(h.covariance, hermitian=True) for h in (one, again))
         mean = np.linalg.pinv(first + second, hermitian=True) @ (first @ one.values + second @ again.values)
-        low, high = (np.concatenate(ends) for ends in zip(*(p.bounds for p in one.parts), strict=True))
+        low, high = one.parameters.bounds
         one = fields(one, values=np.clip(mean, low, high))
     return sum(_best(b, one, held=True).misfit.minus_two_log for b in begun)
 

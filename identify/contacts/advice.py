@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from identify.contacts.identification import Identification
-from identify.contacts.joint import Joint
+from identify.contacts.joint import CLEARANCE, STIFFNESS, Joint
 from identify.pages.wording import percent
 from rig.model.description import Station
 from rig.model.tolerances import EXACT
@@ -85,9 +85,8 @@ def surer(found: Identification) -> Iterator[str]:
 def variance_shares(answer: Joint) -> dict[str, dict[str, float]]:
     """Of the clearance and the stiffness, the shares of their variance by source; each sums to one."""
     parts = {"tolerances": answer.of_tolerances, "drift": answer.of_drift}
-    half = np.array([0.5, 0.5, 0.0, 0.0])
     found = {}
-    for quantity, along in (("clearance", half), ("stiffness", np.eye(4)[2])):
+    for quantity, along in (("clearance", CLEARANCE), ("stiffness", STIFFNESS)):
         whole = float(along @ answer.covariance @ along)
         shares = {source: float(along @ part @ along) / whole for source, part in parts.items()} if whole > 0 else {}
         found[quantity] = shares | {"scatter": 1.0 - sum(shares.values())}

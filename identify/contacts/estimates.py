@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.contacts.forces import RING_S, ContactForces, separated_forces
-from identify.contacts.joint import ContactRecord, Joint, fit_joint
+from identify.contacts.joint import STIFFNESS, ContactRecord, Joint, fit_joint
 from identify.signals.drift import KNOT_S, Drift
 from identify.signals.kinematics import Kinematics, Use, acceleration_noise, kinematics
 from identify.signals.spectra import decimated, force_band
@@ -166,7 +166,7 @@ def _estimate(observed: ContactRecord, separated: ContactForces, contact: int) -
         return str(error)
     for what, value, error_of in (
         ("clearance", found.clearance_m, found.clearance_error_m),
-        ("stiffness", found.parameters[2], np.sqrt(found.covariance[2, 2])),
+        ("stiffness", found.stiffness_n_per_m, found.error(STIFFNESS)),
     ):
         if not error_of < LOOSE * value:
             share = 100 * error_of / max(value, 1e-12)

@@ -146,7 +146,7 @@ def _separated(figure: Any, found: Identification, marks: Marks, marks_name: str
         force = found.separated.force_n[j][: eta.size]
         axes.plot(1e3 * eta, force, ".", ms=1.2, color=BLUE, alpha=0.4, label="separated, no law assumed")
         if isinstance(answer, Joint):
-            lower, upper, stiffness, _ = answer.parameters
+            lower, upper, stiffness, _ = answer.values
             span = np.linspace(eta.min(), eta.max(), 400)
             law = stiffness * penetration_m(span, lower, upper)
             axes.plot(1e3 * span, law, color=RED, lw=1.2, label="law found (without damping)")

@@ -131,19 +131,19 @@ def _with_law(
     force, depth = np.zeros_like(eta), np.zeros_like(eta)
     for j, (seen, found) in enumerate(zip(observed, estimates, strict=True)):
         if isinstance(found, Joint):
-            lower, upper = (float(p) for p in found.parameters[:2])
+            lower, upper, _, _ = found.values.tolist()
             eta[j] += found.drift_m
             depth[j] = penetration(eta[j], lower, upper)
             velocity = seen.velocity_m_per_s + found.drift_m_per_s
-            force[j] = law_force_n(found.parameters, eta[j], velocity)
+            force[j] = law_force_n(found.values, eta[j], velocity)
     return eta, force, depth
 
 
 def _stops(found: ContactFit) -> Stops | None:
     if not isinstance(found, Joint):
         return None
-    errors = np.sqrt(np.diag(found.covariance))
-    return Stops(*(float(x) for x in (*found.parameters[:2], *errors[:2], found.clearance_error_m)))
+    (lower, upper, _, _), (of_lower, of_upper, _, _) = found.values.tolist(), found.errors.tolist()
+    return Stops(lower, upper, of_lower, of_upper, found.clearance_error_m)
 
 
 def _decimation(rig: Rig, motion: Kinematics) -> int:

@@ -15,6 +15,7 @@ from identify.signals.scores import PARTS, part_scores
 from identify.signals.spectra import decimated, oversampled
 from rig.errors import RigError
 from rig.model.contact_laws import DeadZone
+from rig.model.parameters import Parameter, ParameterSet
 
 STEPS, SETTLED = 30, 1e-7
 FINE_HZ = 16384.0
@@ -36,6 +37,20 @@ LOST = 3.0
 """If between two closures the noise, integrated twice, wanders by more than this multiple of the median penetration,
 the fit cannot tell which closure belongs where."""
 
+LAW = ParameterSet(
+    (
+        Parameter("m", 0.0, np.inf, name="lower_clearance_m"),
+        Parameter("m", 0.0, np.inf, name="upper_clearance_m"),
+        Parameter("N/m", 0.0, np.inf, name="stiffness_n_per_m"),
+        Parameter("N s/m", -np.inf, np.inf, name="damping_n_s_per_m"),
+    )
+)
+"""What is estimated of a `DeadZone`; its damping may have any sign."""
+CLEARANCE = LAW.vector({"lower_clearance_m": 0.5, "upper_clearance_m": 0.5})
+STIFFNESS = LAW.vector({"stiffness_n_per_m": 1.0})
+"""Linear functions of the parameters: half the total play, and the stiffness."""
+
+Law = Float[np.ndarray, "4"]
 Weights = Float[np.ndarray, " fewer"]
 NuisanceSignal = tuple[Float[np.ndarray, " fewer"], Float[np.ndarray, " samples"]]
 """What one standard deviation of an uncertain thing would add to the force and to the relative displacement."""
@@ -68,14 +83,14 @@ class ContactRecord:
 
 @dataclass(frozen=True)
 class Joint:
-    """The estimate: parameters are lower and upper clearance (m), stiffness (N/m), damping (N s/m), with covariance.
+    """The estimate: values of the parameters of `LAW`, with covariance.
 
     of_tolerances and of_drift are the parts of the covariance that come from what rig.json may have wrong and from the
     slow motion that accelerometers miss; the rest is the record's own scatter. sides_known says whether lower and upper
     are told apart; drift_m and drift_m_per_s are what was added to the relative displacement and velocity.
     """
 
-    parameters: Float[np.ndarray, "4"]
+    values: Law
     covariance: Float[np.ndarray, "4 4"]
     of_tolerances: Float[np.ndarray, "4 4"]
     of_drift: Float[np.ndarray, "4 4"]
@@ -85,27 +100,39 @@ class Joint:
 
     @property
     def clearance_m(self) -> float:
-        return float(self.parameters[:2].mean())
+        return float(CLEARANCE @ self.values)
 
     @property
     def clearance_error_m(self) -> float:
-        return float(np.sqrt(self.covariance[:2, :2].sum()) / 2)
+        return self.error(CLEARANCE)
+
+    @property
+    def stiffness_n_per_m(self) -> float:
+        return float(STIFFNESS @ self.values)
+
+    @property
+    def errors(self) -> Law:
+        """The standard error of every parameter."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    def error(self, of: Law) -> float:
+        """The standard error of a linear function of the parameters, such as `STIFFNESS`."""
+        return float(np.sqrt(of @ self.covariance @ of))
 
 
 def law_force_n(
-    parameters: Float[np.ndarray, "4"],
-    eta_m: Float[np.ndarray, " samples"],
-    rate_m_per_s: Float[np.ndarray, " samples"],
+    law: Law, eta_m: Float[np.ndarray, " samples"], rate_m_per_s: Float[np.ndarray, " samples"]
 ) -> Float[np.ndarray, " samples"]:
     """Stiffness and damping times what a `DeadZone` makes of one of each; the damping may have any sign."""
-    by_stiffness, by_damping = _by_stiffness_and_damping(parameters, eta_m, rate_m_per_s)
-    return np.asarray(parameters[2] * by_stiffness + parameters[3] * by_damping)
+    _, _, stiffness, damping = law
+    by_stiffness, by_damping = _by_stiffness_and_damping(law, eta_m, rate_m_per_s)
+    return np.asarray(stiffness * by_stiffness + damping * by_damping)
 
 
 def _by_stiffness_and_damping(
-    parameters: Float[np.ndarray, "4"], eta_m: Float[np.ndarray, " samples"], rate: Float[np.ndarray, " samples"]
+    law: Law, eta_m: Float[np.ndarray, " samples"], rate: Float[np.ndarray, " samples"]
 ) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
-    lower, upper = parameters[:2].tolist()
+    lower, upper, _, _ = law.tolist()
     spring, damper = (
         DeadZone(lower_clearance_m=lower, upper_clearance_m=upper, stiffness_n_per_m=k, damping_n_s_per_m=c)
         for k, c in ((1.0, 0.0), (0.0, 1.0))
@@ -128,10 +155,9 @@ def fit_joint(seen: ContactRecord, nuisance_signals: Sequence[NuisanceSignal] = 
     Raises RigError if the contact is hardly ever closed or the fit does not converge.
     """
     curve = spline(seen.eta_m.size, seen.sample_rate_hz, seen.drift)
-    free = [0, 1, 2, 3] if seen.sides_known else [0, 2, 3]
-    tie = np.eye(4)[:, free]
+    tie = np.eye(len(LAW))
     if not seen.sides_known:
-        tie[1, 0] = 1.0
+        tie = np.column_stack([2 * CLEARANCE, tie[:, 2:]])
     law, knots = regressed(seen, curve)
     for begin in (knots, np.zeros_like(knots)):  # rarely, the regression's drift leads astray
         state, weights = _fitted(seen, curve, tie, _linearised(seen, curve, law, begin))
@@ -143,22 +169,22 @@ def fit_joint(seen: ContactRecord, nuisance_signals: Sequence[NuisanceSignal] = 
             "and gains, or excite the rig more strongly"
         )
     _check_bridged(seen, state)
-    scale = _scales(state, free)
+    scale = _scales(state, tie)
     hessian, _ = _normal(state, curve, tie * scale, weights)
-    chosen = np.zeros((hessian.shape[0], len(free)))
-    chosen[-len(free) :] = np.eye(len(free))
+    free = tie.shape[1]
+    chosen = np.eye(hessian.shape[0], free, -curve.knots)
     inverse = splu(hessian).solve(chosen)
     influence = (_jacobian(state, curve, tie * scale) @ inverse) * weights[:, None] ** 2  # of residuals on parameters
-    left = PARTS - len(free)  # parts are few: Student's t, so that 1.96 standard errors cover 95 %
+    left = PARTS - free  # parts are few: Student's t, so that 1.96 standard errors cover 95 %
     few = np.sqrt(PARTS / left) * t.ppf(0.975, left) / norm.ppf(0.975)
     scatter = few * part_scores(influence, state.residual)
     by_tolerance = [force - state.by_eta * eta[:: seen.factor][: force.size] for force, eta in nuisance_signals]
-    of_each = np.array([influence.T @ m for m in by_tolerance]).reshape(-1, len(free))
+    of_each = np.array([influence.T @ m for m in by_tolerance]).reshape(-1, free)
     drifted = curve.curvature @ inverse[: curve.knots]  # each row of the prior is uncertain by one
     to_law = tie * scale
     of_scatter, of_tolerances, of_drift = (to_law @ (x.T @ x) @ to_law.T for x in (scatter, of_each, drifted))
     return Joint(
-        parameters=state.law,
+        values=state.law,
         covariance=of_scatter + of_tolerances + of_drift,
         of_tolerances=of_tolerances,
         of_drift=of_drift,
@@ -170,12 +196,16 @@ def fit_joint(seen: ContactRecord, nuisance_signals: Sequence[NuisanceSignal] = 
 
 @dataclass(frozen=True)
 class _State:
-    law: Float[np.ndarray, "4"]
+    law: Law
     knots: Float[np.ndarray, " knots"]
     residual: Float[np.ndarray, " fewer"]
     by_law: Float[np.ndarray, "fewer 4"]
     by_eta: Float[np.ndarray, " fewer"]
     at_force: csr_matrix
+
+    @property
+    def stiffness_n_per_m(self) -> float:
+        return float(STIFFNESS @ self.law)
 
 
 def _closed(seen: ContactRecord) -> Bool[np.ndarray, " fewer"]:
@@ -196,7 +226,7 @@ def _check_bridged(seen: ContactRecord, state: _State) -> None:
     closed = _closed(seen)
     between_s = np.diff(np.flatnonzero(np.diff(closed.astype(int)) == 1)) * seen.factor / seen.sample_rate_hz
     wander_m = seen.drift.noise_density * np.sqrt(np.mean(between_s**3) / 6) if between_s.size else np.inf
-    depth_m = float(np.median(np.abs(seen.force_n[closed]))) / state.law[2]
+    depth_m = float(np.median(np.abs(seen.force_n[closed]))) / state.stiffness_n_per_m
     if wander_m > LOST * depth_m:
         raise RigError(
             "it closes too rarely for accelerometers to bridge the time between (their noise wanders by "
@@ -205,7 +235,7 @@ def _check_bridged(seen: ContactRecord, state: _State) -> None:
         )
 
 
-def regressed(seen: ContactRecord, curve: Spline) -> tuple[Float[np.ndarray, "4"], Float[np.ndarray, " knots"]]:
+def regressed(seen: ContactRecord, curve: Spline) -> tuple[Law, Float[np.ndarray, " knots"]]:
     """Where the contact is clearly closed, eta + b = +-clearance + force / k: linear in clearance, 1/k and b."""
     size = np.abs(seen.force_n)
     at_force = curve.value[:: seen.factor][: size.size]
@@ -231,17 +261,15 @@ def regressed(seen: ContactRecord, curve: Spline) -> tuple[Float[np.ndarray, "4"
         ridge = diags(np.r_[np.full(curve.knots, 1e-12 * (rows.T @ rows).diagonal().max()), np.zeros(2)])
         found = spsolve((rows.T @ rows + ridge).tocsc(), rows.T @ target)
         weights = 1 / (1 + ((eta - columns @ found) / (OUTSIDE * fuzz_m)) ** 2)
-    clearance, softness = found[-2:]
+    *knots, clearance, softness = found
     if not (np.isfinite(clearance) and softness > 0):
         raise RigError(
             "no force grows with this relative displacement; excite the rig more strongly, or check rig.json"
         )
-    return np.array([max(clearance, 0.0), max(clearance, 0.0), 1 / softness, 0.0]), found[:-2]
+    return np.array([max(clearance, 0.0), max(clearance, 0.0), 1 / softness, 0.0]), np.array(knots)
 
 
-def _linearised(
-    seen: ContactRecord, curve: Spline, law: Float[np.ndarray, "4"], knots: Float[np.ndarray, " knots"]
-) -> _State:
+def _linearised(seen: ContactRecord, curve: Spline, law: Law, knots: Float[np.ndarray, " knots"]) -> _State:
     lower, upper, stiffness, _ = law
     eta, velocity = seen.eta_m + curve.value @ knots, seen.velocity_m_per_s + curve.rate @ knots
     above, below = eta > upper, eta < -lower
@@ -280,16 +308,15 @@ def _descended(
     seen: ContactRecord, curve: Spline, state: _State, mapped: Float[np.ndarray, "4 free"], weights: Weights
 ) -> _State:
     """The state of least cost under some weights."""
-    free = [int(np.argmax(column)) for column in mapped.T]
 
     def step_from(at: _Weighed) -> Step[_Weighed]:
-        to_law = mapped * _scales(at.state, free)
+        to_law = mapped * _scales(at.state, mapped)
         hessian, gradient = _normal(at.state, curve, to_law, weights)
         whole = spsolve(hessian, gradient)
 
         def after(share: float) -> _Weighed | None:
             law = at.state.law + share * to_law @ whole[curve.knots :]
-            if law[2] <= 0 or law[:2].min() < 0:
+            if np.any(law < LAW.bounds[0]) or STIFFNESS @ law == 0:
                 return None
             there = _linearised(seen, curve, law, at.state.knots + share * whole[: curve.knots])
             return _Weighed(there, _cost(there, curve, weights))
@@ -300,15 +327,15 @@ def _descended(
     return descended(start, step_from, lambda at: SETTLED * at.cost, STEPS)[0].state
 
 
-def _scales(state: _State, free: Sequence[int]) -> Float[np.ndarray, " free"]:
-    """Sizes of the parameters, so that the normal equations are well conditioned."""
-    gap = max(float(state.law[:2].mean()), 1e-9)
-    return np.array([gap, gap, state.law[2], 1e-3 * state.law[2]])[list(free)]
+def _scales(state: _State, tie: Float[np.ndarray, "4 free"]) -> Float[np.ndarray, " free"]:
+    """Sizes of the free parameters, so that the normal equations are well conditioned."""
+    gap, stiffness = max(float(CLEARANCE @ state.law), 1e-9), state.stiffness_n_per_m
+    return np.asarray(np.max(tie * np.array([gap, gap, stiffness, 1e-3 * stiffness])[:, None], axis=0))
 
 
 def _scatter(state: _State) -> float:
     """Standard deviation of the residual while the contact is open; of all of it where that is larger."""
-    open_n = np.std(state.residual[np.abs(state.by_eta) < 1e-3 * state.law[2]])
+    open_n = np.std(state.residual[np.abs(state.by_eta) < 1e-3 * state.stiffness_n_per_m])
     return float(open_n) if np.isfinite(open_n) and open_n > 0 else float(np.std(state.residual))
 
 

@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from identify.contacts import results
 from identify.contacts.estimates import ContactFit
 from identify.contacts.joint import Joint
@@ -46,8 +44,7 @@ def contact_report(
 
 def _contact(name: str, found: Joint) -> results.ContactEstimate:
     lower, upper, stiffness, damping = (
-        results.Estimate(float(value), float(error))
-        for value, error in zip(found.parameters, np.sqrt(np.diag(found.covariance)), strict=True)
+        results.Estimate(float(value), float(error)) for value, error in zip(found.values, found.errors, strict=True)
     )
     return results.ContactEstimate(
         name=name,

@@ -130,7 +130,7 @@ def _law(contacts: Contacts, contact: int, seconds: float, seed: int) -> FoundLa
         pieces = min(pieces, others, key=lambda law: record.error_n(law, taught))
     laws: dict[str, Callable[[np.ndarray], np.ndarray]] = {PIECEWISE: pieces}
     if joint is not None:
-        lower, upper, stiffness, _ = (float(p) for p in joint.parameters)
+        lower, upper, stiffness, _ = joint.values.tolist()
         laws[DEAD_ZONE] = lambda e: stiffness * penetration_m(e, lower, upper)
     laws |= {CUBIC: polynomial(record, taught, 3), FORMULA: formula}
     candidates = tuple(TriedLaw(name, record.error_n(law, held_out)) for name, law in laws.items())

@@ -4,8 +4,9 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.effects.base import Effect, Parameter, Scale
+from rig.effects.base import Effect, Scale
 from rig.model.description import PointMass, Rig
+from rig.model.parameters import Parameter, ParameterSet
 
 
 class AddedMass(Effect, frozen=True):
@@ -18,7 +19,7 @@ class AddedMass(Effect, frozen=True):
     body: str | None = None
 
     @classmethod
-    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+    def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to half of the body's mass."""
         return cls.along(scale, mass_kg=(0.0, 0.5 * scale.mass_kg()))
 

@@ -4,9 +4,10 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.effects.base import Effect, Parameter, Scale
+from rig.effects.base import Effect, Scale
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig
+from rig.model.parameters import Parameter, ParameterSet
 
 
 class AsymmetricClearance(Effect, frozen=True):
@@ -19,7 +20,7 @@ class AsymmetricClearance(Effect, frozen=True):
     contact: str | None = None
 
     @classmethod
-    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+    def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to four fifths of the smaller clearance, either way."""
         most_m = 0.8 * scale.clearance_m()
         return cls.ranged(shift_m=(-most_m, most_m))

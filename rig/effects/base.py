@@ -16,6 +16,7 @@ from rig.model.beam import Beam
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Body, Rig, Sensor, Station, contact_stations
 from rig.model.modes import Modes, modes_of
+from rig.model.parameters import Parameter, ParameterSet
 
 PLACES = 11
 """Along a beam, where its softest place is looked for."""
@@ -23,19 +24,6 @@ PLACES = 11
 Law = TypeVar("Law", bound=ContactLaw)
 Place = Mapping[str, str | None]
 """Where an effect acts, by the names of its fields (contact, body, beam, sensor, ...); None: all of them together."""
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """Of an effect's number: its unit ("1" if it has none), its plausible range, and where the effect is nothing.
-
-    neutral is None for a number that says where, when or at which frequency rather than how much.
-    """
-
-    unit: str
-    low: float
-    high: float
-    neutral: float | None = None
 
 
 @dataclass(frozen=True)
@@ -136,7 +124,7 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """The parameters, if there are any, that every record has its own of, such as a phase."""
 
     @classmethod
-    def parameters(cls, _: Scale, /) -> dict[str, Parameter]:
+    def parameters(cls, _: Scale, /) -> ParameterSet:
         """The numbers that can be fitted, the strength first, with ranges for this rig, force and place."""
         return parameters_of(cls)
 
@@ -159,17 +147,15 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         return [dict(zip(where, chosen, strict=True)) for chosen in product(*(targets[t] for t in where))]
 
     @classmethod
-    def ranged(cls, **ranges: tuple[float, float]) -> dict[str, Parameter]:
+    def ranged(cls, **ranges: tuple[float, float]) -> ParameterSet:
         """The declared parameters, some with other ranges."""
-        return {
-            name: dataclasses.replace(p, low=ranges[name][0], high=ranges[name][1]) if name in ranges else p
-            for name, p in parameters_of(cls).items()
-        }
+        return parameters_of(cls).ranged(ranges)
 
     @classmethod
-    def along(cls, scale: Scale, **ranges: tuple[float, float]) -> dict[str, Parameter]:
+    def along(cls, scale: Scale, **ranges: tuple[float, float]) -> ParameterSet:
         """As `ranged`, without the place along the body where the body of the scale is a single mass."""
-        return {n: p for n, p in cls.ranged(**ranges).items() if scale.length_m() or n != "relative_position"}
+        ranged = cls.ranged(**ranges)
+        return ranged if scale.length_m() else ranged.without("relative_position")
 
     @classmethod
     def placed(cls, scale: Scale, **numbers: float) -> "Effect":
@@ -234,11 +220,14 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         return replace(rig, sensors=tuple(change(s) if s in chosen else s for s in rig.sensors))
 
 
-def parameters_of(kind: type[Effect]) -> dict[str, Parameter]:
-    """The parameters of an effect by name, in the order of its fields."""
-    found = {}
-    for name, hint in get_type_hints(kind, include_extras=True).items():
-        for about in get_args(hint):
-            if isinstance(about, Parameter):
-                found[name] = about
-    return found
+def parameters_of(kind: type[Effect]) -> ParameterSet:
+    """The parameters of an effect, in the order of its fields."""
+    hints = get_type_hints(kind, include_extras=True)
+    return ParameterSet(
+        tuple(
+            dataclasses.replace(about, name=name)
+            for name, hint in hints.items()
+            for about in get_args(hint)
+            if isinstance(about, Parameter)
+        )
+    )

@@ -4,9 +4,10 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.effects.base import Effect, Parameter, Scale
+from rig.effects.base import Effect, Scale
 from rig.errors import RigError
 from rig.model.description import BaseMotion, Rig
+from rig.model.parameters import Parameter, ParameterSet
 
 
 class ShakingBase(Effect, frozen=True):
@@ -21,7 +22,7 @@ class ShakingBase(Effect, frozen=True):
     seed: int = 1
 
     @classmethod
-    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+    def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to twice what the exciting force gives the lightest body, at the frequencies that a record tells."""
         most = 2 * scale.force_rms_n / min(scale.at({"body": b.name}).mass_kg() for b in scale.rig.bodies)
         return cls.ranged(acceleration_rms_m_per_s2=(0.0, most), low_hz=scale.band_hz, high_hz=scale.band_hz)

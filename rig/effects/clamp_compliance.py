@@ -4,9 +4,10 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.effects.base import Effect, Parameter
+from rig.effects.base import Effect
 from rig.errors import RigError
 from rig.model.description import Clamp, Rig
+from rig.model.parameters import Parameter
 
 
 class ClampCompliance(Effect, frozen=True):

@@ -4,9 +4,10 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.effects.base import Effect, Parameter, Scale
+from rig.effects.base import Effect, Scale
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig
+from rig.model.parameters import Parameter, ParameterSet
 
 
 class ClearanceWear(Effect, frozen=True):
@@ -18,7 +19,7 @@ class ClearanceWear(Effect, frozen=True):
     contact: str | None = None
 
     @classmethod
-    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+    def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to a doubled clearance at the record's end."""
         return cls.ranged(growth_per_minute=(0.0, 60 / scale.duration_s))
 

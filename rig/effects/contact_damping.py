@@ -4,9 +4,10 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.effects.base import Effect, Parameter, Scale
+from rig.effects.base import Effect, Scale
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig
+from rig.model.parameters import Parameter, ParameterSet
 
 
 class ContactDamping(Effect, frozen=True):
@@ -18,7 +19,7 @@ class ContactDamping(Effect, frozen=True):
     contact: str | None = None
 
     @classmethod
-    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+    def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to critical: twice the root of the contact's stiffness and the lighter body's mass."""
         most = 2 * (scale.contact_stiffness_n_per_m() * scale.contact_mass_kg()) ** 0.5
         return cls.ranged(damping_n_s_per_m=(0.0, most))

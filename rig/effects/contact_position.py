@@ -4,8 +4,9 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.effects.base import Effect, Parameter, Scale
+from rig.effects.base import Effect, Scale
 from rig.model.description import Contact, Rig, Station
+from rig.model.parameters import Parameter, ParameterSet
 
 
 class ContactPosition(Effect, frozen=True):
@@ -16,7 +17,7 @@ class ContactPosition(Effect, frozen=True):
     shift_m: Annotated[float, Parameter("m", -0.05, 0.05, 0.0)] = 0.01
 
     @classmethod
-    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+    def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to a tenth of the shortest beam, either way."""
         most_m = 0.1 * _shortest_m(scale.rig)
         return cls.ranged(shift_m=(-most_m, most_m))

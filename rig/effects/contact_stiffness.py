@@ -4,9 +4,10 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.effects.base import Effect, Parameter
+from rig.effects.base import Effect
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig
+from rig.model.parameters import Parameter
 
 
 class ContactStiffness(Effect, frozen=True):

@@ -4,8 +4,9 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.effects.base import Effect, Parameter, Scale
+from rig.effects.base import Effect, Scale
 from rig.model.description import Rig
+from rig.model.parameters import Parameter, ParameterSet
 
 
 class ForceShift(Effect, frozen=True):
@@ -16,7 +17,7 @@ class ForceShift(Effect, frozen=True):
     shift_s: Annotated[float, Parameter("s", -5e-3, 5e-3, 0.0)] = 5e-4
 
     @classmethod
-    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+    def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to 5 ms, or five samples, either way."""
         most_s = max(5e-3, 5 / scale.rig.sample_rate_hz)
         return cls.ranged(shift_s=(-most_s, most_s))

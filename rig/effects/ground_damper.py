@@ -4,8 +4,9 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.effects.base import Effect, Parameter, Scale
+from rig.effects.base import Effect, Scale
 from rig.model.description import PointDamper, Rig
+from rig.model.parameters import Parameter, ParameterSet
 
 
 class GroundDamper(Effect, frozen=True):
@@ -18,7 +19,7 @@ class GroundDamper(Effect, frozen=True):
     body: str | None = None
 
     @classmethod
-    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+    def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to critical: twice the root of the body's stiffness at its softest point and its mass."""
         return cls.along(scale, damping_n_s_per_m=(0.0, _critical_n_s_per_m(scale)))
 

@@ -4,8 +4,9 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.effects.base import Effect, Parameter, Scale
+from rig.effects.base import Effect, Scale
 from rig.model.description import PointDamper, Rig
+from rig.model.parameters import Parameter, ParameterSet
 
 
 class GroundFriction(Effect, frozen=True):
@@ -18,7 +19,7 @@ class GroundFriction(Effect, frozen=True):
     body: str | None = None
 
     @classmethod
-    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+    def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to twice the root mean square of the exciting force."""
         return cls.along(scale, force_n=(0.0, 2 * scale.force_rms_n))
 

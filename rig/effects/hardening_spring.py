@@ -4,8 +4,9 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.effects.base import Effect, Parameter, Scale
+from rig.effects.base import Effect, Scale
 from rig.model.description import PointSpring, Rig
+from rig.model.parameters import Parameter, ParameterSet
 
 
 class HardeningSpring(Effect, frozen=True):
@@ -18,7 +19,7 @@ class HardeningSpring(Effect, frozen=True):
     body: str | None = None
 
     @classmethod
-    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+    def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to the exciting force's root mean square where the body moves about as far as it does.
 
         Downwards, of a body that is held, only as far as its stiffness at such a displacement stays positive.

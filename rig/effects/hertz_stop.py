@@ -4,10 +4,11 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.effects.base import Effect, Parameter, Scale
+from rig.effects.base import Effect, Scale
 from rig.errors import RigError
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Rig
+from rig.model.parameters import Parameter
 
 
 class HertzStop(Effect, frozen=True):

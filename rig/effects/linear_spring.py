@@ -4,9 +4,10 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.effects.base import Effect, Parameter, Scale
+from rig.effects.base import Effect, Scale
 from rig.model.description import PointSpring, Rig
 from rig.model.modes import modes_of
+from rig.model.parameters import Parameter, ParameterSet
 
 STABLE = 0.9
 """A body keeps at least the rest of its stiffness."""
@@ -22,7 +23,7 @@ class LinearSpring(Effect, frozen=True):
     body: str | None = None
 
     @classmethod
-    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+    def parameters(cls, scale: Scale) -> ParameterSet:
         """From nearly all of the body's stiffness at its softest point missing to five times that.
 
         Of a body that floats, from nothing up to the exciting force over how far it moves.

@@ -4,9 +4,10 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.effects.base import Effect, Parameter, Scale
+from rig.effects.base import Effect, Scale
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Rig
+from rig.model.parameters import Parameter, ParameterSet
 
 
 class NonlinearContact(Effect, frozen=True):
@@ -18,7 +19,7 @@ class NonlinearContact(Effect, frozen=True):
     contact: str | None = None
 
     @classmethod
-    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+    def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to a stop whose force is doubled where it equals three times the exciting force's root mean square."""
         return cls.ranged(cubic_n_per_m3=(0.0, _doubling_n_per_m3(scale)))
 

@@ -5,9 +5,10 @@ from typing import Annotated, ClassVar, Literal
 
 from msgspec.structs import replace
 
-from rig.effects.base import Effect, Parameter
+from rig.effects.base import Effect
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Rig
+from rig.model.parameters import Parameter
 
 
 class OneStop(Effect, frozen=True):

@@ -4,8 +4,9 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.effects.base import Effect, Parameter, Scale
+from rig.effects.base import Effect, Scale
 from rig.model.description import Rig
+from rig.model.parameters import Parameter, ParameterSet
 
 
 class SensorDelay(Effect, frozen=True):
@@ -17,7 +18,7 @@ class SensorDelay(Effect, frozen=True):
     sensor: str | None = None
 
     @classmethod
-    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+    def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to 2 ms, or five samples, either way."""
         most_s = max(2e-3, 5 / scale.rig.sample_rate_hz)
         return cls.ranged(delay_s=(-most_s, most_s))

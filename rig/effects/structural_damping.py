@@ -5,8 +5,9 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.effects.base import Effect, Parameter
+from rig.effects.base import Effect
 from rig.model.description import Rig
+from rig.model.parameters import Parameter
 
 
 class StructuralDamping(Effect, frozen=True):

@@ -4,8 +4,9 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.effects.base import Effect, Parameter, Scale
+from rig.effects.base import Effect, Scale
 from rig.model.description import Rig, Tone
+from rig.model.parameters import Parameter, ParameterSet
 
 
 class HarmonicForce(Effect, frozen=True):
@@ -22,7 +23,7 @@ class HarmonicForce(Effect, frozen=True):
     body: str | None = None
 
     @classmethod
-    def parameters(cls, scale: Scale) -> dict[str, Parameter]:
+    def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to twice the root mean square of the exciting force, at the frequencies that a record tells."""
         most_n = 2 * scale.force_rms_n
         return cls.along(scale, cosine_n=(-most_n, most_n), sine_n=(-most_n, most_n), frequency_hz=scale.band_hz)

@@ -29,15 +29,12 @@ def cause_of(one: Judged, probability: float, null_reference: NullReference, mat
     parameters: dict[str, Value] = {}
     places: dict[str, str] = {}
     deviations = np.sqrt(np.maximum(np.diag(one.hypothesis.covariance), 0.0))
-    at = 0
+    numbers = zip(one.hypothesis.values.tolist(), deviations.tolist(), strict=True)
     for part in one.hypothesis.parts:
-        low, high = part.bounds
-        for k, (name, about) in enumerate(part.parameters.items()):
-            value, error = float(one.hypothesis.values[at]), float(deviations[at])
-            margin = AT_LIMIT * (high[k] - low[k])
-            limited = (value < low[k] + margin and low[k] != about.neutral) or value > high[k] - margin
-            parameters[f"{part.kind.name}.{name}"] = Value(value, error, about.unit, bool(limited))
-            at += 1
+        for p, (value, error) in zip(part.parameters, numbers, strict=False):
+            margin = AT_LIMIT * (p.high - p.low)
+            limited = (value < p.low + margin and p.low != p.neutral) or value > p.high - margin
+            parameters[f"{part.kind.name}.{p.name}"] = Value(value, error, p.unit, limited)
         places |= {f"{part.kind.name}.{field}": place or "all" for field, place in part.place.items()}
     return Cause(
         effects=one.hypothesis.effects,

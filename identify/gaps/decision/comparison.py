@@ -13,7 +13,7 @@ from identify.gaps.residual.residual import Linearization, Residual, residual_of
 from identify.gaps.residual.spectra import Record
 from identify.gaps.results import Matters
 from identify.gaps.search.candidates import Candidate
-from identify.gaps.search.hypothesis import Hypothesis, applied
+from identify.gaps.search.hypothesis import Hypothesis, applied, steps_of
 from identify.gaps.search.nominal import fit_nuisance
 from rig.errors import RigError
 from rig.model.description import Rig
@@ -92,12 +92,8 @@ def left_without(record: Record, reference: Reference, linearization: Linearizat
 
 def of_this_record(record: Record, one: Hypothesis) -> Rig:
     """The rig with the hypothesis, and what every record has its own of (a tone's phase) fitted to this one."""
-    own = [
-        sum(len(p.parameters) for p in one.parts[:k]) + list(part.parameters).index(name)
-        for k, part in enumerate(one.parts)
-        for name in part.kind.of_a_record
-        if name in part.parameters
-    ]
+    own_of = {part.name: part.kind.of_a_record for part in one.parts}
+    own = [i for i, p in enumerate(one.parameters) if p.name in own_of[p.of]]
     if not own:
         return one.applied_to(record.rig)
 
@@ -110,8 +106,8 @@ def of_this_record(record: Record, one: Hypothesis) -> Rig:
     for part, values in zip(one.parts, one.split(), strict=True):
         about = part.applied(about, values) if part.kind.stochastic else about
     linearization, at = fit_nuisance(record, about, rounds=1)
-    steps = np.concatenate([p.steps for p in one.parts])[own]
-    low, high = (np.concatenate(ends)[own] for ends in zip(*(p.bounds for p in one.parts), strict=True))
+    steps = steps_of(one.parts)[own]
+    low, high = (ends[own] for ends in one.parameters.bounds)
     return build(fit(linearization, build, one.values[own], steps, (low, high), at).values)
 
 

@@ -24,7 +24,7 @@ from identify.gaps.residual.likelihood import Reference
 from identify.gaps.residual.spectra import Record
 from identify.gaps.results import USUAL, Between, Compared, Trend, Value
 from identify.gaps.search.candidates import Candidate
-from identify.gaps.search.hypothesis import applied, bounds_of, steps_of
+from identify.gaps.search.hypothesis import applied, parameters_of, steps_of
 from identify.gaps.search.pooled import Information, Linearised, Pooled, linearised, pooled
 from rig.errors import RigError
 from rig.model.description import Rig
@@ -54,13 +54,11 @@ class Standing:
 
     def columns(self, name: str) -> list[int]:
         """Where the parameters of an effect stand."""
-        part = self.names.index(name)
-        first = sum(len(p.parameters) for p in self.parts[:part])
-        return list(range(first, first + len(self.parts[part].parameters)))
+        return parameters_of(self.parts).places_of(name)
 
     def strong(self, name: str) -> list[int]:
         """Those of them that say how much there is of it."""
-        return [self.columns(name)[i] for i in self.parts[self.names.index(name)].strong]
+        return [self.columns(name)[i] for i in self.parts[self.names.index(name)].parameters.strengths]
 
     def with_effect(self, part: Candidate, values: Float[np.ndarray, "records own"]) -> "Standing":
         """With these values of an effect, which stands there already or comes beside."""
@@ -92,7 +90,7 @@ class Varied:
 
     @property
     def bounds(self) -> tuple[Values, Values]:
-        low, high = bounds_of(self.standing.parts)
+        low, high = parameters_of(self.standing.parts).bounds
         return low[self.columns], high[self.columns]
 
     def said(self, record: int, looked: Linearised) -> Information:
@@ -244,10 +242,10 @@ def _log_p(together: Pooled, shape: tuple[int, ...], parameter: int | None = Non
 def _rows(one: Varied, together: Pooled, among: int) -> list[Compared]:
     """For the answer; `among`: those that differ of so many looked at, or 0."""
     records, size = one.own.shape
-    abouts = [(part, *named) for part in one.standing.parts for named in part.parameters.items()]
+    every = [(part, p) for part in one.standing.parts for p in part.parameters]
     rows = []
     for i, column in enumerate(one.columns):
-        part, name, about = abouts[column]
+        part, about = every[column]
         own = np.arange(records) * size + i
         covariance = TEMPERATURE * together.covariance[np.ix_(own, own)]
         values = together.values[own]
@@ -255,7 +253,7 @@ def _rows(one: Varied, together: Pooled, among: int) -> list[Compared]:
         errors = np.sqrt(np.maximum(np.diag(centred @ covariance @ centred), 0.0))
         rows.append(
             Compared(
-                parameter=f"{part.kind.name}.{name}",
+                parameter=f"{part.kind.name}.{about.name}",
                 place=", ".join(target or "all" for target in part.place.values()),
                 values=tuple(Value(float(v), float(e), about.unit) for v, e in zip(values, errors, strict=True)),
                 p_value=min(1.0, max(1, among) * float(np.exp(_log_p(together, one.own.shape, i)))),

@@ -21,7 +21,16 @@ from identify.gaps.residual.likelihood import misfit, reference_of
 from identify.gaps.residual.residual import linearized, scales_at
 from identify.gaps.residual.spectra import REACH, Record, record_of
 from identify.gaps.results import AGAIN, NextExperiment
-from identify.gaps.search.hypothesis import ROUNDS, SETTLED, Hypothesis, Search, applied, straightened
+from identify.gaps.search.hypothesis import (
+    ROUNDS,
+    SETTLED,
+    Hypothesis,
+    Search,
+    applied,
+    parameters_of,
+    steps_of,
+    straightened,
+)
 from identify.gaps.search.nominal import fit_nuisance
 from rig.errors import RigError
 from rig.model.description import PointMass, Rig, Station
@@ -137,17 +146,16 @@ def refitted(begun: Search, one: Hypothesis, held: bool = False) -> Hypothesis:
     free = not held and not any(p.kind.stochastic for p in one.parts)
     parts, start = (one.parts, one.values) if free else ((), np.zeros(0))
     rig = record.rig if free else one.applied_to(record.rig)
-    steps = np.concatenate([np.zeros(0), *(p.steps for p in parts)])
-    low, high = (np.concatenate([np.zeros(0), *(p.bounds[k] for p in parts)]) for k in (0, 1))
+    steps, bounds = steps_of(parts), parameters_of(parts).bounds
     build = partial(applied, rig, parts)
     linearization = linearized(record, build(start), None, begun.linearization.scales)
-    found = fit(linearization, build, start, steps, (low, high), straightened(begun.at))
+    found = fit(linearization, build, start, steps, bounds, straightened(begun.at))
     left = misfit(record, begun.reference, found.residual)
     for _ in range(ROUNDS):
         linearization = linearized(
             record, build(found.values), found.residual, scales_at(linearization, found.residual)
         )
-        further = fit(linearization, build, found.values, steps, (low, high), found.residual)
+        further = fit(linearization, build, found.values, steps, bounds, found.residual)
         now = misfit(record, begun.reference, further.residual)
         gained = left.minus_two_log - now.minus_two_log
         if gained > 0:
@@ -165,14 +173,12 @@ def enlarged(one: Hypothesis) -> Hypothesis:
     A cause that a record hardly shows is fitted as nothing; simulated so, no experiment would tell it from another.
     """
     values, deviations = one.values.copy(), np.sqrt(np.maximum(np.diag(one.covariance), 0.0))
-    at = 0
-    for part in one.parts:
-        for i in part.strong:
-            neutral, typical = list(part.parameters.values())[i].neutral or 0.0, part.default[i]
-            away = np.sign(values[at + i] - neutral) or np.sign(typical - neutral)
-            values[at + i] += away * SIZED * min(deviations[at + i], abs(typical - neutral))
-            values[at + i] = np.clip(values[at + i], part.bounds[0][i], part.bounds[1][i])
-        at += len(part.parameters)
+    typical = np.concatenate([np.zeros(0), *(part.default for part in one.parts)])
+    for i, p in enumerate(one.parameters):
+        if p.neutral is not None:
+            away = np.sign(values[i] - p.neutral) or np.sign(typical[i] - p.neutral)
+            values[i] += away * SIZED * min(deviations[i], abs(typical[i] - p.neutral))
+            values[i] = np.clip(values[i], p.low, p.high)
     return replace(one, values=values)
 
 
@@ -182,7 +188,7 @@ def disagreement(one: Hypothesis, other: Hypothesis) -> float:
     d' (C1 + C2)^-1 d of the difference d of both fits. What every record has of its own is left out.
     """
     shared = [
-        name not in part.kind.of_a_record and not part.kind.stochastic for part in one.parts for name in part.parameters
+        p.name not in part.kind.of_a_record and not part.kind.stochastic for part in one.parts for p in part.parameters
     ]
     apart = (one.values - other.values)[shared]
     deviations = (one.covariance + other.covariance)[np.ix_(shared, shared)]

@@ -49,6 +49,11 @@ class ContactObservation:
     trusted: tuple[float, float, float]
 
     @property
+    def tolerances(self) -> slice:
+        """Where the law's own tolerances stand among a contact's unknowns: behind the knots of the drift."""
+        return slice(self.curve.knots, None)
+
+    @property
     def firm(self) -> float:
         """The weight of a tolerance's standard deviation."""
         return float(self.sample_ratio**0.5)
@@ -133,7 +138,7 @@ def start_of(
 
     Clearance and stiffness are regressed along with it; the law gives its other terms.
     """
-    start = np.zeros(seen.curve.knots + 3)
+    start = np.zeros(seen.curve.knots + len(seen.trusted))
     eta, rate, time_s = (x[:: laid.finer] for x in (laid.eta_m, laid.rate_m_per_s, laid.time_s))
     force = laid.force_n - law.force_n(np.zeros_like(eta), rate)  # what acts in the gap too
     shifted = (law.upper_clearance_m - law.lower_clearance_m) / 2 + np.sign(force) * law.wear_m_per_s * time_s
@@ -148,7 +153,7 @@ def start_of(
     )
     if seen.curve.knots:
         with suppress(RigError):
-            start[:-3] = regressed(observed, seen.curve)[1]
+            start[: seen.curve.knots] = regressed(observed, seen.curve)[1]
     return start
 
 
@@ -191,9 +196,22 @@ class ContactResidual:
         return self.within.by_eta_n_per_m(self.eta_m, self.laid.time_s)
 
     @property
+    def pulls(self) -> Float[np.ndarray, "3"]:
+        """Of clearance, stiffness and damping: how many tolerances they are off."""
+        return self.unknowns[self.seen.tolerances]
+
+    @property
+    def believed(self) -> Float[np.ndarray, " unknowns"]:
+        """Its unknowns with none of the tolerances used."""
+        found = self.unknowns.copy()
+        found[self.seen.tolerances] = 0.0
+        return found
+
+    @property
     def fitted(self) -> ContactLaw:
         """The law with clearance, stiffness and damping as they were fitted within their tolerances."""
-        more = self.unknowns[-1] * self.seen.trusted[2] * self.law.stiffness_n_per_m
+        _, _, damping = self.pulls * self.seen.trusted
+        more = damping * self.law.stiffness_n_per_m
         return changed(self.within, damping_n_s_per_m=max(0.0, float(self.law.damping_n_s_per_m + more)))
 
     @property
@@ -218,7 +236,7 @@ class ContactResidual:
         ]
         by_law = decimated(np.stack(fine), self.laid.finer).T
         rows = _beside(curve.value, weights * self.by_eta, weights[:, None] * by_law)
-        firm = self.seen.firm * (1 + WALL * (_beyond(self.unknowns) != 0))
+        firm = self.seen.firm * (1 + WALL * (_beyond(self.pulls) != 0))
         return vstack([rows, block_diag([curve.curvature, np.diag(firm)], "csr")], "csr")
 
     def solver(self) -> SuperLU:
@@ -250,18 +268,19 @@ def contact_residual(
     slow, slow_rate = curve.value @ knots + added_m, curve.rate @ knots
     eta = laid.eta_m + _finely(np.broadcast_to(slow, laid.force_n.shape), laid.finer)
     rate = laid.rate_m_per_s + _finely(slow_rate, laid.finer)
-    clearance, stiffness, _ = (unknowns[curve.knots :] * seen.trusted).tolist()
+    pulls = unknowns[seen.tolerances]
+    clearance, stiffness, _ = (pulls * seen.trusted).tolist()
     within = changed(
         law,
         lower_clearance_m=law.lower_clearance_m * max(0.0, 1 + clearance),
         upper_clearance_m=law.upper_clearance_m * max(0.0, 1 + clearance),
         stiffness_n_per_m=law.stiffness_n_per_m * max(0.01, 1 + stiffness),
     )
-    damping = seen.trusted[2] * law.stiffness_n_per_m
-    damped = more_n(within, eta, rate, laid.time_s, damping_n_s_per_m=damping)
-    force = within.force_n(eta, rate, laid.time_s) + unknowns[-1] * damped
+    *_, damping_s = seen.trusted
+    damped = more_n(within, eta, rate, laid.time_s, damping_n_s_per_m=damping_s * law.stiffness_n_per_m)
+    force = within.force_n(eta, rate, laid.time_s) + pulls[-1] * damped
     residual = laid.force_n + added_n - decimated(force, laid.finer) - laid.spring_n_per_m * slow
-    held = -seen.firm * (unknowns[curve.knots :] + WALL * _beyond(unknowns))
+    held = -seen.firm * (pulls + WALL * _beyond(pulls))
     return ContactResidual(
         seen=seen,
         laid=laid,
@@ -295,9 +314,9 @@ def _beside(
     return csr_matrix((values.ravel(), places.ravel(), ends), shape=(rows, knots + columns))
 
 
-def _beyond(unknowns: Float[np.ndarray, " unknowns"]) -> Float[np.ndarray, "3"]:
+def _beyond(pulls: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
     """How far the law's tolerances are beyond their limits."""
-    return np.asarray(unknowns[-3:] - np.clip(unknowns[-3:], -LIMIT, LIMIT))
+    return np.asarray(pulls - np.clip(pulls, -LIMIT, LIMIT))
 
 
 def _finely(values: Float[np.ndarray, " times"], finer: int) -> Float[np.ndarray, " fine"]:

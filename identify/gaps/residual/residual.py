@@ -91,7 +91,7 @@ class Residual:
     @property
     def pulls(self) -> Float[np.ndarray, " pulls"]:
         """Of the nuisance parameters and the contacts' own: (estimate - prior mean) / prior standard deviation."""
-        return np.concatenate([self.nuisance, *(c.unknowns[-3:] for c in self.contacts)])
+        return np.concatenate([self.nuisance, *(c.pulls for c in self.contacts)])
 
     @property
     def corrected_rig(self) -> Rig:

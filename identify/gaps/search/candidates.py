@@ -1,6 +1,6 @@
 """What might cause a gap: every effect of the library, at every place of the rig where it could act."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -10,9 +10,10 @@ from jaxtyping import Float
 
 from identify.gaps.residual.spectra import Record
 from rig.effects import effects
-from rig.effects.base import Effect, Parameter, Place, Scale
+from rig.effects.base import Effect, Place, Scale
 from rig.errors import RigError
 from rig.model.description import Rig
+from rig.model.parameters import ParameterSet
 
 PLACES = 9
 """A parameter that says where, rather than how much, is tried at so many values of its range."""
@@ -32,7 +33,7 @@ class Candidate:
 
     kind: type[Effect]
     place: Place
-    parameters: Mapping[str, Parameter]
+    parameters: ParameterSet
     typical: Effect
 
     @property
@@ -42,17 +43,12 @@ class Candidate:
     @property
     def neutral(self) -> float:
         """What the strength is without the effect."""
-        return next(p.neutral for p in self.parameters.values() if p.neutral is not None)
+        return next(p.neutral for p in self.parameters if p.neutral is not None)
 
     @property
     def default(self) -> Float[np.ndarray, " parameters"]:
         """The parameters of the typical effect."""
-        return np.array([getattr(self.typical, p) for p in self.parameters])
-
-    @property
-    def bounds(self) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, " parameters"]]:
-        low, high = np.array([[p.low, p.high] for p in self.parameters.values()]).T
-        return low, high
+        return np.array([getattr(self.typical, name) for name in self.parameters.names])
 
     @property
     def steps(self) -> Float[np.ndarray, " parameters"]:
@@ -61,28 +57,23 @@ class Candidate:
         Of a sharp frequency, of the lowest one, which is that of two periods in the record.
         """
         adds = [
-            self.default[i] - p.neutral
+            typical - p.neutral
             if p.neutral is not None
             else p.low
-            if name == self.kind.grid_screened
+            if p.name == self.kind.grid_screened
             else p.high - p.low
-            for i, (name, p) in enumerate(self.parameters.items())
+            for typical, p in zip(self.default, self.parameters, strict=True)
         ]
         adds = [a or self.default[0] - self.neutral for a in adds]
         return SMALL * np.array(adds)
 
-    @property
-    def strong(self) -> list[int]:
-        """Which parameters say how much: they have a neutral value."""
-        return [i for i, p in enumerate(self.parameters.values()) if p.neutral is not None]
-
-    def starts(self, grid_screened: Sequence[float] = ()) -> list[Float[np.ndarray, " parameters"]]:
-        """The neutral strength at every place that is tried; `scanned` are the values of a scanned parameter."""
+    def starts(self, screened: Sequence[float] = ()) -> list[Float[np.ndarray, " parameters"]]:
+        """The neutral strength at every place that is tried; `screened` are the values of the grid-screened one."""
         grids = []
-        for name, parameter in self.parameters.items():
+        for parameter in self.parameters:
             ends = (parameter.low, parameter.high)
-            if name == self.kind.grid_screened:
-                grids.append(np.array([v for v in grid_screened if ends[0] <= v <= ends[1]]))
+            if parameter.name == self.kind.grid_screened:
+                grids.append(np.array([v for v in screened if ends[0] <= v <= ends[1]]))
                 continue
             logarithmic = parameter.low > 0 and parameter.high > 20 * parameter.low
             if parameter.neutral is not None:
@@ -93,7 +84,7 @@ class Candidate:
 
     def strengths(self, multiples: Sequence[float]) -> list[float]:
         """Strengths to try: multiples of what the typical effect adds, of both signs, and of ratios the whole range."""
-        low, high = (float(ends[0]) for ends in self.bounds)
+        low, high = (float(ends[0]) for ends in self.parameters.bounds)
         adds = float(self.default[0]) - self.neutral
         tried = [self.neutral + sign * m * adds for sign in (1, -1) for m in multiples]
         if self.neutral == 1 and low > 0 and high > 4 * low:
@@ -102,14 +93,11 @@ class Candidate:
 
     def effect(self, values: Float[np.ndarray, " parameters"]) -> Effect:
         """The typical effect with other numbers."""
-        return msgspec.structs.replace(
-            self.typical, **{name: float(v) for name, v in zip(self.parameters, values, strict=True)}
-        )
+        return msgspec.structs.replace(self.typical, **self.parameters.named(values))
 
     def applied(self, rig: Rig, values: Float[np.ndarray, " parameters"]) -> Rig:
         """The rig with the effect; the rig itself where the effect is nothing (some cannot be nothing exactly)."""
-        strengths = [(v, p.neutral) for v, p in zip(values, self.parameters.values(), strict=True)]
-        nothing = all(neutral is None or v == neutral for v, neutral in strengths)
+        nothing = all(p.neutral in (None, v) for v, p in zip(values, self.parameters, strict=True))
         return rig if nothing else self.effect(values).applied_to(rig)
 
 

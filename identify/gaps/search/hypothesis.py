@@ -16,6 +16,7 @@ from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.nominal import fitted, singly_bent
 from rig.errors import RigError
 from rig.model.description import Rig
+from rig.model.parameters import ParameterSet
 
 WORTH = 20.0
 """An effect that gains less of -2 ln p is not fitted: a good third of what the priors of one among some 26, at some 4
@@ -56,8 +57,11 @@ class Hypothesis:
 
     def split(self) -> list[Float[np.ndarray, " parameters"]]:
         """The values of each part."""
-        ends = np.cumsum([len(p.parameters) for p in self.parts])
-        return np.split(self.values, ends[:-1])
+        return _split(self.parts, self.values)
+
+    @property
+    def parameters(self) -> ParameterSet:
+        return parameters_of(self.parts)
 
     def applied_to(self, rig: Rig) -> Rig:
         return applied(rig, self.parts, self.values)
@@ -78,12 +82,13 @@ class Tried:
 
 def applied(rig: Rig, parts: Sequence[Candidate], values: Float[np.ndarray, " parameters"]) -> Rig:
     """The rig with several effects, whose parameters stand one after the other."""
-    at = 0
-    for part in parts:
-        count = len(part.parameters)
-        rig = part.applied(rig, values[at : at + count])
-        at += count
+    for part, own in zip(parts, _split(parts, values), strict=True):
+        rig = part.applied(rig, own)
     return rig
+
+
+def _split(parts: Sequence[Candidate], values: Float[np.ndarray, " parameters"]) -> list[Float[np.ndarray, " own"]]:
+    return np.split(values, np.cumsum([len(p.parameters) for p in parts])[:-1]) if parts else []
 
 
 @dataclass(frozen=True)
@@ -124,7 +129,7 @@ def fit_briefly(
     linearization, build = linearization or begun.linearization, partial(applied, begun.linearization.rig, parts)
     if start is None:
         linearization = linearized(linearization.record, build(values), None, linearization.scales, linearization.seen)
-    done = fit(linearization, build, values, steps_of(parts), bounds_of(parts), start, SHORT)
+    done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds, start, SHORT)
     return _tried(begun, parts, done.values, done.covariance, linearization, done.residual)
 
 
@@ -142,7 +147,7 @@ def refined(begun: Search, one: Tried, least: float = np.inf) -> Tried:
         linearization = linearized(
             one.linearization.record, build(values), one.residual, scales_at(one.linearization, one.residual)
         )
-        done = fit(linearization, build, values, steps_of(parts), bounds_of(parts), one.residual)
+        done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds, one.residual)
         better = _tried(begun, parts, done.values, done.covariance, linearization, done.residual)
         gained = one.cost - better.cost
         one = better if gained > 0 else one
@@ -152,14 +157,12 @@ def refined(begun: Search, one: Tried, least: float = np.inf) -> Tried:
 
 
 def steps_of(parts: tuple[Candidate, ...]) -> Float[np.ndarray, " parameters"]:
-    return np.concatenate([p.steps for p in parts])
+    return np.concatenate([np.zeros(0), *(p.steps for p in parts)])
 
 
-def bounds_of(
-    parts: tuple[Candidate, ...],
-) -> tuple[Float[np.ndarray, " parameters"], Float[np.ndarray, " parameters"]]:
-    low, high = (np.concatenate(ends) for ends in zip(*(p.bounds for p in parts), strict=True))
-    return low, high
+def parameters_of(parts: Sequence[Candidate]) -> ParameterSet:
+    """Of several effects, one after the other; each belongs to its part by name."""
+    return sum((p.parameters.belonging_to(p.name) for p in parts), ParameterSet())
 
 
 def _tried(
@@ -199,5 +202,5 @@ def straightened(at: Residual) -> Residual:
     """
     if np.max(np.abs(at.pulls), initial=0.0) < LIMIT - 1e-6:
         return at
-    straight = tuple(replace(c, unknowns=np.append(c.unknowns[:-3], np.zeros(3))) for c in at.contacts)
+    straight = tuple(replace(c, unknowns=c.believed) for c in at.contacts)
     return replace(at, nuisance=np.zeros_like(at.nuisance), contacts=straight)

@@ -20,7 +20,7 @@ from identify.gaps.residual.likelihood import Reference, misfit, reference_of
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.residual import Linearization, Residual, linearized
 from identify.gaps.residual.spectra import Record
-from identify.gaps.search.hypothesis import Hypothesis, applied, bounds_of, steps_of
+from identify.gaps.search.hypothesis import Hypothesis, applied, parameters_of, steps_of
 from identify.gaps.search.nominal import fit_nuisance
 from rig.errors import RigError
 from rig.model.description import Rig
@@ -85,7 +85,10 @@ def linearised(record: Record, reference: Reference, rig: Rig) -> Linearised:
     """The rig fitted to the record by its tolerances, at the scales that the record shows."""
     linearization, at = fit_nuisance(record, rig, rounds=1)
     nuisances, weight = len(linearization.columns.parameters), record.sample_ratio
-    names = (*linearization.columns.parameters, *((c.name, k) for c in rig.contacts for k in range(3)))
+    names = (
+        *linearization.columns.parameters,
+        *((c.name, k) for c, own in zip(rig.contacts, at.contacts, strict=True) for k in range(own.pulls.size)),
+    )
     matrix, gradient = np.zeros((len(names), len(names))), np.zeros(len(names))
     matrix[:nuisances, :nuisances] = linearization.gram
     gradient[:nuisances] = linearization.columns.products(at.quiet.ravel())
@@ -93,9 +96,9 @@ def linearised(record: Record, reference: Reference, rig: Rig) -> Linearised:
     for j, contact in enumerate(at.contacts):
         rows = np.zeros((contact.residual.size, len(names)))
         rows[:, :nuisances] = by_nuisance(linearization, at, j)
-        own = nuisances + 3 * j
+        own = nuisances + sum(c.pulls.size for c in at.contacts[:j])
         times = contact.seen.weights.size
-        rows[:times, own : own + 3] = contact.columns[:times, -3:].toarray()
+        rows[:times, own : own + contact.pulls.size] = contact.columns[:times, contact.seen.tolerances].toarray()
         more, slope = _without_drift(at, j, rows)
         matrix, gradient = matrix + more, gradient + slope
         found.append(rows)
@@ -183,7 +186,7 @@ def fitted_together(records: Sequence[Record], seen: Sequence[Reference], one: H
     parts = one.parts
     if not parts or any(p.kind.stochastic or p.kind.of_a_record for p in parts):
         return one
-    rig, steps, bounds = records[0].rig, steps_of(parts), bounds_of(parts)
+    rig, steps, bounds = records[0].rig, steps_of(parts), parameters_of(parts).bounds
     build = partial(applied, rig, parts)
 
     def around(values: Values) -> tuple[Pooled, float]:

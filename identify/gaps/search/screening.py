@@ -63,7 +63,7 @@ def _looked(
     linearization: Linearization, equations: Reduced, candidate: Candidate, sharp_hz: Sequence[float]
 ) -> list[Screened]:
     """What the strengths promise from every start, each within its bounds; nothing where the record sees nothing."""
-    strong, at = candidate.strong, equations.at
+    strong, at = candidate.parameters.strengths, equations.at
     found = [Screened(candidate, 0.0, candidate.default)]
     starts: list[Float[np.ndarray, " parameters"]] = []
     columns: list[Column] = []
@@ -82,7 +82,7 @@ def _looked(
     free = np.flatnonzero(np.abs(at.nuisance) < LIMIT - 1e-6)
     inner = np.linalg.solve(normal.matrix[np.ix_(free, free)], normal.matrix[free, count:])
     steps = candidate.steps[strong]
-    low, high = (ends[strong] for ends in candidate.bounds)
+    low, high = (ends[strong] for ends in candidate.parameters.bounds)
     for k, start in enumerate(starts):
         mine = slice(count + k * len(strong), count + (k + 1) * len(strong))
         solved = inner[:, mine.start - count : mine.stop - count]

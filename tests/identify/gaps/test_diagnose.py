@@ -12,9 +12,10 @@ from identify.gaps.decision.null_reference import null_reference_of
 from identify.gaps.faults import fault_of
 from identify.gaps.search import candidates
 from rig.effects import effect_named, effects
-from rig.effects.base import Effect, Parameter
+from rig.effects.base import Effect
 from rig.errors import RigError
 from rig.model.description import Rig
+from rig.model.parameters import Parameter
 from rig.model.tolerances import LABORATORY
 from rig.recording import Recording, Signals
 from rig.simulation.excitation import force_history

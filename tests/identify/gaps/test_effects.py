@@ -40,8 +40,8 @@ def case(name):
     null = record_of(modal(RIG, RIG, FORCE_N, 1))
     scale = scale_of(null, RIG)
     found = next(c for c in candidates(scale, ["mass"], null.zero_known) if c.name == name)
-    truth = np.array([NEW[name].get(p, v) for p, v in zip(found.parameters, found.default, strict=True)])
-    low, high = found.bounds
+    truth = np.array([NEW[name].get(p, v) for p, v in zip(found.parameters.names, found.default, strict=True)])
+    low, high = found.parameters.bounds
     assert np.all((low <= truth) & (truth <= high))
     return found, truth, record_of(modal(RIG, found.effect(truth).applied_to(RIG), FORCE_N, 1))
 
@@ -76,7 +76,7 @@ def test_the_derivative_by_the_strength_foretells_the_residual_on_its_other_side
 def test_a_fit_from_a_third_of_its_strength_finds_it(recorded):
     candidate, truth, record = recorded
     linearization, believed = fit_nuisance(record, RIG)
-    neutral = [p.neutral for p in candidate.parameters.values()]
+    neutral = [p.neutral for p in candidate.parameters]
     start = np.array([t if n is None else n + 0.3 * (t - n) for t, n in zip(truth, neutral, strict=True)])
     begun = Search(reference_of(linearized(record, RIG)), linearization, believed, ())
     found = fit_effects(begun, (candidate,), start, believed).hypothesis

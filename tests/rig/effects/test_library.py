@@ -40,8 +40,8 @@ def test_every_effect_says_what_it_is(name):
     parameters = parameters_of(kind)
     assert parameters
     default = kind()
-    for field, about in parameters.items():
-        assert about.low <= getattr(default, field) <= about.high, field
+    for about in parameters:
+        assert about.low <= getattr(default, about.name) <= about.high, about.name
         assert about.unit
 
 
@@ -64,7 +64,7 @@ def test_every_effect_changes_the_rig_or_says_why_not(name, which):
 def test_an_effect_is_read_from_its_text(name):
     kind = effects()[name]
     assert effect_named(name) == kind()
-    middles = {field: (about.low + about.high) / 2 for field, about in parameters_of(kind).items()}
+    middles = {p.name: (p.low + p.high) / 2 for p in parameters_of(kind)}
     text = ",".join(f"{field}={value}" for field, value in middles.items())
     assert effect_named(f"{name}:{text}") == kind(**middles)
 
@@ -137,11 +137,11 @@ def test_ranges_are_stated_for_the_rig_and_hold_what_is_typical(name, which):
     for place in places:
         scale = SCALES[which].at(place)
         parameters, typical = kind.parameters(scale), kind.typical(scale)
-        assert next(iter(parameters.values())).neutral is not None
+        assert next(iter(parameters)).neutral is not None
         assert {field: getattr(typical, field) for field in place} == place
-        for field, about in parameters.items():
+        for about in parameters:
             assert about.low < about.high
-            assert about.low <= getattr(typical, field) <= about.high
+            assert about.low <= getattr(typical, about.name) <= about.high
             if about.neutral is not None and name != "clamp_compliance":  # a clamp cannot be quite stiff
                 assert about.low <= about.neutral <= about.high
         if name == "clamp_compliance" and place["beam"] == "barrel":
@@ -149,7 +149,7 @@ def test_ranges_are_stated_for_the_rig_and_hold_what_is_typical(name, which):
         if "sensor" not in name:
             assert typical.applied_to(machine) != machine
             for sign in (0, 1):  # the ends of a range can be had
-                ends = {f: (p.low, p.high)[sign] for f, p in parameters.items() if p.neutral is not None}
+                ends = {p.name: (p.low, p.high)[sign] for p in parameters if p.neutral is not None}
                 if name != "clamp_compliance":
                     msgspec.structs.replace(typical, **ends).applied_to(machine)
 
@@ -190,7 +190,8 @@ from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
 
-from rig.effects.base import Effect, Parameter
+from rig.effects.base import Effect
+from rig.model.parameters import Parameter
 
 
 class Paint(Effect, frozen=True):
@@ -215,10 +216,10 @@ def test_a_new_file_is_a_new_effect(tmp_path, monkeypatch):
         assert heavier.mass_kg == pytest.approx(1.1 * body.mass_kg)
 
 
-def searched_range(kind, field, about):
+def searched_range(kind, about):
     """What the effects table says: the declared range, unless the effect derives one from the rig."""
     derived = kind.parameters.__func__ is not Effect.parameters.__func__
-    return "set by the rig" if derived and field != "relative_position" else f"{about.low:g} to {about.high:g}"
+    return "set by the rig" if derived and about.name != "relative_position" else f"{about.low:g} to {about.high:g}"
 
 
 def test_the_readme_lists_every_effect_with_its_parameters():
@@ -231,8 +232,8 @@ def test_the_readme_lists_every_effect_with_its_parameters():
             listed.setdefault(name, []).append(tuple(row[2:]))
     expected = {
         name: [
-            (f"`{field}`", about.unit, f"{getattr(kind(), field):g}", searched_range(kind, field, about))
-            for field, about in parameters_of(kind).items()
+            (f"`{about.name}`", about.unit, f"{getattr(kind(), about.name):g}", searched_range(kind, about))
+            for about in parameters_of(kind)
         ]
         for name, kind in effects().items()
     }
@@ -250,4 +251,4 @@ def test_a_rig_without_effects_reads_as_before():
             assert contact["law"].pop(field) == 1
         del contact["law"]["reference_depth_m"]
     assert from_json(msgspec.json.encode(text), "text") == RIGS["barrel_cradle"]
-    assert np.all([about.low < about.high for kind in effects().values() for about in parameters_of(kind).values()])
+    assert np.all([about.low < about.high for kind in effects().values() for about in parameters_of(kind)])
