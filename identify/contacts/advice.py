@@ -5,7 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from identify.contacts.identification import Identification
-from identify.contacts.joint import CLEARANCE, STIFFNESS, Joint
+from identify.contacts.joint import Joint
+from identify.contacts.start import CLEARANCE, STIFFNESS
 from identify.pages.wording import percent
 from rig.model.description import Station
 from rig.model.tolerances import EXACT

@@ -6,10 +6,11 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.contacts.forces import RING_S, ContactForces, separated_forces
-from identify.contacts.joint import STIFFNESS, ContactRecord, Joint, fit_joint
+from identify.contacts.joint import Joint, fit_joint
+from identify.contacts.start import STIFFNESS, ContactRecord
 from identify.signals.drift import KNOT_S, Drift
 from identify.signals.kinematics import Kinematics, Use, acceleration_noise, kinematics
-from identify.signals.spectra import decimated, force_band
+from identify.signals.spectra import decimated, force_band, oversampled
 from identify.structure.modal import relative_displacements, relative_velocities
 from rig.errors import RigError
 from rig.model.description import ForceSensor, Rig, Station, contact_stations
@@ -60,7 +61,7 @@ def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Con
         fewer = round(RING_S * motion.sample_rate_hz / factor)
         motion, separated = motion.part(slice(fewer * factor, None)), separated.after(fewer)
     observed = _observed(rig, motion, noise, separated, tolerances)
-    estimates = tuple(_estimate(o, separated, j) for j, o in enumerate(observed))
+    estimates = tuple(_estimate(o) for o in observed)
     return Contacts(rig, motion, separated, tuple(observed), estimates)
 
 
@@ -89,6 +90,9 @@ def _observed(
     quiet_n = quiet.std(axis=1) if quiet.shape[1] else np.zeros(len(rig.contacts))
     quiet_n = np.maximum(quiet_n, ROUNDING * motion.force_n.std())
     for j in range(len(rig.contacts)):
+        displaced = separated.nuisances.eta_m[:, j]
+        moving = np.any(displaced, axis=1)
+        nuisance_m = oversampled(displaced[moving], separated.factor)[:, :samples]
         found.append(
             ContactRecord(
                 eta_m=eta[j, :samples],
@@ -97,7 +101,12 @@ def _observed(
                 force_n=separated.force_n[j],
                 factor=separated.factor,
                 quiet_n=float(quiet_n[j]),
+                unmodelled=tolerances.unmodelled_contact,
                 drift=drift_of(rig, motion, j, noise, tolerances, separated.spring_n_per_m, samples),
+                nuisance_n=separated.nuisances.force_n[:, j],
+                moving=moving,
+                nuisance_m=nuisance_m,
+                nuisance_m_per_s=np.gradient(nuisance_m, 1 / motion.sample_rate_hz, axis=1),
             )
         )
     return found
@@ -155,13 +164,10 @@ def _density(
     return float(np.sqrt(2 * noise[row] ** 2 / motion.sample_rate_hz + error / followed_hz))
 
 
-def _estimate(observed: ContactRecord, separated: ContactForces, contact: int) -> ContactFit:
+def _estimate(observed: ContactRecord) -> ContactFit:
     """The joint estimate, or the reason why there is none."""
-    samples = observed.eta_m.size
     try:
-        found = fit_joint(
-            observed, [(force[contact], eta[contact, :samples]) for force, eta in separated.nuisance_signals]
-        )
+        found = fit_joint(observed)
     except RigError as error:
         return str(error)
     for what, value, error_of in (

@@ -8,8 +8,9 @@ from jaxtyping import Float
 
 from identify.contacts.estimates import ContactFit, find_contacts
 from identify.contacts.forces import ContactForces
-from identify.contacts.joint import ContactRecord, Joint, law_force_n
+from identify.contacts.joint import Joint, law_force_n
 from identify.contacts.results import ContactReport
+from identify.contacts.start import ContactRecord
 from identify.contacts.summary import contact_report
 from identify.paper.nifo import Nifo, nifo
 from identify.paper.surface import Stops, Surface, clearance_from_occurrence, fit_surface

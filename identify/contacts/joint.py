@@ -1,84 +1,32 @@
-"""Clearances, stiffness and damping of one contact, and the slow drift of its relative displacement, together."""
+"""Clearances, stiffness and damping of one contact, the slow drift of its relative displacement, and the tolerances
+of rig.json, together."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy.sparse import csc_matrix, csr_matrix, diags, hstack, vstack
+from jaxtyping import Float
+from scipy.sparse import block_array, csc_matrix, csr_matrix, diags
 from scipy.sparse.linalg import splu, spsolve
 from scipy.stats import norm, t
 
+from identify.contacts.start import CLEARANCE, LAW, STIFFNESS, ContactRecord, Law, clearly_closed, regressed
 from identify.signals.descent import Step, descended
-from identify.signals.drift import Drift, Spline, spline
+from identify.signals.drift import Spline, spline
 from identify.signals.scores import PARTS, part_scores
 from identify.signals.spectra import decimated, oversampled
 from rig.errors import RigError
 from rig.model.contact_laws import DeadZone
-from rig.model.parameters import Parameter, ParameterSet
 
 STEPS, SETTLED = 30, 1e-7
 FINE_HZ = 16384.0
 """The contact force is evaluated at this rate at least, so that its kinks do not alias."""
-CLEAR_SHARE = 0.1
-"""A contact counts as clearly closed where its force exceeds this share of the force's 99.5 % quantile."""
-ABOVE_NOISE = 8.0
-"""... and this many standard deviations of the force in the quiet seconds before the excitation."""
-STAGES = ((0.5, 30.0), (0.2, 30.0), (0.1, 10.0), (0.03, 3.0), (0.01, 1.0))
-"""Where a contact is clearly closed, its displacement is known to a share of its own standard deviation, and the
-drift's curvature so many times better than measured: in turn, so that at first no drift can follow the closures."""
-OUTSIDE = 3.0
-"""So many of those shares off, a force of either sign that rings weighs little in the next turn (Geman, McClure)."""
-LEAST_CLOSED = 1e-3
-"""A stop that is clearly touched for a smaller share of the record is not told by it."""
 MOST_PULL = 25.0
 """A drift whose curvature is on average more than the root of this away from what was measured is no drift."""
 LOST = 3.0
 """If between two closures the noise, integrated twice, wanders by more than this multiple of the median penetration,
 the fit cannot tell which closure belongs where."""
 
-LAW = ParameterSet(
-    (
-        Parameter("m", 0.0, np.inf, name="lower_clearance_m"),
-        Parameter("m", 0.0, np.inf, name="upper_clearance_m"),
-        Parameter("N/m", 0.0, np.inf, name="stiffness_n_per_m"),
-        Parameter("N s/m", -np.inf, np.inf, name="damping_n_s_per_m"),
-    )
-)
-"""What is estimated of a `DeadZone`; its damping may have any sign."""
-CLEARANCE = LAW.vector({"lower_clearance_m": 0.5, "upper_clearance_m": 0.5})
-STIFFNESS = LAW.vector({"stiffness_n_per_m": 1.0})
-"""Linear functions of the parameters: half the total play, and the stiffness."""
-
-Law = Float[np.ndarray, "4"]
 Weights = Float[np.ndarray, " fewer"]
-NuisanceSignal = tuple[Float[np.ndarray, " fewer"], Float[np.ndarray, " samples"]]
-"""What one standard deviation of an uncertain thing would add to the force and to the relative displacement."""
-
-
-@dataclass(frozen=True)
-class ContactRecord:
-    """One contact as seen: relative displacement and velocity (m, m/s) and the separated force (N).
-
-    The force has been low-passed and is that of every `factor`-th sample; quiet_n is its standard deviation where there
-    is no contact. drift is None where nothing was lost.
-    """
-
-    eta_m: Float[np.ndarray, " samples"]
-    velocity_m_per_s: Float[np.ndarray, " samples"]
-    sample_rate_hz: float
-    force_n: Float[np.ndarray, " fewer"]
-    factor: int
-    quiet_n: float
-    drift: Drift | None
-
-    @property
-    def spring_n_per_m(self) -> float:
-        return 0.0 if self.drift is None else self.drift.spring_n_per_m
-
-    @property
-    def sides_known(self) -> bool:
-        return self.drift is None or self.drift.spring_n_per_m > 0
 
 
 @dataclass(frozen=True)
@@ -87,7 +35,8 @@ class Joint:
 
     of_tolerances and of_drift are the parts of the covariance that come from what rig.json may have wrong and from the
     slow motion that accelerometers miss; the rest is the record's own scatter. sides_known says whether lower and upper
-    are told apart; drift_m and drift_m_per_s are what was added to the relative displacement and velocity.
+    are told apart; drift_m and drift_m_per_s are what was added to the relative displacement and velocity. pulls are
+    the nuisance parameters in their standard deviations.
     """
 
     values: Law
@@ -97,6 +46,7 @@ class Joint:
     sides_known: bool
     drift_m: Float[np.ndarray, " samples"]
     drift_m_per_s: Float[np.ndarray, " samples"]
+    pulls: Float[np.ndarray, " nuisances"]
 
     @property
     def clearance_m(self) -> float:
@@ -140,17 +90,19 @@ def _by_stiffness_and_damping(
     return spring.force_n(eta_m), damper.force_n(eta_m, rate)
 
 
-def fit_joint(seen: ContactRecord, nuisance_signals: Sequence[NuisanceSignal] = ()) -> Joint:
-    """Gauss-Newton on the low-passed residual, with a cubic spline b(t) for the drift and a spring to the ground:
+def fit_joint(seen: ContactRecord) -> Joint:
+    """Gauss-Newton on the low-passed residual, with a cubic spline b(t) for the drift, a spring to the ground, and
+    nuisance parameters theta with a prior of one:
 
-        residual = force - spring b - low-pass[k dz(eta + b; lower, upper) + c (eta' + b') beyond the gap]
+        residual = force - theta' nuisance_n - spring b - low-pass[k dz(eta + b - theta' nuisance_m; lower, upper)
+                   + c (eta' + b') beyond the gap]
 
     b'' is held to what the accelerometers saw of it, within their noise. Where nothing holds the zero of the relative
     displacement, lower = upper = half the total play. The start is a linear regression of eta on the force over the
     samples at which the contact is clearly closed.
 
-    The covariance is a sandwich estimate over sixteenths of the record (residuals may be coloured), plus the square of
-    what each tolerance would do.
+    The covariance is a sandwich estimate over sixteenths of the record (residuals may be coloured), plus what an error
+    of one in each row of the priors does; it holds whatever the residuals were weighed by.
 
     Raises RigError if the contact is hardly ever closed or the fit does not converge.
     """
@@ -160,7 +112,8 @@ def fit_joint(seen: ContactRecord, nuisance_signals: Sequence[NuisanceSignal] = 
         tie = np.column_stack([2 * CLEARANCE, tie[:, 2:]])
     law, knots = regressed(seen, curve)
     for begin in (knots, np.zeros_like(knots)):  # rarely, the regression's drift leads astray
-        state, weights = _fitted(seen, curve, tie, _linearised(seen, curve, law, begin))
+        start = _linearised(seen, curve, law, begin, np.zeros(len(seen.nuisance_n)))
+        state, weights = _fitted(seen, curve, tie, start)
         if _curvature_pull(curve, state) <= MOST_PULL:
             break
     else:
@@ -169,28 +122,30 @@ def fit_joint(seen: ContactRecord, nuisance_signals: Sequence[NuisanceSignal] = 
             "and gains, or excite the rig more strongly"
         )
     _check_bridged(seen, state)
-    scale = _scales(state, tie)
-    hessian, _ = _normal(state, curve, tie * scale, weights)
-    free = tie.shape[1]
-    chosen = np.eye(hessian.shape[0], free, -curve.knots)
-    inverse = splu(hessian).solve(chosen)
-    influence = (_jacobian(state, curve, tie * scale) @ inverse) * weights[:, None] ** 2  # of residuals on parameters
+    to_law = tie * _scales(state, tie)
+    hessian, _ = _normal(seen, state, curve, to_law, weights)
+    free, pulls = tie.shape[1], slice(curve.knots, curve.knots + state.pulls.size)
+    inverse = splu(hessian).solve(np.eye(hessian.shape[0], free, -pulls.stop))
+    by_knots, by_others = _jacobian(state, to_law)
+    fitted = by_knots @ inverse[: curve.knots] + by_others @ inverse[curve.knots :]
+    influence = fitted * weights[:, None] ** 2  # of residuals on parameters
     left = PARTS - free  # parts are few: Student's t, so that 1.96 standard errors cover 95 %
     few = np.sqrt(PARTS / left) * t.ppf(0.975, left) / norm.ppf(0.975)
-    scatter = few * part_scores(influence, state.residual)
-    by_tolerance = [force - state.by_eta * eta[:: seen.factor][: force.size] for force, eta in nuisance_signals]
-    of_each = np.array([influence.T @ m for m in by_tolerance]).reshape(-1, free)
-    drifted = curve.curvature @ inverse[: curve.knots]  # each row of the prior is uncertain by one
-    to_law = tie * scale
-    of_scatter, of_tolerances, of_drift = (to_law @ (x.T @ x) @ to_law.T for x in (scatter, of_each, drifted))
+    of_rows = (
+        few * part_scores(influence, state.residual),
+        seen.sample_ratio * inverse[pulls],
+        curve.curvature @ inverse[: curve.knots],
+    )
+    of_scatter, of_tolerances, of_drift = (to_law @ (x.T @ x) @ to_law.T for x in of_rows)
     return Joint(
         values=state.law,
         covariance=of_scatter + of_tolerances + of_drift,
         of_tolerances=of_tolerances,
         of_drift=of_drift,
         sides_known=seen.sides_known,
-        drift_m=curve.value @ state.knots,
-        drift_m_per_s=curve.rate @ state.knots,
+        drift_m=curve.value @ state.knots - state.pulls[seen.moving] @ seen.nuisance_m,
+        drift_m_per_s=curve.rate @ state.knots - state.pulls[seen.moving] @ seen.nuisance_m_per_s,
+        pulls=state.pulls,
     )
 
 
@@ -198,20 +153,16 @@ def fit_joint(seen: ContactRecord, nuisance_signals: Sequence[NuisanceSignal] = 
 class _State:
     law: Law
     knots: Float[np.ndarray, " knots"]
+    pulls: Float[np.ndarray, " nuisances"]
     residual: Float[np.ndarray, " fewer"]
     by_law: Float[np.ndarray, "fewer 4"]
+    by_pulls: Float[np.ndarray, "fewer nuisances"]
     by_eta: Float[np.ndarray, " fewer"]
     at_force: csr_matrix
 
     @property
     def stiffness_n_per_m(self) -> float:
         return float(STIFFNESS @ self.law)
-
-
-def _closed(seen: ContactRecord) -> Bool[np.ndarray, " fewer"]:
-    """Where the contact is clearly closed."""
-    size = np.abs(seen.force_n)
-    return size > max(CLEAR_SHARE * float(np.quantile(size, 0.995)), ABOVE_NOISE * seen.quiet_n)
 
 
 def _curvature_pull(curve: Spline, state: _State) -> float:
@@ -223,7 +174,7 @@ def _check_bridged(seen: ContactRecord, state: _State) -> None:
     """Raises RigError if between closures the integrated noise wanders too far for them to be put in their places."""
     if seen.drift is None or seen.drift.spring_n_per_m > 0:
         return
-    closed = _closed(seen)
+    closed = clearly_closed(seen)
     between_s = np.diff(np.flatnonzero(np.diff(closed.astype(int)) == 1)) * seen.factor / seen.sample_rate_hz
     wander_m = seen.drift.noise_density * np.sqrt(np.mean(between_s**3) / 6) if between_s.size else np.inf
     depth_m = float(np.median(np.abs(seen.force_n[closed]))) / state.stiffness_n_per_m
@@ -235,54 +186,33 @@ def _check_bridged(seen: ContactRecord, state: _State) -> None:
         )
 
 
-def regressed(seen: ContactRecord, curve: Spline) -> tuple[Law, Float[np.ndarray, " knots"]]:
-    """Where the contact is clearly closed, eta + b = +-clearance + force / k: linear in clearance, 1/k and b."""
-    size = np.abs(seen.force_n)
-    at_force = curve.value[:: seen.factor][: size.size]
-    force = seen.force_n
-    closed = _closed(seen)
-    if seen.spring_n_per_m:  # the drift's own force is in the measured one: leave it to Gauss-Newton
-        at_force = csr_matrix(at_force.shape)
-    touched = [float(np.mean(closed & side)) for side in (force < 0, force > 0)]
-    if max(touched) < LEAST_CLOSED:
-        raise RigError("it hardly ever closes in this record; excite the rig more strongly")
-    if min(touched) < LEAST_CLOSED:
-        raise RigError(
-            "only one of its stops is ever touched, so its play cannot be told; excite the rig more strongly"
-        )
-    eta = seen.eta_m[:: seen.factor][: size.size][closed]
-    columns = hstack([-at_force[closed], np.stack([np.sign(force[closed]), force[closed]], axis=1)]).tocsr()
-    bent = hstack([curve.curvature, csr_matrix((curve.target.size, 2))])
-    weights = np.ones(eta.size)
-    for share, stiffer in STAGES:
-        fuzz_m = share * float(np.std(eta))
-        rows = vstack([diags(weights / fuzz_m) @ columns, stiffer * bent]).tocsc()
-        target = np.concatenate([weights * eta / fuzz_m, stiffer * curve.target])
-        ridge = diags(np.r_[np.full(curve.knots, 1e-12 * (rows.T @ rows).diagonal().max()), np.zeros(2)])
-        found = spsolve((rows.T @ rows + ridge).tocsc(), rows.T @ target)
-        weights = 1 / (1 + ((eta - columns @ found) / (OUTSIDE * fuzz_m)) ** 2)
-    *knots, clearance, softness = found
-    if not (np.isfinite(clearance) and softness > 0):
-        raise RigError(
-            "no force grows with this relative displacement; excite the rig more strongly, or check rig.json"
-        )
-    return np.array([max(clearance, 0.0), max(clearance, 0.0), 1 / softness, 0.0]), np.array(knots)
-
-
-def _linearised(seen: ContactRecord, curve: Spline, law: Law, knots: Float[np.ndarray, " knots"]) -> _State:
-    lower, upper, stiffness, _ = law
+def _linearised(
+    seen: ContactRecord,
+    curve: Spline,
+    law: Law,
+    knots: Float[np.ndarray, " knots"],
+    pulls: Float[np.ndarray, " nuisances"],
+) -> _State:
+    lower, upper, stiffness, damping = law
     eta, velocity = seen.eta_m + curve.value @ knots, seen.velocity_m_per_s + curve.rate @ knots
+    if pulls.any():
+        eta = eta - pulls[seen.moving] @ seen.nuisance_m
+        velocity = velocity - pulls[seen.moving] @ seen.nuisance_m_per_s
     above, below = eta > upper, eta < -lower
     outside = (above | below).astype(float)
     by_stiffness, by_damping = _by_stiffness_and_damping(law, eta, velocity)
     parts = np.stack([stiffness * below, -stiffness * above, by_stiffness, by_damping, stiffness * outside])
-    low_passed = decimated(parts, seen.factor)[:, : seen.force_n.size]
+    *by_law, tangent = decimated(parts, seen.factor)[:, : seen.force_n.size]
+    by_eta = tangent + seen.spring_n_per_m
     fine = max(1, round(FINE_HZ / seen.sample_rate_hz))
     finer = oversampled(np.stack([eta, velocity]), fine)
     fitted = decimated(law_force_n(law, *finer), fine * seen.factor)[: seen.force_n.size]
     at_force = curve.value[:: seen.factor][: seen.force_n.size]
-    residual = seen.force_n - fitted - seen.spring_n_per_m * (at_force @ knots)
-    return _State(law, knots, residual, low_passed[:4].T, low_passed[4] + seen.spring_n_per_m, at_force)
+    residual = seen.force_n - pulls @ seen.nuisance_n - fitted - seen.spring_n_per_m * (at_force @ knots)
+    by_pulls = seen.nuisance_n.T.copy()
+    moved = outside * (stiffness * seen.nuisance_m + damping * seen.nuisance_m_per_s)
+    by_pulls[:, seen.moving] -= decimated(moved, seen.factor)[:, : seen.force_n.size].T
+    return _State(law, knots, pulls, residual, np.stack(by_law, axis=1), by_pulls, by_eta, at_force)
 
 
 def _fitted(
@@ -311,19 +241,23 @@ def _descended(
 
     def step_from(at: _Weighed) -> Step[_Weighed]:
         to_law = mapped * _scales(at.state, mapped)
-        hessian, gradient = _normal(at.state, curve, to_law, weights)
+        hessian, gradient = _normal(seen, at.state, curve, to_law, weights)
         whole = spsolve(hessian, gradient)
 
         def after(share: float) -> _Weighed | None:
-            law = at.state.law + share * to_law @ whole[curve.knots :]
+            law = at.state.law + share * to_law @ whole[-to_law.shape[1] :]
             if np.any(law < LAW.bounds[0]) or STIFFNESS @ law == 0:
                 return None
-            there = _linearised(seen, curve, law, at.state.knots + share * whole[: curve.knots])
-            return _Weighed(there, _cost(there, curve, weights))
+            knots, pulls = at.state.knots, at.state.pulls
+            more = share * whole
+            there = _linearised(
+                seen, curve, law, knots + more[: knots.size], pulls + more[knots.size : knots.size + pulls.size]
+            )
+            return _Weighed(there, _cost(seen, there, curve, weights))
 
         return Step(after, float(gradient @ whole))
 
-    start = _Weighed(state, _cost(state, curve, weights))
+    start = _Weighed(state, _cost(seen, state, curve, weights))
     return descended(start, step_from, lambda at: SETTLED * at.cost, STEPS)[0].state
 
 
@@ -340,35 +274,40 @@ def _scatter(state: _State) -> float:
 
 
 def _weights(seen: ContactRecord, state: _State, open_n: float) -> Weights:
-    """One over the standard deviation of each residual: that of the force, and while the contact is closed also what
-    the relative displacement's noise, where the drift's knots do not follow it, does through the stiffness."""
+    """One over the standard deviation of each residual: that of the force, the share of it that no law explains, and
+    what the relative displacement's noise, where the drift's knots do not follow it, does through the stiffness."""
     fast_m = 0.0 if seen.drift is None else seen.drift.unfollowed_m
-    return np.asarray(1 / np.hypot(open_n, state.by_eta * fast_m))
+    unmodelled_n = seen.unmodelled * np.hypot(seen.force_n, np.std(seen.force_n))
+    return np.asarray(1 / np.sqrt(open_n**2 + (state.by_eta * fast_m) ** 2 + unmodelled_n**2))
 
 
-def _cost(state: _State, curve: Spline, weights: Weights) -> float:
+def _cost(seen: ContactRecord, state: _State, curve: Spline, weights: Weights) -> float:
     prior = curve.curvature @ state.knots - curve.target
-    return float(np.sum((weights * state.residual) ** 2) + np.sum(prior**2))
-
-
-def _jacobian(state: _State, curve: Spline, to_law: Float[np.ndarray, "4 free"]) -> csr_matrix:
-    """Of the fitted force, by the drift's knots and then by the free parameters of the law.
-
-    The low-pass acts on the slope of the law; the drift is slow against it.
-    """
-    by_knots = diags(state.by_eta) @ state.at_force
-    return (
-        hstack([by_knots, csr_matrix(state.by_law @ to_law)]).tocsr()
-        if curve.knots
-        else csr_matrix(state.by_law @ to_law)
+    return float(
+        np.sum((weights * state.residual) ** 2) + np.sum(prior**2) + seen.sample_ratio * np.sum(state.pulls**2)
     )
 
 
+def _jacobian(state: _State, to_law: Float[np.ndarray, "4 free"]) -> tuple[csr_matrix, Float[np.ndarray, "fewer more"]]:
+    """Of the fitted force: by the drift's knots; by the nuisance parameters, then the free parameters of the law.
+
+    The low-pass acts on the slope of the law; the drift is slow against it.
+    """
+    return diags(state.by_eta) @ state.at_force, np.concatenate([state.by_pulls, state.by_law @ to_law], axis=1)
+
+
 def _normal(
-    state: _State, curve: Spline, to_law: Float[np.ndarray, "4 free"], weights: Weights
+    seen: ContactRecord, state: _State, curve: Spline, to_law: Float[np.ndarray, "4 free"], weights: Weights
 ) -> tuple[csc_matrix, Float[np.ndarray, " unknowns"]]:
-    jacobian = diags(weights) @ _jacobian(state, curve, to_law)
-    rest = csr_matrix((curve.target.size, to_law.shape[1]))
-    prior = hstack([curve.curvature, rest]).tocsr() if curve.knots else rest
-    gradient = jacobian.T @ (weights * state.residual) + prior.T @ (curve.target - curve.curvature @ state.knots)
-    return csc_matrix(jacobian.T @ jacobian + prior.T @ prior), gradient
+    by_knots, by_others = _jacobian(state, to_law)
+    by_knots, by_others, left = diags(weights) @ by_knots, weights[:, None] * by_others, weights * state.residual
+    prior = np.r_[np.full(state.pulls.size, seen.sample_ratio), np.zeros(to_law.shape[1])]
+    of_others = by_others.T @ by_others + np.diag(prior)
+    gradient = by_others.T @ left
+    gradient[: state.pulls.size] -= seen.sample_ratio * state.pulls
+    if not curve.knots:
+        return csc_matrix(of_others), gradient
+    mixed = by_knots.T @ by_others
+    matrix = block_array([[by_knots.T @ by_knots + curve.curvature.T @ curve.curvature, mixed], [mixed.T, of_others]])
+    of_knots = by_knots.T @ left + curve.curvature.T @ (curve.target - curve.curvature @ state.knots)
+    return csc_matrix(matrix), np.concatenate([of_knots, gradient])

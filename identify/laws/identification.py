@@ -8,8 +8,9 @@ from jaxtyping import Float
 from scipy.signal import resample
 
 from identify.contacts.estimates import Contacts, find_contacts
-from identify.contacts.joint import ContactRecord, Joint
+from identify.contacts.joint import Joint
 from identify.contacts.results import Estimate, Unanswered
+from identify.contacts.start import ContactRecord
 from identify.laws.piecewise import FINEST, PiecewiseLinear, Sampled, polynomial, sampled, slope_jumps, straight_pieces
 from identify.laws.piecewise import unfiltered as without_low_pass
 from identify.laws.results import ContactLaw, LawReport, TriedLaw

@@ -28,12 +28,15 @@ Use = Literal["auto", "displacement", "velocity", "acceleration"]
 class Kinematics:
     """Motion of every station on one clock, from the first sample on; the record's end is left out.
 
+    sensors tells which sensor gave the acceleration of each station, and displaced_by which gave its displacement.
     trusted_hz is the band in which every row is right. zero_known says whether a constant displacement is seen.
     lost is the slow part of the acceleration that an integrated displacement lacks; zero where none was integrated.
     """
 
     stations: tuple[Station, ...]
     channels: tuple[str, ...]
+    sensors: tuple[Sensor, ...]
+    displaced_by: tuple[Sensor, ...]
     sample_rate_hz: float
     trusted_hz: tuple[float, float]
     zero_known: bool
@@ -127,6 +130,8 @@ def kinematics(recording: Recording, use: Use | QuantityName = "auto", corner_hz
     return Kinematics(
         stations=stations,
         channels=tuple(spectra),
+        sensors=tuple(_nearest(chosen[s], 2) for s in stations),
+        displaced_by=tuple(_nearest(chosen[s], 0) for s in stations),
         sample_rate_hz=rate,
         trusted_hz=(corner_hz if integrates else 0.0, PASSBAND * rate),
         zero_known=not integrates,

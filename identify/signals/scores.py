@@ -4,6 +4,8 @@ import numpy as np
 from jaxtyping import Float
 
 PARTS = 16
+COUNTED_HZ = 20.0
+"""So many samples a second count as independent where tolerances are weighed against them."""
 
 
 def part_scores(

@@ -43,7 +43,7 @@ def test_contacts_from_a_file(file, tmp_path):
     (row,) = found.table()
     assert abs(row["clearance_m"] - MASS.clearance_m) < 3 * row["clearance_m_within"]
     assert found.to_dict()["contacts"][0]["clearance_m"]["value"] == row["clearance_m"]
-    assert str(found).startswith("stop: clearance 1.0")
+    assert str(found).startswith(f"stop: clearance {1e3 * row['clearance_m']:.4f} ± ")
     assert found.figure("section").png.startswith(b"\x89PNG")
     with pytest.raises(rig.RigError, match="no figure 'sections'; there are "):
         found.figure("sections")

@@ -11,7 +11,7 @@ from msgspec.structs import replace as changed
 from scipy.sparse import block_diag, csc_matrix, csr_matrix, vstack
 from scipy.sparse.linalg import SuperLU, splu
 
-from identify.contacts.joint import ContactRecord, regressed
+from identify.contacts.start import ContactRecord, regressed
 from identify.gaps.residual.linear import Linear
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.spectra import Record
@@ -149,7 +149,12 @@ def start_of(
         force_n=law.stiffness_n_per_m * _depth_m(law, force),
         factor=1,
         quiet_n=0.0,
+        unmodelled=0.0,
         drift=None,
+        nuisance_n=np.zeros((0, force.size)),
+        moving=np.zeros(0, dtype=bool),
+        nuisance_m=np.zeros((0, force.size)),
+        nuisance_m_per_s=np.zeros((0, force.size)),
     )
     if seen.curve.knots:
         with suppress(RigError):

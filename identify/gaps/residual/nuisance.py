@@ -1,19 +1,17 @@
 """Nuisance parameters: what a laboratory never knows exactly, as columns of the residual with a prior of one."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Complex, Float, Int
 from msgspec.structs import replace
 
 from identify.gaps.residual.grounded import pushed_by_motion
 from identify.gaps.residual.linear import Linear, bent
 from identify.gaps.residual.projection import Projection
 from identify.gaps.residual.spectra import Record
+from identify.structure.nuisance import THE_FORCE, BodyMotion, Change, Kind, Nuisance, Observed, changes_of
 from identify.structure.response import Response, times
-from identify.structure.sensor_chain import chain_sensitivities
 from rig.model.description import Body, Rig, Sensor
 from rig.model.modes import modes_of
 from rig.model.tolerances import Tolerances
@@ -22,23 +20,6 @@ LIMIT = 6.0
 """No nuisance parameter goes further than so many standard deviations: beyond, something else is wrong."""
 BEYOND = 1.3
 """Modes up to this multiple of the highest frequency have parameters of their own."""
-
-THE_FORCE = "the force"
-
-Kind = Literal["gain", "position", "delay", "high-pass", "force gain", "mass", "frequency", "damping"]
-
-
-@dataclass(frozen=True)
-class Nuisance:
-    """One nuisance parameter: of a sensor, a body or (mode counts from 1) a mode of a body, or of the force."""
-
-    kind: Kind
-    of: str
-    mode: int | None = None
-
-    @property
-    def name(self) -> str:
-        return f"{self.kind} of {self.of}" + ("" if self.mode is None else f" {self.mode}")
 
 
 @dataclass(frozen=True)
@@ -65,25 +46,9 @@ class Columns:
         return (self.flat @ residuals.T.astype(np.float32, copy=False)).astype(float)
 
 
-@dataclass(frozen=True)
-class _Change:
-    """What one standard deviation of a parameter adds to what some sensors deliver, and to the displacements there."""
-
-    parameter: Nuisance
-    sensors: list[int]
-    delivered: Complex[np.ndarray, "some lines"]
-    displaced: Complex[np.ndarray, "some lines"] | None = None
-
-
 def columns_of(record: Record, model: Linear) -> Columns:
-    """The columns of all tolerances above zero.
-
-    With D = omega_m^2 - omega^2 + 2 i zeta omega_m omega of a mode, an error dD of it changes its acceleration by
-    -H dD q exactly, if q is the true motion: so the measured modal accelerations stand in these columns.
-    """
-    changes = [*_of_sensors(record, model), *_of_force(record, model)]
-    for response, motion in zip(model.responses, _measured(record, model), strict=True):
-        changes += [*_of_positions(record, model, response, motion), *_of_modes(record, model, response, motion)]
+    """The columns of all tolerances above zero."""
+    changes = list(changes_of(_observed(record, model)))
     count, contacts, samples = len(changes), len(model.rig.contacts), record.taken.stop - record.taken.start
     residual = np.empty((count, len(model.residual), samples), np.float32)
     forces, eta = (np.zeros((count, contacts, samples), np.float32) for _ in range(2))
@@ -99,7 +64,7 @@ def columns_of(record: Record, model: Linear) -> Columns:
 
 
 def _projected(
-    record: Record, model: Linear, projection: Projection, change: _Change
+    record: Record, model: Linear, projection: Projection, change: Change
 ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
     """With what the springs do whose displacement is not the measured one."""
     if change.displaced is None or not pushed_by_motion(model.rig):
@@ -109,21 +74,30 @@ def _projected(
     return projection.of(delivered + bent(record, model, displaced))
 
 
-def _of_sensors(record: Record, model: Linear) -> Iterator[_Change]:
-    """Of each sensor's chain."""
-    explained = record.delivered - model.residual[: len(record.sensors)] * model.deviation
-    displaced = record.displaced / model.sensor_response
-    for i, sensor in enumerate(record.sensors):
-        for kind, factor in chain_sensitivities(sensor, record.tolerances, record.omega).items():
-            if np.any(factor):
-                yield _Change(Nuisance(kind, sensor.name), [i], factor * explained[[i]], factor * displaced[[i]])
+def _observed(record: Record, model: Linear) -> Observed:
+    return Observed(
+        sensors=record.sensors,
+        displaced_by=record.sensors,
+        tolerances=record.tolerances,
+        omega=record.omega,
+        sensor_response=model.sensor_response,
+        explained=record.delivered - model.residual[: len(record.sensors)] * model.deviation,
+        by_force=model.by_force,
+        displaced=record.displaced / model.sensor_response,
+        bodies=tuple(
+            BodyMotion(response, motion, _elastic(record, response))
+            for response, motion in zip(model.responses, _measured(record, model), strict=True)
+        ),
+    )
 
 
-def _of_force(record: Record, model: Linear) -> Iterator[_Change]:
-    """The measured force is gain times the true one."""
-    if record.tolerances.force_gain:
-        change = -record.tolerances.force_gain * model.sensor_response * model.by_force
-        yield _Change(Nuisance("force gain", THE_FORCE), list(range(len(change))), change)
+def _elastic(record: Record, response: Response) -> Int[np.ndarray, " some"]:
+    """The modes with parameters of their own: by the believed rig, so that all rigs have the same parameters."""
+    body, count = response.body, response.count
+    natural_hz = modes_of(record.rig, record.rig.body(body.name)).frequencies_hz(count)
+    near = natural_hz < BEYOND * record.omega[-1] / (2 * np.pi)
+    flexing = np.arange(count) >= body.rigid_modes  # no matter which springs hold the body
+    return np.flatnonzero(flexing & near)
 
 
 def _measured(record: Record, model: Linear) -> list[Complex[np.ndarray, "modes lines"]]:
@@ -138,45 +112,6 @@ def _measured(record: Record, model: Linear) -> list[Complex[np.ndarray, "modes 
             motion[:count] += np.linalg.pinv(shapes) @ beyond[rows]
         found.append(motion)
     return found
-
-
-def _of_positions(
-    record: Record, model: Linear, response: Response, motion: Complex[np.ndarray, "modes lines"]
-) -> Iterator[_Change]:
-    body = response.body
-    rows = [i for i, s in enumerate(record.sensors) if s.station.body == body.name]
-    if not (body.length_m and rows):
-        return
-    slopes = response.slopes([record.sensors[i].station for i in rows])
-    for i, slope in zip(rows, slopes @ motion, strict=True):
-        tolerance = record.tolerances.of_sensor(record.sensors[i].name).position_m
-        if tolerance:
-            change = tolerance * slope[None]
-            moved = record.twice_integrated * change
-            yield _Change(Nuisance("position", record.sensors[i].name), [i], model.sensor_response[i] * change, moved)
-
-
-def _of_modes(
-    record: Record, model: Linear, response: Response, motion: Complex[np.ndarray, "modes lines"]
-) -> Iterator[_Change]:
-    """The mass of a body; its frequencies and its damping together, and of each mode by itself."""
-    body, believed = response.body, record.tolerances
-    rows = [i for i, s in enumerate(record.sensors) if s.station.body == body.name]
-    shapes, sensor_response = response.shapes([record.sensors[i].station for i in rows]), model.sensor_response[rows]
-    if believed.mass:
-        yield _Change(Nuisance("mass", body.name), rows, -believed.mass * sensor_response * times(shapes, motion))
-    per_unit = {kind: change * motion for kind, change in response.sensitivities.items()}
-    flexing = np.arange(response.count) >= body.rigid_modes  # no matter which springs hold the body
-    by_belief = modes_of(record.rig, record.rig.body(body.name))  # so that all rigs have the same parameters
-    near = by_belief.frequencies_hz(response.count) < BEYOND * record.omega[-1] / (2 * np.pi)
-    elastic = np.flatnonzero(flexing & near)
-    for kind, change in per_unit.items():
-        if common := float(getattr(believed, kind)):
-            yield _Change(Nuisance(kind, body.name), rows, common * sensor_response * times(shapes, change))
-        for m in elastic if not body.is_mass else []:
-            if own := float(getattr(believed.of_mode(body.name, int(m) + 1), kind)):
-                moved = own * sensor_response * (shapes[:, m, None] * change[m])
-                yield _Change(Nuisance(kind, body.name, int(m) + 1), rows, moved)
 
 
 def apply_nuisance(

@@ -22,9 +22,10 @@ from identify.gaps.residual.law import (
 )
 from identify.gaps.residual.linear import Linear, linear_model
 from identify.gaps.residual.lines import standing_out, without_lines
-from identify.gaps.residual.nuisance import Columns, Nuisance, apply_nuisance, columns_of, counted, with_nuisance
+from identify.gaps.residual.nuisance import Columns, apply_nuisance, columns_of, counted, with_nuisance
 from identify.gaps.residual.scales import Scales, estimated_scales, prior_scales
 from identify.gaps.residual.spectra import Record
+from identify.structure.nuisance import Nuisance
 from rig.model.description import Rig
 
 

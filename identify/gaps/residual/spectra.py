@@ -20,6 +20,7 @@ from identify.signals.kinematics import (
     kinematics,
     taper,
 )
+from identify.signals.scores import COUNTED_HZ
 from identify.signals.spectra import force_band
 from rig.errors import RigError
 from rig.model.description import Rig, Sensor
@@ -38,8 +39,6 @@ SHORTEST_S = 10.0
 SMOOTHED_HZ = 1.0
 FINE_HZ = 8000.0
 """Contact laws are evaluated at no less; at twice that nothing changes."""
-COUNTED_HZ = 20.0
-"""So many samples a second count as independent, of all channels together."""
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import pytest
 from identify.contacts.pooled import identify_long, pooled, together
 from identify.contacts.results import Estimate
 from rig.errors import RigError
+from rig.model.tolerances import EXACT, LABORATORY
 from rig.simulation.reference import BarrelCradle, Sdof
 
 
@@ -29,15 +30,17 @@ def test_what_scatters_more_than_it_should_is_less_certain():
     assert pooled([Estimate(5.0, 0.1)]) == Estimate(5.0, 0.1)
 
 
-def test_a_long_record_in_segments(one_mass):
-    report, parts = identify_long(one_mass, segment_s=200.0, use="displacement")
+@pytest.mark.parametrize(("tolerances", "within"), [(EXACT, 1e-5), (LABORATORY, 1e-3)])
+def test_a_long_record_in_segments(one_mass, tolerances, within):
+    report, parts = identify_long(one_mass, segment_s=200.0, use="displacement", tolerances=tolerances)
     assert [round(p.start_s) for p in parts] == [0, 212, 412, 612]
     assert parts[-1].end_s == pytest.approx(825.0)
     (contact,) = report.contacts
     truth = Sdof()
     for found, true in ((contact.clearance_m, truth.clearance_m), (contact.stiffness_n_per_m, truth.stiffness_n_per_m)):
-        assert found.value == pytest.approx(true, rel=1e-4)
-        assert abs(found.value - true) < 4 * found.standard_error
+        assert found.value == pytest.approx(true, rel=within)
+        if tolerances == LABORATORY:  # else the step of the simulation is the larger error
+            assert abs(found.value - true) < 4 * found.standard_error
     assert sum(n.averages for p in parts for n in p.report.nifo) == report.nifo[0].averages
     assert msgspec.convert(msgspec.to_builtins(report), type(report)) == report
 

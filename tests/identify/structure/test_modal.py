@@ -47,6 +47,8 @@ def motion_at_sensors(rig, responses, force_n=None):
     return Kinematics(
         stations=stations,
         channels=tuple(s.name for s in rig.sensors),
+        sensors=rig.sensors,
+        displaced_by=rig.sensors,
         sample_rate_hz=rig.sample_rate_hz,
         trusted_hz=(0.0, 1638.4),
         zero_known=True,

@@ -1,0 +1,117 @@
+"""One contact as a record shows it, and a first guess of its law: by the samples at which it is clearly closed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.sparse import csr_matrix, diags, hstack, vstack
+from scipy.sparse.linalg import spsolve
+
+from identify.signals.drift import Drift, Spline
+from identify.signals.scores import COUNTED_HZ
+from rig.errors import RigError
+from rig.model.parameters import Parameter, ParameterSet
+
+LAW = ParameterSet(
+    (
+        Parameter("m", 0.0, np.inf, name="lower_clearance_m"),
+        Parameter("m", 0.0, np.inf, name="upper_clearance_m"),
+        Parameter("N/m", 0.0, np.inf, name="stiffness_n_per_m"),
+        Parameter("N s/m", -np.inf, np.inf, name="damping_n_s_per_m"),
+    )
+)
+"""What is estimated of a `DeadZone`; its damping may have any sign."""
+CLEARANCE = LAW.vector({"lower_clearance_m": 0.5, "upper_clearance_m": 0.5})
+STIFFNESS = LAW.vector({"stiffness_n_per_m": 1.0})
+"""Linear functions of the parameters: half the total play, and the stiffness."""
+
+Law = Float[np.ndarray, "4"]
+"""Values of its parameters."""
+CLEAR_SHARE = 0.1
+"""A contact counts as clearly closed where its force exceeds this share of the force's 99.5 % quantile."""
+ABOVE_NOISE = 8.0
+"""... and this many standard deviations of the force in the quiet seconds before the excitation."""
+STAGES = ((0.5, 30.0), (0.2, 30.0), (0.1, 10.0), (0.03, 3.0), (0.01, 1.0))
+"""Where a contact is clearly closed, its displacement is known to a share of its own standard deviation, and the
+drift's curvature so many times better than measured: in turn, so that at first no drift can follow the closures."""
+OUTSIDE = 3.0
+"""So many of those shares off, a force of either sign that rings weighs little in the next turn (Geman, McClure)."""
+LEAST_CLOSED = 1e-3
+"""A stop that is clearly touched for a smaller share of the record is not told by it."""
+
+
+@dataclass(frozen=True)
+class ContactRecord:
+    """One contact as seen: relative displacement and velocity (m, m/s) and the separated force (N).
+
+    The force has been low-passed and is that of every `factor`-th sample; quiet_n is its standard deviation where there
+    is no contact, unmodelled the share of it that no law explains. drift is None where nothing was lost. One standard
+    deviation of each nuisance parameter adds its row of nuisance_n to the force; those that are `moving` add theirs of
+    nuisance_m and nuisance_m_per_s to the motion.
+    """
+
+    eta_m: Float[np.ndarray, " samples"]
+    velocity_m_per_s: Float[np.ndarray, " samples"]
+    sample_rate_hz: float
+    force_n: Float[np.ndarray, " fewer"]
+    factor: int
+    quiet_n: float
+    unmodelled: float
+    drift: Drift | None
+    nuisance_n: Float[np.ndarray, "nuisances fewer"]
+    moving: Bool[np.ndarray, " nuisances"]
+    nuisance_m: Float[np.ndarray, "some samples"]
+    nuisance_m_per_s: Float[np.ndarray, "some samples"]
+
+    @property
+    def sample_ratio(self) -> float:
+        """How much more the tolerances weigh than samples do, as errors of a model last."""
+        return max(1.0, self.sample_rate_hz / self.factor / COUNTED_HZ)
+
+    @property
+    def spring_n_per_m(self) -> float:
+        return 0.0 if self.drift is None else self.drift.spring_n_per_m
+
+    @property
+    def sides_known(self) -> bool:
+        return self.drift is None or self.drift.spring_n_per_m > 0
+
+
+def clearly_closed(seen: ContactRecord) -> Bool[np.ndarray, " fewer"]:
+    """Where the contact is clearly closed."""
+    size = np.abs(seen.force_n)
+    return size > max(CLEAR_SHARE * float(np.quantile(size, 0.995)), ABOVE_NOISE * seen.quiet_n)
+
+
+def regressed(seen: ContactRecord, curve: Spline) -> tuple[Law, Float[np.ndarray, " knots"]]:
+    """Where the contact is clearly closed, eta + b = +-clearance + force / k: linear in clearance, 1/k and b."""
+    size = np.abs(seen.force_n)
+    at_force = curve.value[:: seen.factor][: size.size]
+    force = seen.force_n
+    closed = clearly_closed(seen)
+    if seen.spring_n_per_m:  # the drift's own force is in the measured one: leave it to Gauss-Newton
+        at_force = csr_matrix(at_force.shape)
+    touched = [float(np.mean(closed & side)) for side in (force < 0, force > 0)]
+    if max(touched) < LEAST_CLOSED:
+        raise RigError("it hardly ever closes in this record; excite the rig more strongly")
+    if min(touched) < LEAST_CLOSED:
+        raise RigError(
+            "only one of its stops is ever touched, so its play cannot be told; excite the rig more strongly"
+        )
+    eta = seen.eta_m[:: seen.factor][: size.size][closed]
+    columns = hstack([-at_force[closed], np.stack([np.sign(force[closed]), force[closed]], axis=1)]).tocsr()
+    bent = hstack([curve.curvature, csr_matrix((curve.target.size, 2))])
+    weights = np.ones(eta.size)
+    for share, stiffer in STAGES:
+        fuzz_m = share * float(np.std(eta))
+        rows = vstack([diags(weights / fuzz_m) @ columns, stiffer * bent]).tocsc()
+        target = np.concatenate([weights * eta / fuzz_m, stiffer * curve.target])
+        ridge = diags(np.r_[np.full(curve.knots, 1e-12 * (rows.T @ rows).diagonal().max()), np.zeros(2)])
+        found = spsolve((rows.T @ rows + ridge).tocsc(), rows.T @ target)
+        weights = 1 / (1 + ((eta - columns @ found) / (OUTSIDE * fuzz_m)) ** 2)
+    *knots, clearance, softness = found
+    if not (np.isfinite(clearance) and softness > 0):
+        raise RigError(
+            "no force grows with this relative displacement; excite the rig more strongly, or check rig.json"
+        )
+    return np.array([max(clearance, 0.0), max(clearance, 0.0), 1 / softness, 0.0]), np.array(knots)

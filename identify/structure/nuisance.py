@@ -1,0 +1,133 @@
+"""Nuisance parameters: what a laboratory never knows exactly, and what each would change in what sensors deliver.
+
+With D = omega_m^2 - omega^2 + 2 i zeta_m omega_m omega of a mode, an error dD of it changes its acceleration by
+-dD / D of the true one exactly: so the measured modal accelerations stand in these changes.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Complex, Float, Int
+
+from identify.signals.kinematics import CORNER_HZ, integrated
+from identify.structure.response import Response, times
+from identify.structure.sensor_chain import chain_sensitivities
+from rig.model.description import Sensor
+from rig.model.tolerances import Tolerances
+
+THE_FORCE = "the force"
+
+Kind = Literal["gain", "position", "delay", "high-pass", "force gain", "mass", "frequency", "damping"]
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """One nuisance parameter: of a sensor, a body or (mode counts from 1) a mode of a body, or of the force."""
+
+    kind: Kind
+    of: str
+    mode: int | None = None
+
+    @property
+    def name(self) -> str:
+        return f"{self.kind} of {self.of}" + ("" if self.mode is None else f" {self.mode}")
+
+
+@dataclass(frozen=True)
+class BodyMotion:
+    """A body's modes and their accelerations; `elastic` are the modes with parameters of their own, from 0."""
+
+    response: Response
+    acceleration: Complex[np.ndarray, "modes lines"]
+    elastic: Int[np.ndarray, " some"]
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What sensors deliver of the true motion (explained), the accelerations by the measured force (by_force), and the
+    displacements at the sensors' stations, which the sensors `displaced_by` gave.
+
+    sensor_response is what a sensor delivers per acceleration.
+    """
+
+    sensors: tuple[Sensor, ...]
+    displaced_by: tuple[Sensor, ...]
+    tolerances: Tolerances
+    omega: Float[np.ndarray, " lines"]
+    sensor_response: Complex[np.ndarray, "sensors lines"]
+    explained: Complex[np.ndarray, "sensors lines"]
+    by_force: Complex[np.ndarray, "sensors lines"]
+    displaced: Complex[np.ndarray, "sensors lines"]
+    bodies: tuple[BodyMotion, ...]
+
+
+@dataclass(frozen=True)
+class Change:
+    """What one standard deviation of a parameter adds to what some sensors deliver, and to the displacements there."""
+
+    parameter: Nuisance
+    sensors: list[int]
+    delivered: Complex[np.ndarray, "some lines"]
+    displaced: Complex[np.ndarray, "some lines"] | None = None
+
+
+def changes_of(observed: Observed) -> Iterator[Change]:
+    """Of every tolerance above zero."""
+    yield from _of_sensors(observed)
+    yield from _of_force(observed)
+    for body in observed.bodies:
+        rows = [i for i, s in enumerate(observed.sensors) if s.station.body == body.response.body.name]
+        yield from _of_positions(observed, body, rows)
+        yield from _of_modes(observed, body, rows)
+
+
+def _of_sensors(observed: Observed) -> Iterator[Change]:
+    """Of each sensor's chain."""
+    for i, (sensor, other) in enumerate(zip(observed.sensors, observed.displaced_by, strict=True)):
+        for one in dict.fromkeys((sensor, other)):
+            for kind, factor in chain_sensitivities(one, observed.tolerances, observed.omega).items():
+                if np.any(factor):
+                    delivered = factor * observed.explained[[i]] * (one == sensor)
+                    displaced = factor * observed.displaced[[i]] if one == other else None
+                    yield Change(Nuisance(kind, one.name), [i], delivered, displaced)
+
+
+def _of_force(observed: Observed) -> Iterator[Change]:
+    """The measured force is gain times the true one."""
+    if gain := observed.tolerances.force_gain:
+        change = -gain * observed.sensor_response * observed.by_force
+        yield Change(Nuisance("force gain", THE_FORCE), list(range(len(change))), change)
+
+
+def _of_positions(observed: Observed, body: BodyMotion, rows: list[int]) -> Iterator[Change]:
+    if not (body.response.body.length_m and rows):
+        return
+    slopes = body.response.slopes([observed.sensors[i].station for i in rows])
+    twice = integrated(observed.omega, -2, CORNER_HZ)
+    for i, slope in zip(rows, slopes @ body.acceleration, strict=True):
+        sensor, other = observed.sensors[i], observed.displaced_by[i]
+        for one in dict.fromkeys((sensor, other)):
+            if tolerance := observed.tolerances.of_sensor(one.name).position_m:
+                change = tolerance * slope[None]
+                delivered = observed.sensor_response[i] * change * (one == sensor)
+                yield Change(Nuisance("position", one.name), [i], delivered, twice * change if one == other else None)
+
+
+def _of_modes(observed: Observed, motion: BodyMotion, rows: list[int]) -> Iterator[Change]:
+    """The mass of a body; its frequencies and its damping together, and of each mode by itself."""
+    response, believed = motion.response, observed.tolerances
+    body, sensor_response = response.body, observed.sensor_response[rows]
+    shapes = response.shapes([observed.sensors[i].station for i in rows])
+    if believed.mass:
+        change = -believed.mass * sensor_response * times(shapes, motion.acceleration)
+        yield Change(Nuisance("mass", body.name), rows, change)
+    for kind, sensitivity in response.sensitivities.items():
+        change = sensitivity * motion.acceleration
+        if common := float(getattr(believed, kind)):
+            yield Change(Nuisance(kind, body.name), rows, common * sensor_response * times(shapes, change))
+        for m in motion.elastic if not body.is_mass else []:
+            if own := float(getattr(believed.of_mode(body.name, int(m) + 1), kind)):
+                moved = own * sensor_response * (shapes[:, m, None] * change[m])
+                yield Change(Nuisance(kind, body.name, int(m) + 1), rows, moved)
