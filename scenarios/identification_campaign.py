@@ -4,6 +4,7 @@ python -m scenarios.identification_campaign --out out/campaign
 """
 
 import tempfile
+from collections.abc import Sequence
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -88,8 +89,8 @@ def campaign(
             chosen: list[FoundContact] = [getattr(o, stations) for o in outcomes if o.task.jitter == jitter]
             everything += chosen
             for quantity in QUANTITIES:
-                table.add_row(kind, quantity, *_figures(chosen, quantity))
-            _draw(chosen, out / f"{kind.replace(' ', '_').replace(',', '')}.png", kind)
+                table.add_row(kind, quantity, *figures_of(chosen, quantity))
+            draw(chosen, out / f"{kind.replace(' ', '_').replace(',', '')}.png", kind)
     for plant in ("modal", "ancf"):
         chosen = [f for o in outcomes if o.task.plant == plant for f in (o.six, o.four)]
         if chosen:
@@ -131,7 +132,8 @@ def one_rig(task: Task) -> RigOutcome:
             actual=actual,
         )
         recording = read(path)
-    found = [_found(actual, find_contacts(_seen_by(recording, rig), "acceleration", tolerances)) for rig in (six, four)]
+    laws = [(c.name, c.law.clearance_m, c.law.stiffness_n_per_m, c.law.damping_n_s_per_m) for c in actual.contacts]
+    found = [found_in(find_contacts(_seen_by(recording, rig), "acceleration", tolerances), laws) for rig in (six, four)]
     return RigOutcome(task, rms_n, *found)
 
 
@@ -144,19 +146,20 @@ def _seen_by(recording: Recording, rig: Rig) -> Recording:
     return Recording(rig, {**recording.signals, "acceleration": seen}, recording.provenance)
 
 
-def _found(actual: Rig, contacts: Contacts) -> FoundContact:
+def found_in(contacts: Contacts, laws: Sequence[tuple[str, float, float, float]]) -> FoundContact:
+    """Against the laws that are true: name, clearance (m), stiffness (N/m) and damping (N s/m) of each contact."""
     names, true, found, errors, refused = [], [], [], [], []
-    for contact, answer in zip(actual.contacts, contacts.estimates, strict=True):
+    for (name, clearance, stiffness, damping), answer in zip(laws, contacts.estimates, strict=True):
         if not isinstance(answer, Joint):
-            refused.append(f"{contact.name}: {answer}")
+            refused.append(f"{name}: {answer}")
             continue
-        law, (_, _, of_stiffness, of_damping) = contact.law, answer.errors
+        _, _, of_stiffness, of_damping = answer.errors
         for quantity, value, estimate, error in (
-            ("clearance", law.clearance_m, answer.clearance_m, answer.clearance_error_m),
-            ("stiffness", law.stiffness_n_per_m, answer.stiffness_n_per_m, of_stiffness),
-            ("damping", law.damping_n_s_per_m, answer.values[-1], of_damping),
+            ("clearance", clearance, answer.clearance_m, answer.clearance_error_m),
+            ("stiffness", stiffness, answer.stiffness_n_per_m, of_stiffness),
+            ("damping", damping, answer.values[-1], of_damping),
         ):
-            names.append(f"{contact.name} {quantity}")
+            names.append(f"{name} {quantity}")
             true.append(value)
             found.append(float(estimate))
             errors.append(float(error))
@@ -198,7 +201,7 @@ def _coverage(found: list[FoundContact]) -> str:
     return f"{100 * np.mean(np.abs(sigmas) < 1.96):.1f} % of {sigmas.size}"
 
 
-def _figures(found: list[FoundContact], quantity: str) -> tuple[str, ...]:
+def figures_of(found: list[FoundContact], quantity: str) -> tuple[str, ...]:
     off, sigmas = _errors(found, quantity)
     unit = " N s/m" if quantity == "damping" else ""
     refused = sum(len(one.unanswered) for one in found)
@@ -210,7 +213,7 @@ def _figures(found: list[FoundContact], quantity: str) -> tuple[str, ...]:
     )
 
 
-def _draw(found: list[FoundContact], path: Path, kind: str) -> None:
+def draw(found: list[FoundContact], path: Path, kind: str) -> None:
     """Errors of every contact with their 95 % intervals, and how they compare with the intervals."""
     with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3}):
         figure = Figure(figsize=(8, 6), layout="constrained")

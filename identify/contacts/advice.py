@@ -40,12 +40,14 @@ def assumed(found: Identification) -> Iterator[str]:
     )
     if believed != EXACT:
         yield (
-            "Tolerances of rig.json, as standard deviations: sensor gains "
-            f"{100 * believed.gain:.2g} %, sensor positions {1e3 * believed.position_m:.2g} mm, natural frequencies "
+            "Tolerances of rig.json, as standard deviations, fitted along: sensor gains "
+            f"{100 * believed.gain:.2g} %, their positions {1e3 * believed.position_m:.2g} mm, delays "
+            f"{1e3 * believed.delay_s:.2g} ms and high-pass {believed.high_pass_hz:.2g} Hz, the force's gain "
+            f"{100 * believed.force_gain:.2g} %, masses {100 * believed.mass:.2g} %, natural frequencies "
             f"{100 * believed.frequency:.2g} %, damping {100 * believed.damping:.2g} %."
         )
     else:
-        yield "rig.json is believed exactly: no tolerance of gains, positions, frequencies or damping."
+        yield "rig.json is believed exactly: no tolerances."
     places = "; ".join(_places(body.name, motion.stations) for body in rig.bodies)
     yield f"Stations used: {places}. Channels: {', '.join(report.channels_used)}."
     if idle := [s.name for s in rig.sensors if s.name not in report.channels_used]:
