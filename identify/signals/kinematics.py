@@ -91,7 +91,7 @@ def kinematics(recording: Recording, use: Use | QuantityName = "auto", corner_hz
     Raises RigError if no such sensor is there, or the record is too short for its ends to be left out.
     """
     rig, rate = recording.rig, recording.rig.sample_rate_hz
-    sensors = [s for s in rig.sensors if use in ("auto", s.quantity) and not s.measures.bends]
+    sensors = [s for s in rig.sensors if use in ("auto", s.quantity) and s.measures.translates]
     if not sensors:
         raise RigError(f"the recording has no {use} sensors; it has {', '.join(sorted(recording.signals))}")
     stations = tuple(dict.fromkeys(s.station for s in sensors))
