@@ -77,6 +77,7 @@ def test_an_effect_is_named_with_its_size(text, parameter, value, null_reference
     assert found.value == pytest.approx(value, rel=0.05)
     assert gap.causes[0].explained > 0.9
     assert corrected != RIG
+    assert [c.y_label for c in gap.curves[:2]] == ["(m)^2/Hz", "(m)/N"]
     total = sum(c.probability for c in gap.causes) + gap.probability_nothing + gap.probability_unknown
     assert total == pytest.approx(1.0)
 
