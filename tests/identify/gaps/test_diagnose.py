@@ -114,10 +114,10 @@ def test_a_null_reference_of_another_rig_or_none_is_made_anew(tmp_path):
     path = tmp_path / "null_reference.json"
     path.write_text("nothing of the kind")
     _, validation = records(RIG, RIG)
-    made = null_reference_of(validation, LABORATORY, modal, "modal", kept=path, null_reference=2)
-    assert null_reference_of(validation, LABORATORY, refuse, "modal", kept=path, null_reference=2) == made
+    made = null_reference_of(validation, LABORATORY, modal, "modal", kept=path, simulations=2)
+    assert null_reference_of(validation, LABORATORY, refuse, "modal", kept=path, simulations=2) == made
     other = with_fields(validation, rig=replace(RIG, name="other"))
-    assert null_reference_of(other, LABORATORY, modal, "modal", kept=path, null_reference=2).key != made.key
+    assert null_reference_of(other, LABORATORY, modal, "modal", kept=path, simulations=2).key != made.key
 
 
 def test_a_short_record_is_refused(null_reference):
