@@ -46,8 +46,11 @@ class ContactForces:
 def separated_forces(
     rig: Rig, motion: Kinematics, factor: int, noise: Float[np.ndarray, " stations"], tolerances: Tolerances
 ) -> ContactForces:
-    """The contact forces of beams or structures from all their stations, or of one mass from its equation of motion."""
-    if rig.bodies[0].is_mass:
+    """The contact forces between bodies from all their stations, or of one mass from its equation of motion.
+
+    Raises RigError if the stations cannot tell the contacts apart, or the contacts hold more than can float.
+    """
+    if rig.bodies[0].is_mass and len(rig.bodies) == len(rig.contacts) == 1:
         return _on_mass(rig.bodies[0], motion, factor, tolerances)
     return _between_bodies(rig, motion, factor, noise, tolerances)
 
