@@ -82,7 +82,7 @@ def test_settings_that_do_not_fit_are_refused(scenario, settings, sentence):
         (
             BarrelCradle,
             {"sensors": "acceleration+speed"},
-            "no quantity 'speed'; join any of acceleration, displacement",
+            "no quantity 'speed'; join any of acceleration",
         ),
     ],
 )
