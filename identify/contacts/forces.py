@@ -83,7 +83,7 @@ class _Lines:
 def separated_forces(
     rig: Rig, motion: Kinematics, factor: int, noise: Float[np.ndarray, " stations"], tolerances: Tolerances
 ) -> ContactForces:
-    """The contact forces of beams or structures from all their stations, or of one mass from its equation of motion.
+    """The contact forces between bodies from all their stations, or of one mass from its equation of motion.
 
     noise is the standard deviation per sample of each station's acceleration (m/s^2).
 
@@ -107,7 +107,7 @@ def separated_forces(
         bodies=tuple(_body_motion(rig, r, motion, measured) for r in responses),
     )
     changes = tuple(changes_of(observed))
-    if rig.bodies[0].is_mass:
+    if rig.bodies[0].is_mass and len(rig.bodies) == len(rig.contacts) == 1:
         mass = rig.bodies[0]
         kept, to_force = (samples - round(TAPER_S * rate)) // factor, -_apparent_mass(mass, lines.omega)[None, None]
         separated, spring_n_per_m = _on_mass(mass, motion, factor)[:, :kept], mass.mass_kg * _natural(mass) ** 2

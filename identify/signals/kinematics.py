@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -10,7 +10,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from rig.errors import RigError
 from rig.model.description import Rig, Sensor, Station
-from rig.model.quantities import QuantityName
+from rig.model.quantities import QUANTITIES
 from rig.model.sensing import PASSBAND
 from rig.recording import Recording
 
@@ -20,7 +20,10 @@ CORNER_HZ = 0.5
 QUIET_S = 0.25
 BEGUN, NORMAL_BY_MEDIAN = 6.0, 1.4826
 
-Use = Literal["auto", "displacement", "velocity", "acceleration"]
+if TYPE_CHECKING:
+    Use = str
+else:
+    Use = Literal["auto", *(name for name, quantity in QUANTITIES.items() if quantity.translates)]
 """Sensors of the motion; the bending that strain gauges show is not used."""
 
 
@@ -82,7 +85,7 @@ class Kinematics:
         )
 
 
-def kinematics(recording: Recording, use: Use | QuantityName = "auto", corner_hz: float = CORNER_HZ) -> Kinematics:
+def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNER_HZ) -> Kinematics:
     """Displacement, velocity and acceleration at every station with a sensor.
 
     In the frequency domain, with the end of the record tapered off: each sensor's gain and delay are divided out, and
@@ -94,9 +97,10 @@ def kinematics(recording: Recording, use: Use | QuantityName = "auto", corner_hz
     Raises RigError if no such sensor is there, or the record is too short for its ends to be left out.
     """
     rig, rate = recording.rig, recording.rig.sample_rate_hz
-    sensors = [s for s in rig.sensors if use in ("auto", s.quantity) and not s.measures.bends]
+    sensors = [s for s in rig.sensors if use in ("auto", s.quantity) and s.measures.translates]
     if not sensors:
-        raise RigError(f"the recording has no {use} sensors; it has {', '.join(sorted(recording.signals))}")
+        wanted = "sensors of motion" if use == "auto" else f"{use} sensors"
+        raise RigError(f"the recording has no {wanted}; it has {', '.join(sorted(recording.signals))}")
     stations = tuple(dict.fromkeys(s.station for s in sensors))
     chosen = {s: {sensor.measures.order: sensor for sensor in sensors if sensor.station == s} for s in stations}
     integrates = any(0 not in have for have in chosen.values())

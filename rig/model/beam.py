@@ -105,27 +105,20 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
             youngs_modulus_pa=self.youngs_modulus_pa * factor,
         )
 
-    def shapes(self, positions_m: Float[np.ndarray, " stations"], modes: int) -> Float[np.ndarray, "stations modes"]:
+    def shapes(
+        self, positions_m: Float[np.ndarray, " stations"], modes: int, order: int = 0
+    ) -> Float[np.ndarray, "stations modes"]:
         """Mass-normalised mode shapes phi_i(x), in 1/sqrt(kg), for positions 0 <= x <= length.
+
+        order is that of the derivative along x: 0 the shape, 1 its slope (per m), 2 its curvature (per m^2).
 
         cosh and sinh are never formed: the shapes are written with decaying exponentials, so they stay exact to
         rounding up to mode 40 (Gonçalves, Brennan and Elliott, J. Sound Vib. 301, 2007, treat the problem).
         """
-        return self._shapes(positions_m, modes, 1.0)
-
-    def curvatures(
-        self, positions_m: Float[np.ndarray, " stations"], modes: int
-    ) -> Float[np.ndarray, "stations modes"]:
-        """Second derivatives of the shapes, 1/(m^2 sqrt(kg)): beta^2 times them, with the trigonometric part turned."""
-        squares = (self._wavenumbers(modes) / self.length_m) ** 2
-        return squares * self._shapes(positions_m, modes, -1.0)
-
-    def _shapes(
-        self, positions_m: Float[np.ndarray, " stations"], modes: int, turned: float
-    ) -> Float[np.ndarray, "stations modes"]:
         self._check_modes(modes)
         relative = np.asarray(positions_m, dtype=float)[:, None] / self.length_m
-        rigid = np.concatenate([np.ones_like(relative), np.sqrt(12) * (relative - 0.5)], axis=1)[:, : self.rigid_modes]
+        turning = np.sqrt(12) * np.array([relative - 0.5, np.ones_like(relative), np.zeros_like(relative)])[order]
+        rigid = np.concatenate([np.full_like(relative, order == 0), turning], axis=1)[:, : self.rigid_modes]
         beta = self._wavenumbers(modes)[self.rigid_modes :]
         sign = -1.0 if self.ends == "clamped-free" else 1.0  # of the trigonometric part
         decay, sine, cosine = np.exp(-beta), np.sin(beta), np.cos(beta)
@@ -133,12 +126,14 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         growing = sign * (cosine - sine) - decay  # (1 - sigma)(sinh b -+ sin b)
         sigma = (1 + decay**2 - sign * 2 * cosine * decay) / denominator
         argument = beta * relative
+        waves = np.cos(argument), -np.sin(argument), -np.cos(argument), np.sin(argument)  # each the last one's slope
         elastic = (
             growing / denominator * np.exp(beta * (relative - 1))
-            + (1 + sigma) / 2 * np.exp(-argument)
-            + turned * sign * (np.cos(argument) - sigma * np.sin(argument))
+            + (-1.0) ** order * (1 + sigma) / 2 * np.exp(-argument)
+            + sign * (waves[order] - sigma * waves[order - 1])
         )
-        return np.concatenate([rigid, elastic], axis=1)[:, :modes] / np.sqrt(self.mass_kg)
+        found = np.concatenate([rigid, beta**order * elastic], axis=1)[:, :modes]
+        return found / (self.length_m**order * np.sqrt(self.mass_kg))
 
     def _wavenumbers(self, modes: int) -> Float[np.ndarray, " modes"]:
         self._check_modes(modes)

@@ -275,13 +275,13 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
 
     def fibre_m(self, sensor: Sensor) -> float:
         """A strain gauge's distance from the neutral fibre; zero of other sensors. Raises RigError if not known."""
-        if not sensor.measures.bends:
-            return 0.0
         body = self.body(sensor.station.body)
-        if body.is_mass:
+        if body.is_mass and not sensor.measures.translates:
             raise RigError(
                 f"sensor {sensor.name!r} measures {sensor.quantity} of {body.name!r}, a mass; put it on a beam"
             )
+        if not sensor.measures.bends:
+            return 0.0
         if sensor.fibre_m is None and body.half_thickness_m is None:
             raise RigError(f"sensor {sensor.name!r}: how thick {body.name!r} is there is not known; give fibre_m")
         return sensor.fibre_m or body.half_thickness_m or 0.0

@@ -26,10 +26,7 @@ class Modes(Protocol):
     def frequencies_hz(self, modes: int) -> Float[np.ndarray, " modes"]: ...
     def damping_ratios(self, modes: int) -> Float[np.ndarray, " modes"]: ...
     def shapes(
-        self, positions_m: Float[np.ndarray, " stations"], modes: int
-    ) -> Float[np.ndarray, "stations modes"]: ...
-    def curvatures(
-        self, positions_m: Float[np.ndarray, " stations"], modes: int
+        self, positions_m: Float[np.ndarray, " stations"], modes: int, order: int = 0
     ) -> Float[np.ndarray, "stations modes"]: ...
 
 
@@ -50,16 +47,8 @@ class FiniteElementModes:
     def damping_ratios(self, modes: int) -> Float[np.ndarray, " modes"]:
         return self.beam.damping_ratios(modes)
 
-    def shapes(self, positions_m: Float[np.ndarray, " stations"], modes: int) -> Float[np.ndarray, "stations modes"]:
-        return self._interpolated(positions_m, modes, 0)
-
-    def curvatures(
-        self, positions_m: Float[np.ndarray, " stations"], modes: int
-    ) -> Float[np.ndarray, "stations modes"]:
-        return self._interpolated(positions_m, modes, 2)
-
-    def _interpolated(
-        self, positions_m: Float[np.ndarray, " stations"], modes: int, order: int
+    def shapes(
+        self, positions_m: Float[np.ndarray, " stations"], modes: int, order: int = 0
     ) -> Float[np.ndarray, "stations modes"]:
         rows = [hermite(self.nodes_m, float(x), order) for x in positions_m]
         return np.array(rows).reshape(len(rows), len(self.vectors)) @ self.vectors[:, :modes]
@@ -83,13 +72,10 @@ class CoupledModes:
     def damping_ratios(self, modes: int) -> Float[np.ndarray, " modes"]:
         return self.structure.damping_ratios(modes)
 
-    def shapes(self, positions_m: Float[np.ndarray, " stations"], modes: int) -> Float[np.ndarray, "stations modes"]:
-        return self.structure.shapes(positions_m, self.structure.max_modes) @ self.vectors[:, :modes]
-
-    def curvatures(
-        self, positions_m: Float[np.ndarray, " stations"], modes: int
+    def shapes(
+        self, positions_m: Float[np.ndarray, " stations"], modes: int, order: int = 0
     ) -> Float[np.ndarray, "stations modes"]:
-        return self.structure.curvatures(positions_m, self.structure.max_modes) @ self.vectors[:, :modes]
+        return self.structure.shapes(positions_m, self.structure.max_modes, order) @ self.vectors[:, :modes]
 
 
 Meshed = Beam | Oscillator
@@ -143,7 +129,7 @@ def coupled(rig: Rig, body: Structure) -> CoupledModes:
     for spring in rig.springs:
         if spring.station.body == body.name:
             place = np.array([spring.station.position_m])
-            row, slope = body.shapes(place, count)[0], body.slopes(place, count)[0]
+            row, slope = (body.shapes(place, count, order)[0] for order in (0, 1))
             attached += spring.stiffness_n_per_m * np.outer(row, row)
             attached += spring.rotational_n_m_per_rad * np.outer(slope, slope)
     rigid = body.rigid_modes

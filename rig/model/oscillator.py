@@ -81,14 +81,11 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         """With the mass times a factor, at the same frequency."""
         return msgspec.structs.replace(self, mass_kg=self.mass_kg * factor)
 
-    def shapes(self, positions_m: Float[np.ndarray, " stations"], modes: int) -> Float[np.ndarray, "stations modes"]:
-        return np.full((len(positions_m), self._one(modes)), 1 / np.sqrt(self.mass_kg))
-
-    def curvatures(
-        self, positions_m: Float[np.ndarray, " stations"], modes: int
+    def shapes(
+        self, positions_m: Float[np.ndarray, " stations"], modes: int, order: int = 0
     ) -> Float[np.ndarray, "stations modes"]:
-        """It does not bend."""
-        return np.zeros((len(positions_m), self._one(modes)))
+        """Of the order of the derivative along the body; a mass neither turns nor bends."""
+        return np.full((len(positions_m), self._one(modes)), (order == 0) / np.sqrt(self.mass_kg))
 
     def _one(self, modes: int) -> int:
         if modes != 1:

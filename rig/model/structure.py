@@ -134,19 +134,15 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         rows = (msgspec.structs.replace(r, values=tuple(v / lighter for v in r.values)) for r in self.rows)
         return msgspec.structs.replace(self, rows=tuple(rows))
 
-    def shapes(self, positions_m: Float[np.ndarray, " stations"], modes: int) -> Float[np.ndarray, "stations modes"]:
-        """Shapes at places, in 1/sqrt(kg): as given where they are given, else by the spline."""
-        return self._interpolated(positions_m, 0)[:, : self._checked(modes)]
-
-    def slopes(self, positions_m: Float[np.ndarray, " stations"], modes: int) -> Float[np.ndarray, "stations modes"]:
-        """Slopes of the spline through the shapes, in 1/(m sqrt(kg)); zero if only one place is given."""
-        return self._interpolated(positions_m, 1)[:, : self._checked(modes)]
-
-    def curvatures(
-        self, positions_m: Float[np.ndarray, " stations"], modes: int
+    def shapes(
+        self, positions_m: Float[np.ndarray, " stations"], modes: int, order: int = 0
     ) -> Float[np.ndarray, "stations modes"]:
-        """Second derivatives of the spline through the shapes: as good as the places are dense."""
-        return self._interpolated(positions_m, 2)[:, : self._checked(modes)]
+        """Shapes at places, in 1/sqrt(kg): as given where they are given, else by the spline.
+
+        Of order 1 or 2 the spline's derivatives along the body, per m or m^2: as good as the places are dense; zero if
+        only one place is given.
+        """
+        return self._interpolated(positions_m, order)[:, : self._checked(modes)]
 
     def gives(self, position_m: float) -> bool:
         """Whether the shapes at this place are data."""

@@ -9,7 +9,7 @@ from rig.model.beam import Beam
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Contact, Rig, Sensor, Station
 from rig.model.oscillator import Oscillator
-from rig.model.quantities import QuantityName
+from rig.model.quantities import QUANTITIES, QuantityName
 from rig.simulation.excitation import Excitation, excitation_of
 
 
@@ -22,7 +22,8 @@ class Sdof(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     clearance_m: float = 1e-3
     stiffness_n_per_m: float = 1e4
     contact_damping_n_s_per_m: float = 0.0
-    sensors: Literal["both", "displacement", "acceleration"] = "both"
+    sensors: str = "displacement+acceleration"
+    """What is measured at every station: quantities joined by +."""
     noise_density: float = 0.0
     sample_rate_hz: float = 512.0
     step_s: float = 2.0**-13
@@ -73,7 +74,7 @@ class BarrelCradle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     damping_ratio: float = 0.01
     stations: Literal[4, 6, 8, 10] = 6
     """Sensors a beam; the contacts are always among them."""
-    sensors: Literal["both", "displacement", "acceleration"] = "both"
+    sensors: str = "displacement+acceleration"
     noise_density: float = 0.0
     """Of the accelerometers, m/s^2/sqrt(Hz)."""
     sample_rate_hz: float = 4096.0
@@ -169,8 +170,12 @@ def reference(scenario: str, settings: dict[str, str]) -> Sdof | BarrelCradle:
         raise RigError(f"{scenario}: {error}; see `rig record --help` for the settings") from error
 
 
-def _quantities(sensors: QuantityName | Literal["both"]) -> tuple[QuantityName, ...]:
-    return ("displacement", "acceleration") if sensors == "both" else (sensors,)
+def _quantities(sensors: str) -> list[QuantityName]:
+    """Those joined by +; "both" stands for displacement and acceleration."""
+    names = ["displacement", "acceleration"] if sensors == "both" else sensors.split("+")
+    if unknown := sorted(set(names) - set(QUANTITIES)):
+        raise RigError(f"sensors is {sensors!r}: no quantity {unknown[0]!r}; join any of {', '.join(QUANTITIES)} by +")
+    return names
 
 
 def _equal_sides(clearance_m: float, stiffness_n_per_m: float, damping_n_s_per_m: float) -> DeadZone:

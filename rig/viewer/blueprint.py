@@ -45,7 +45,7 @@ def entity(*parts: str) -> str:
 
 def plotted(rig: Rig) -> list[QuantityName]:
     """The measured quantities that have plots: all but displacements, which the moving bodies show."""
-    return [name for name in quantities_of(rig) if QUANTITIES[name].order or QUANTITIES[name].bends]
+    return [name for name in quantities_of(rig) if QUANTITIES[name].order or not QUANTITIES[name].translates]
 
 
 def blueprint(layout: Layout) -> rrb.Blueprint:

@@ -59,7 +59,7 @@ def deflection(recording: Recording, truth: Recording | None) -> Deflection:
         stations = tuple(s for s in known.channels.stations if s is not None)
         return Deflection(truth.rig, stations, known.values, approximate=False)
     rig = recording.rig
-    moving = [s for s in rig.sensors if not s.measures.bends]
+    moving = [s for s in rig.sensors if s.measures.translates]
     nearest = {s.station: s for s in sorted(moving, key=lambda s: s.measures.order, reverse=True)}
     for body in rig.bodies:
         if body.name not in {station.body for station in nearest}:

@@ -122,7 +122,7 @@ def experiments(record: Record, force_n: Float[np.ndarray, " samples"]) -> Itera
         end = Station(body.name, body.length_m)
         hung = partial(_with_mass, mass=PointMass(station=end, mass_kg=mass_kg))
         yield Experiment(f"hang a known {1e3 * mass_kg:.3g} g on {_said(rig, end)}", hung, again)
-    if any(s.measures.order and not s.measures.bends for s in rig.sensors):
+    if any(s.measures.order and s.measures.translates for s in rig.sensors):
         yield Experiment("measure displacements in place of accelerations", _with_displacements, again)
 
 
@@ -205,9 +205,9 @@ def _with_mass(rig: Rig, mass: PointMass) -> Rig:
 
 def _with_displacements(rig: Rig) -> Rig:
     sensors = tuple(
-        s
-        if s.measures.bends
-        else with_fields(s, quantity="displacement", noise_density=DISPLACEMENT_NOISE, measuring_range=None, bits=None)
+        with_fields(s, quantity="displacement", noise_density=DISPLACEMENT_NOISE, measuring_range=None, bits=None)
+        if s.measures.translates
+        else s
         for s in rig.sensors
     )
     return with_fields(rig, sensors=sensors)

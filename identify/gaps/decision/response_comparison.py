@@ -66,6 +66,10 @@ def _last(run: Recording) -> Float[np.ndarray, " samples"]:
     return run.signals[quantity].values[-1]
 
 
+def _unit(runs: tuple[Recording, ...]) -> str:
+    return runs[0].rig.sensors[-1].measures.unit
+
+
 def _spectrum(runs: tuple[Recording, ...]) -> Curve:
     """Of the last sensor."""
     rate = runs[0].rig.sample_rate_hz
@@ -74,7 +78,7 @@ def _spectrum(runs: tuple[Recording, ...]) -> Curve:
     return Curve(
         f"power spectral density, {runs[0].rig.sensors[-1].name}",
         "frequency, Hz",
-        "(m/s^2)^2/Hz",
+        f"({_unit(runs)})^2/Hz",
         tuple(hz[0][keep].tolist()),
         *_three(d[keep] for d in density),
         True,
@@ -94,7 +98,7 @@ def _response(runs: tuple[Recording, ...]) -> Curve:
     return Curve(
         f"FRF (H1), {runs[0].rig.sensors[-1].name} over force",
         "frequency, Hz",
-        "(m/s^2)/N",
+        f"({_unit(runs)})/N",
         tuple(hz[keep].tolist()),
         *_three(c[keep] for c in curves),
         True,

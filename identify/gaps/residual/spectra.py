@@ -141,7 +141,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         )
     if not np.any(recording.force_n):
         raise RigError("the measured force is zero throughout; the diagnosis needs an excited record")
-    moving = [s for s in rig.sensors if not s.measures.bends]
+    moving = [s for s in rig.sensors if s.measures.translates]
     if not moving:
         raise RigError("the recording has no sensors of motion; the diagnosis needs them, best accelerometers")
     quantity = max(moving, key=lambda s: s.measures.order).quantity

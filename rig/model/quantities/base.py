@@ -7,33 +7,38 @@ import numpy as np
 from jaxtyping import Float
 
 Row = Float[np.ndarray, " coordinates"]
+Along = Float[np.ndarray, "3 coordinates"]
+"""w, its slope w' and its curvature w'' at a place, per coordinate."""
 LENGTHS: Mapping[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": 0.0254}
 
 
-def value(at_place: Row, _: Row, __: float) -> Row:
+def value(along: Along, _: float) -> Row:
     """The motion at the sensor's place."""
-    return at_place
+    return along[0]
 
 
 @dataclass(frozen=True)
 class Quantity:
     """d^order/dt^order of a linear operator on w(x): with w = sum shapes(x) q, one row over the coordinates q.
 
-    `operator` makes the row from those of w and of its curvature w'' at the sensor's place, and the distance of a
-    strain gauge from the neutral fibre. `units` are what laboratories write, with their values in `unit`, which is SI.
+    `operator` makes the row from those of w, w' and w'' at the sensor's place, and the distance of a strain gauge from
+    the neutral fibre. `units` are what laboratories write, with their values in `unit`, which is SI.
     """
 
     name: str
     unit: str
     units: Mapping[str, float]
     order: int
-    operator: Callable[[Row, Row, float], Row] = value
+    operator: Callable[[Along, float], Row] = value
     ac_coupled: bool = False
     """Whether its sensors have a high-pass (IEPE)."""
     uff_kind: int = 0
     """Data type in universal file format 58; 0: general."""
+    translates: bool = field(init=False)
+    """Whether it is of w itself: others sense neither a moving base nor a single mass."""
     bends: bool = field(init=False)
-    """Whether it is of the curvature: a moving base, and a body that moves without bending, are not sensed."""
+    """Whether it is of the curvature."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "bends", bool(np.any(self.operator(np.zeros(1), np.ones(1), 1.0))))
+        for name, along in (("translates", (1.0, 0.0, 0.0)), ("bends", (0.0, 0.0, 1.0))):
+            object.__setattr__(self, name, bool(np.any(self.operator(np.array(along)[:, None], 1.0))))

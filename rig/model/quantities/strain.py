@@ -1,10 +1,10 @@
 """Bending strain: strain gauge, epsilon = -h w''(x) at the distance h from the neutral fibre, tension positive."""
 
-from rig.model.quantities.base import Quantity, Row
+from rig.model.quantities.base import Along, Quantity, Row
 
 
-def surface_strain(_: Row, curvature: Row, fibre_m: float) -> Row:
-    return -fibre_m * curvature
+def surface_strain(along: Along, fibre_m: float) -> Row:
+    return -fibre_m * along[2]
 
 
 STRAIN = Quantity(

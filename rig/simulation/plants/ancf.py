@@ -121,7 +121,7 @@ def simulate(
             check_softening(limits_m, _stack(between, moved[0].shape[1]))
             now = slice(last + 1 - (count := moved[0].shape[1]), last + 1)
             carried = [history[now] for history in base] if base else [0.0] * 3
-            sensed = [row @ moved[m.order] + carried[m.order] * (not m.bends) for m, row in sensors]
+            sensed = [row @ moved[m.order] + carried[m.order] * m.translates for m, row in sensors]
             yield Motion(
                 start_s=(first + (0 if first == 0 else 1)) * step_s,
                 step_s=step_s,

@@ -62,8 +62,8 @@ def station_row(meshes: list[Mesh], station: Station, order: int = 0) -> Float[n
 
 def sensor_row(rig: Rig, meshes: list[Mesh], sensor: Sensor) -> Float[np.ndarray, " rows"]:
     """Its measurement operator over all transverse coordinates; the curvature is that of the finite elements."""
-    value, curvature = (station_row(meshes, sensor.station, order) for order in (0, 2))
-    return sensor.measures.operator(value, curvature, rig.fibre_m(sensor))
+    along = np.array([station_row(meshes, sensor.station, order) for order in range(3)])
+    return sensor.measures.operator(along, rig.fibre_m(sensor))
 
 
 def static_load(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:

@@ -97,9 +97,7 @@ def simulate(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress, 
         heard_n = _without_alias(history_n, history_bent_n)
         sensed = _observed(rig, model, moved, applied[:, 1:], heard_n)
         if base:
-            sensed += np.array([0.0 * base[0][now] if m.bends else base[m.order][now] for m in measured]).reshape(
-                sensed.shape
-            )
+            sensed += np.array([base[m.order][now] * m.translates for m in measured]).reshape(sensed.shape)
         coordinates = moved[:, : model.omega.size]
         yield Motion(
             start_s=first * step_s,
@@ -243,21 +241,18 @@ def _bends(inputs: Float[np.ndarray, "inputs samples"]) -> Float[np.ndarray, "in
 
 
 def _shape_row(
-    bodies: list[tuple[Body, Modes, int]], station: Station, curvature: bool = False
+    bodies: list[tuple[Body, Modes, int]], station: Station, order: int = 0
 ) -> Float[np.ndarray, " allmodes"]:
-    """The shapes, or their curvatures, of all bodies' modes at a station; zero for the modes of the other bodies."""
+    """The shapes of all bodies' modes at a station, or a derivative along; zero for the modes of the other bodies."""
     place = np.array([station.position_m])
     return np.concatenate(
-        [
-            (modes.curvatures if curvature else modes.shapes)(place, n)[0] if body.name == station.body else np.zeros(n)
-            for body, modes, n in bodies
-        ]
+        [modes.shapes(place, n, order)[0] if body.name == station.body else np.zeros(n) for body, modes, n in bodies]
     )
 
 
 def _sensed_row(rig: Rig, bodies: list[tuple[Body, Modes, int]], sensor: Sensor) -> Float[np.ndarray, " allmodes"]:
-    shape, curvature = (_shape_row(bodies, sensor.station, bent) for bent in (False, True))
-    return sensor.measures.operator(shape, curvature, rig.fibre_m(sensor))
+    along = np.array([_shape_row(bodies, sensor.station, order) for order in range(3)])
+    return sensor.measures.operator(along, rig.fibre_m(sensor))
 
 
 def _propagator(

@@ -117,7 +117,7 @@ def test_a_file_that_is_no_recording_is_named(identify, tmp_path):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--use", "jerk"), "'jerk' is none of auto, displacement, velocity, acceleration"),
+        (("--use", "jerk"), "'jerk' is none of auto, acceleration"),
         (("--averages", "many"), "Invalid value for '--averages'"),
         (("--nonsense",), "No such option: --nonsense"),
         (("other.mcap",), "unexpected extra argument"),

@@ -78,6 +78,7 @@ def test_an_effect_is_named_with_its_size(text, parameter, value, null_reference
     assert found.value == pytest.approx(value, rel=0.05)
     assert gap.causes[0].explained > 0.9
     assert corrected != RIG
+    assert [c.y_label for c in gap.curves[:2]] == ["(m)^2/Hz", "(m)/N"]
     total = sum(c.probability for c in gap.causes) + gap.probability_nothing + gap.probability_unknown
     assert total == pytest.approx(1.0)
 
@@ -114,10 +115,10 @@ def test_a_null_reference_of_another_rig_or_none_is_made_anew(tmp_path):
     path = tmp_path / "null_reference.json"
     path.write_text("nothing of the kind")
     _, validation = records(RIG, RIG)
-    made = null_reference_of(validation, LABORATORY, modal, "modal", kept=path, null_reference=2)
-    assert null_reference_of(validation, LABORATORY, refuse, "modal", kept=path, null_reference=2) == made
+    made = null_reference_of(validation, LABORATORY, modal, "modal", kept=path, simulations=2)
+    assert null_reference_of(validation, LABORATORY, refuse, "modal", kept=path, simulations=2) == made
     other = with_fields(validation, rig=replace(RIG, name="other"))
-    assert null_reference_of(other, LABORATORY, modal, "modal", kept=path, null_reference=2).key != made.key
+    assert null_reference_of(other, LABORATORY, modal, "modal", kept=path, simulations=2).key != made.key
 
 
 def test_a_short_record_is_refused(null_reference):

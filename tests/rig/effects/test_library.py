@@ -1,14 +1,12 @@
 """The library as a whole: every effect is found, described, read from text, and applied without touching the rest."""
 
-from pathlib import Path
-
 import msgspec
 import numpy as np
 import pytest
 
 import rig.effects
 from rig.effects import effect_named, effects
-from rig.effects.base import Effect, Scale, parameters_of
+from rig.effects.base import Scale, parameters_of
 from rig.errors import RigError
 from rig.model.description import from_json, to_json
 from rig.simulation.reference import BarrelCradle, Sdof
@@ -214,30 +212,6 @@ def test_a_new_file_is_a_new_effect(tmp_path, monkeypatch):
     painted = effect_named("paint:factor=1.1").applied_to(machine)
     for body, heavier in zip(machine.bodies, painted.bodies, strict=True):
         assert heavier.mass_kg == pytest.approx(1.1 * body.mass_kg)
-
-
-def searched_range(kind, about):
-    """What the effects table says: the declared range, unless the effect derives one from the rig."""
-    derived = kind.parameters.__func__ is not Effect.parameters.__func__
-    return "set by the rig" if derived and about.name != "relative_position" else f"{about.low:g} to {about.high:g}"
-
-
-def test_the_readme_lists_every_effect_with_its_parameters():
-    lines = (Path(__file__).parents[3] / "rig" / "effects" / "README.md").read_text(encoding="utf-8").splitlines()
-    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("| ")]
-    listed, name = {}, ""
-    for row in cells:
-        name = row[0].strip("`") or name
-        if name in NAMES:
-            listed.setdefault(name, []).append(tuple(row[2:]))
-    expected = {
-        name: [
-            (f"`{about.name}`", about.unit, f"{getattr(kind(), about.name):g}", searched_range(kind, about))
-            for about in parameters_of(kind)
-        ]
-        for name, kind in effects().items()
-    }
-    assert listed == expected
 
 
 def test_a_rig_without_effects_reads_as_before():

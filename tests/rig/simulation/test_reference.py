@@ -78,9 +78,25 @@ def test_settings_that_do_not_fit_are_refused(scenario, settings, sentence):
         (Sdof, {"mass_kg": 0.0}, "mass_kg is 0.0"),
         (BarrelCradle, {"clearance_1_m": -1.0}, "lower_clearance_m is -1.0"),
         (BarrelCradle, {"overlap_start_m": 1.5}, "off"),
+        (Sdof, {"sensors": "strain"}, "measures strain of 'mass', a mass; put it on a beam"),
+        (
+            BarrelCradle,
+            {"sensors": "acceleration+speed"},
+            "no quantity 'speed'; join any of acceleration",
+        ),
     ],
 )
 def test_a_rig_with_a_bad_setting_is_refused(kind, settings, sentence):
     with pytest.raises(RigError) as caught:
         kind(**settings).rig()
     assert sentence in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("sensors", "measured"),
+    [("acceleration+strain", ["acceleration", "strain"]), ("both", ["displacement", "acceleration"])],
+)
+def test_every_station_has_the_sensors_that_a_setting_joins(sensors, measured):
+    rig = BarrelCradle(stations=4, sensors=sensors, noise_density=1e-3).rig()
+    assert [s.quantity for s in rig.sensors] == [m for m in measured for _ in range(8)]
+    assert all(s.noise_density == 1e-3 * (s.quantity == "acceleration") for s in rig.sensors)

@@ -9,8 +9,7 @@ from numpy.polynomial.legendre import leggauss
 from scipy.integrate import cumulative_trapezoid, solve_ivp
 
 from rig.errors import RigError
-from rig.model.contact_laws import DeadZone
-from rig.model.contact_laws.hunt_crossley import HuntCrossley
+from rig.model.contact_laws import LAWS, DeadZone
 from rig.model.description import Contact, Rig, Sensor, Station, contact_stations
 from rig.model.oscillator import Oscillator
 from rig.simulation.excitation import QUIET_S, BandLimitedGaussian, force_history
@@ -76,8 +75,9 @@ STOPS = {"lower_clearance_m": 1e-3, "upper_clearance_m": 2e-3, "damping_n_s_per_
     [
         DeadZone(**STOPS, stiffness_n_per_m=2e4, friction_n=0.3, lower_stiffness_ratio=0.5, wear_m_per_s=3e-4),
         DeadZone(**STOPS, stiffness_n_per_m=2e4, exponent=1.5, cubic_n_per_m3=1e9, open_damping_n_s_per_m=1.0),
-        HuntCrossley(**STOPS, stiffness_n_per_m=2e4),
+        *(kind(**STOPS, stiffness_n_per_m=2e4) for kind in LAWS.values()),
     ],
+    ids=lambda law: type(law).__name__,
 )
 def test_one_mass_with_any_law_moves_as_a_solver_says(plant, law):
     rig = Sdof().rig()
