@@ -1,6 +1,7 @@
 """The answers: contact forces separated without a law, then each contact fitted together with its drift."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +24,9 @@ LOOSE = 0.1
 """An estimate whose standard error is a larger share of it is no answer."""
 QUIETEST = 1e-5
 """No accelerometer is believed to be quieter, m/s^2/sqrt(Hz): then other errors than noise make the drift."""
+
+ROUNDS = 3
+"""Of the fits of contacts whose slow motions are coupled: a coupling is a small share of the forces."""
 
 ContactFit = Joint | str
 """What is known of a contact, or why nothing is."""
@@ -61,18 +65,17 @@ def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Con
         fewer = round(RING_S * motion.sample_rate_hz / factor)
         motion, separated = motion.part(slice(fewer * factor, None)), separated.after(fewer)
     observed = _observed(rig, motion, noise, separated, tolerances)
-    estimates = tuple(_estimate(o) for o in observed)
+    estimates = _estimates(observed, separated.slow_n_per_m)
     return Contacts(rig, motion, separated, tuple(observed), estimates)
 
 
 def _check_known(rig: Rig) -> None:
     """Raises RigError if the description holds something that the linear model of the identification leaves out."""
-    for what in ("masses", "springs", "clamps", "loads", "base_motion", "force_sensor", "dampers", "tones"):
+    for what in ("loads", "base_motion", "force_sensor", "dampers", "tones"):
         if getattr(rig, what) not in ((), None, ForceSensor()):
-            raise RigError(
-                f"rig.json of {rig.name!r} has {what}, which the identification does not know; it takes beams, "
-                "structures or one mass on a spring, without attachments"
-            )
+            raise RigError(f"rig.json of {rig.name!r} has {what}, which `identify contact` does not know")
+    if any(spring.cubic_n_per_m3 for spring in rig.springs):
+        raise RigError(f"rig.json of {rig.name!r} has a cubic spring, which `identify contact` does not know")
 
 
 def _observed(
@@ -102,7 +105,7 @@ def _observed(
                 factor=separated.factor,
                 quiet_n=float(quiet_n[j]),
                 unmodelled=tolerances.unmodelled_contact,
-                drift=drift_of(rig, motion, j, noise, tolerances, separated.spring_n_per_m, samples),
+                drift=drift_of(rig, motion, j, noise, tolerances, float(separated.slow_n_per_m[j, j]), samples),
                 nuisance_n=separated.nuisances.force_n[:, j],
                 moving=moving,
                 nuisance_m=nuisance_m,
@@ -162,6 +165,24 @@ def _density(
         slope = np.gradient(slow, [motion.stations[i].position_m for i in own], axis=0)[own.index(row)]
         error += tolerances.position_m**2 * np.mean(slope**2)
     return float(np.sqrt(2 * noise[row] ** 2 / motion.sample_rate_hz + error / followed_hz))
+
+
+def _estimates(
+    observed: Sequence[ContactRecord], slow_n_per_m: Float[np.ndarray, "contacts contacts"]
+) -> tuple[ContactFit, ...]:
+    """Of each contact by itself; where springs couple their slow motion, again with that of the others."""
+    found = [_estimate(o) for o in observed]
+    others = slow_n_per_m - np.diag(np.diag(slow_n_per_m))
+    for _ in range(ROUNDS if np.any(others) else 0):
+        slow_m = np.zeros((len(found), len(observed[0].force_n)))
+        for row, one, fit in zip(slow_m, observed, found, strict=True):
+            if isinstance(fit, Joint):
+                whole = fit.drift_m + fit.pulls[one.moving] @ one.nuisance_m
+                row[:] = whole[:: one.factor][: row.size]
+        found = [
+            _estimate(replace(o, force_n=o.force_n - more)) for o, more in zip(observed, others @ slow_m, strict=True)
+        ]
+    return tuple(found)
 
 
 def _estimate(observed: ContactRecord) -> ContactFit:

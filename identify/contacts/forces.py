@@ -3,23 +3,24 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Bool, Complex, Float
 from scipy.fft import next_fast_len
 from scipy.ndimage import uniform_filter1d
 
-from identify.signals.kinematics import CORNER_HZ, TAPER_S, Kinematics, integrated, taper
-from identify.signals.spectra import decimated
+from identify.signals.kinematics import CORNER_HZ, TAPER_S, Kinematics, taper
 from identify.structure.modal import transformation
 from identify.structure.nuisance import BodyMotion, Change, Nuisance, Observed, changes_of
-from identify.structure.response import Response, across, response_of, times
+from identify.structure.response import Response, across, times
+from identify.structure.slow_motion import responses_of, slow_stiffness
 from rig.errors import RigError
-from rig.model.description import Body, Rig
+from rig.model.description import Rig
 from rig.model.tolerances import Tolerances
 
 SMOOTHED_HZ = 1.0
 LEFT_OUT_S = 2.5
 """At the end of a record, where the beams' ringing is cut off, the separated forces are wrong."""
 RING_S = 12.0
+LEAST = 1e-3
 
 
 @dataclass(frozen=True)
@@ -39,13 +40,13 @@ class NuisanceSignals:
 class ContactForces:
     """Contact forces (N), low-passed and sampled at the record's rate over `factor`.
 
-    spring_n_per_m is the linear spring to the ground under the contacts.
+    slow_n_per_m are the forces that slow relative displacements take, which accelerations do not tell.
     """
 
     force_n: Float[np.ndarray, "contacts fewer"]
     factor: int
     nuisances: NuisanceSignals
-    spring_n_per_m: float
+    slow_n_per_m: Float[np.ndarray, "contacts contacts"]
 
     def after(self, fewer: int) -> "ContactForces":
         """Without the first samples, so many of the forces."""
@@ -64,7 +65,13 @@ class _Lines:
 
     @property
     def omega(self) -> Float[np.ndarray, " lines"]:
-        return 2 * np.pi * np.arange(self.length // self.factor // 2 + 1) * self.rate_hz / self.length
+        """The lowest is a small share of a line above zero, where a displacement is an acceleration over -omega^2."""
+        lines = np.maximum(np.arange(self.length // self.factor // 2 + 1), LEAST)
+        return np.asarray(2 * np.pi * lines * self.rate_hz / self.length)
+
+    @property
+    def slow(self) -> Bool[np.ndarray, " lines"]:
+        return self.omega < 2 * np.pi * CORNER_HZ
 
     def spectra(self, signals: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows lines"]:
         """With the end tapered off and silence behind, so that what rings on after it does not wrap to the start."""
@@ -83,39 +90,41 @@ class _Lines:
 def separated_forces(
     rig: Rig, motion: Kinematics, factor: int, noise: Float[np.ndarray, " stations"], tolerances: Tolerances
 ) -> ContactForces:
-    """The contact forces between bodies from all their stations, or of one mass from its equation of motion.
+    """The contact forces of all bodies from all their stations.
 
-    noise is the standard deviation per sample of each station's acceleration (m/s^2).
+    noise is the standard deviation per sample of each station's acceleration (m/s^2). Where sensors show the zero of
+    displacements, those of bodies that do not float stand in for their slow accelerations.
 
-    Raises RigError if the stations cannot tell the contacts apart, or the contacts hold more than can float.
+    Raises RigError if the stations or the modes cannot tell the contacts apart.
     """
     samples, rate = motion.force_n.size, motion.sample_rate_hz
     length = factor * next_fast_len(-(-(samples + round(RING_S * rate)) // factor), real=True)
     lines = _Lines(length, factor, rate)
-    force, measured = lines.spectra(motion.force_n), lines.spectra(motion.acceleration_m_per_s2)
-    responses = tuple(response_of(rig, body, lines.omega) for body in rig.bodies)
+    responses = responses_of(rig, lines.omega, motion.zero_known)
+    floats = {r.body.name: bool(np.any(r.dynamics.natural_hz == 0)) for r in responses}
+    in_metres = np.array([[motion.zero_known and not floats[s.body]] for s in motion.stations]) & lines.slow
+    scale = np.where(in_metres, -1 / lines.omega**2, 1.0).astype(complex)
+    force = lines.spectra(motion.force_n)
+    displaced = lines.spectra(motion.displacement_m)
+    accelerated = np.where(in_metres, displaced / scale, lines.spectra(motion.acceleration_m_per_s2))
+    measured = scale * accelerated
     drives = _accelerances(rig, motion, responses)
     observed = Observed(
         sensors=motion.sensors,
         displaced_by=motion.displaced_by,
         tolerances=tolerances,
         omega=lines.omega,
-        sensor_response=np.ones_like(measured),
+        sensor_response=scale,
         explained=measured,
         by_force=drives[0] * force,
-        displaced=lines.spectra(motion.displacement_m),
-        bodies=tuple(_body_motion(rig, r, motion, measured) for r in responses),
+        displaced=displaced,
+        bodies=tuple(_body_motion(rig, r, motion, accelerated) for r in responses),
     )
     changes = tuple(changes_of(observed))
-    if rig.bodies[0].is_mass and len(rig.bodies) == len(rig.contacts) == 1:
-        mass = rig.bodies[0]
-        kept, to_force = (samples - round(TAPER_S * rate)) // factor, -_apparent_mass(mass, lines.omega)[None, None]
-        separated, spring_n_per_m = _on_mass(mass, motion, factor)[:, :kept], mass.mass_kg * _natural(mass) ** 2
-    else:
-        kept, spring_n_per_m = (samples - round(LEFT_OUT_S * rate)) // factor, 0.0
-        variances = _covariance(samples * noise**2, measured, changes, lines)
-        to_force = _least_squares(rig, -drives[1:], variances)
-        separated = lines.in_time(_weighed(to_force, measured - observed.by_force), kept)
+    noises = (samples * noise**2)[:, None] * np.abs(scale) ** 2
+    to_force = _least_squares(-drives[1:] * scale, _covariance(noises, measured, changes, lines))
+    left_out_s = LEFT_OUT_S if any(b.length_m for b in rig.bodies) else TAPER_S
+    kept = (samples - round(left_out_s * rate)) // factor
     signs = np.array([[float(s == c.at) - float(s == c.against) for s in motion.stations] for c in rig.contacts])
     count = (len(changes), len(rig.contacts), kept)
     forces, eta = np.empty(count), np.zeros(count)
@@ -123,29 +132,16 @@ def separated_forces(
         forces[i] = lines.in_time(_weighed(to_force[:, change.sensors], change.delivered), kept)
         if change.displaced is not None and np.any(signs[:, change.sensors]):
             eta[i] = lines.in_time(times(signs[:, change.sensors], change.displaced), kept)
-    nuisances = NuisanceSignals(tuple(c.parameter for c in changes), forces, eta)
-    return ContactForces(separated, factor, nuisances, float(spring_n_per_m))
-
-
-def _natural(mass: Body) -> float:
-    return float(2 * np.pi * mass.frequencies_hz(1)[0])
-
-
-def _apparent_mass(mass: Body, omega: Float[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:
-    """Force per acceleration, of what is measured above the corner of the integration."""
-    damping = 2 * mass.damping_ratios(1)[0] * _natural(mass) * integrated(omega, -1, CORNER_HZ)
-    return np.asarray(mass.mass_kg * (1 + damping + _natural(mass) ** 2 * integrated(omega, -2, CORNER_HZ)))
-
-
-def _on_mass(mass: Body, motion: Kinematics, factor: int) -> Float[np.ndarray, "contacts fewer"]:
-    """F - m a - c v - k x."""
-    own = mass.mass_kg * motion.acceleration_m_per_s2[:1]
-    own = own + 2 * mass.damping_ratios(1)[0] * mass.mass_kg * _natural(mass) * motion.velocity_m_per_s[:1]
-    return decimated(motion.force_n - own - mass.mass_kg * _natural(mass) ** 2 * motion.displacement_m[:1], factor)
+    return ContactForces(
+        force_n=lines.in_time(_weighed(to_force, measured - scale * observed.by_force), kept),
+        factor=factor,
+        nuisances=NuisanceSignals(tuple(c.parameter for c in changes), forces, eta),
+        slow_n_per_m=slow_stiffness(rig, responses),
+    )
 
 
 def _covariance(
-    noise: Float[np.ndarray, " stations"],
+    noise: Float[np.ndarray, "stations lines"],
     measured: Complex[np.ndarray, "stations lines"],
     changes: tuple[Change, ...],
     lines: _Lines,
@@ -154,7 +150,7 @@ def _covariance(
     stations = len(measured)
     found = np.zeros((stations, stations, measured.shape[1]), dtype=complex)
     index = np.arange(stations)
-    found[index, index] = noise[:, None]
+    found[index, index] = noise
     for change in changes:
         rows = np.array(change.sensors)
         products = change.delivered[:, None] * change.delivered[None].conj()
@@ -165,7 +161,6 @@ def _covariance(
 
 
 def _least_squares(
-    rig: Rig,
     to_contacts: Complex[np.ndarray, "contacts stations lines"],
     covariance: Complex[np.ndarray, "lines stations stations"],
 ) -> Complex[np.ndarray, "contacts stations lines"]:
@@ -176,12 +171,6 @@ def _least_squares(
     with G the accelerances of the rig's description (all modes): what each station's A - G_F F adds to each force.
     """
     by_contact = np.ascontiguousarray(np.transpose(to_contacts, (2, 1, 0)))
-    told = int(np.linalg.matrix_rank(by_contact[0]))
-    if told < len(rig.contacts):
-        raise RigError(
-            f"accelerations tell the constant forces of {told} of the {len(rig.contacts)} contacts, as constant forces "
-            "only move bodies that float; describe fewer contacts, and a body that floats by its modes at 0 Hz"
-        )
     weighted = np.linalg.solve(covariance, by_contact)
     normal = weighted.conj().transpose(0, 2, 1) @ by_contact
     condition = np.linalg.cond(normal[len(normal) // 4])

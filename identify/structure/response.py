@@ -35,6 +35,9 @@ class Dynamics:
     omega: Float[np.ndarray, " lines"]
     high_passed: int
 
+    def with_high_passed(self, modes: int) -> "Dynamics":
+        return _dynamics(self.natural_hz.tobytes(), self.damping_ratios.tobytes(), self.omega.tobytes(), modes)
+
 
 @dataclass(frozen=True)
 class Response:
@@ -89,11 +92,11 @@ class Response:
         return _transfer(self.dynamics, outputs.tobytes(), inputs.tobytes())
 
 
-def response_of(rig: Rig, body: Body, omega: Float[np.ndarray, " lines"], high_passed: int = 0) -> Response:
+def response_of(rig: Rig, body: Body, omega: Float[np.ndarray, " lines"]) -> Response:
     """Of a body with what the rig attaches to it."""
     modes, count = modes_of(rig, body), body.max_modes
     natural_hz, zeta = modes.frequencies_hz(count), modes.damping_ratios(count)
-    return Response(body, modes, count, _dynamics(natural_hz.tobytes(), zeta.tobytes(), omega.tobytes(), high_passed))
+    return Response(body, modes, count, _dynamics(natural_hz.tobytes(), zeta.tobytes(), omega.tobytes(), 0))
 
 
 @lru_cache(maxsize=16)

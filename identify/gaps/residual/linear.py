@@ -21,12 +21,10 @@ from jaxtyping import Complex, Float
 from identify.gaps.residual.grounded import ground_force_changes, ground_forces, pushed_by_motion
 from identify.gaps.residual.projection import Projection, least_squares, left_by
 from identify.gaps.residual.spectra import Record
-from identify.structure.response import Response, across, response_of, times, weights_of
-from rig.model.description import Body, Rig, Station
+from identify.structure.response import Response, across, times, weights_of
+from identify.structure.slow_motion import responses_of, slow_stiffness
+from rig.model.description import Rig, Station
 from rig.model.modes import participation
-
-FREE = 1e-3
-"""What floats is held by so little (s^-2) that its compliance has an inverse: as at 0.005 Hz."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,17 +105,7 @@ class Linear:
 
     @cached_property
     def slow_n_per_m(self) -> Float[np.ndarray, "contacts contacts"]:
-        """The contact forces that slow relative displacements take, where springs act on the high-passed ones alone.
-
-        The inverse of the static compliance of the modes that the springs hold.
-        """
-        held = np.concatenate(
-            [(2 * np.pi * r.dynamics.natural_hz[: r.dynamics.high_passed]) ** 2 for r in self.responses]
-        )
-        over = np.concatenate([across(self.rig, r)[:, : r.dynamics.high_passed] for r in self.responses], axis=1)
-        if not np.any(held):
-            return np.zeros((len(over), len(over)))
-        return np.asarray(np.linalg.pinv(over / np.maximum(held, FREE) @ over.T, rcond=1e-12, hermitian=True))
+        return slow_stiffness(self.rig, self.responses)
 
     def _into(self, response: Response, pushed: list[Station]) -> Float[np.ndarray, "inputs modes"]:
         """How forces at some places, and contact forces, drive a body's modes."""
@@ -136,7 +124,7 @@ def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray
     is a further unknown input, with a prior of its own size.
     """
     sensor_response = sensor_response_of(record, rig)
-    responses = tuple(_response(record, rig, body) for body in rig.bodies)
+    responses = responses_of(rig, record.omega, record.zero_known)
     places = places_of(record, rig)
     pushes = _pushes(record, rig, responses, places, sensor_response)
     contacts = len(rig.contacts)
@@ -212,12 +200,6 @@ def _pushes(
     if pushed_by_motion(rig):
         held = ground_forces(record, rig, responses, places, record.displaced / sensor_response)
     return ((rig.force_at, lagged), *tones, *held)
-
-
-def _response(record: Record, rig: Rig, body: Body) -> Response:
-    """With accelerometers alone, springs under a mass or a floating body act on its high-passed displacement only."""
-    loose = 1 if body.is_mass else body.rigid_modes
-    return response_of(rig, body, record.omega, 0 if record.zero_known else loose)
 
 
 def _accelerations(
