@@ -6,7 +6,7 @@ import numpy as np
 
 from identify.contacts.identification import Identification
 from identify.contacts.joint import Joint
-from identify.contacts.start import CLEARANCE, STIFFNESS
+from identify.contacts.start import STIFFNESS
 from identify.pages.wording import percent
 from rig.model.description import Station
 from rig.model.tolerances import EXACT
@@ -89,7 +89,7 @@ def variance_shares(answer: Joint) -> dict[str, dict[str, float]]:
     """Of the clearance and the stiffness, the shares of their variance by source; each sums to one."""
     parts = {"tolerances": answer.of_tolerances, "drift": answer.of_drift}
     found = {}
-    for quantity, along in (("clearance", CLEARANCE), ("stiffness", STIFFNESS)):
+    for quantity, along in (("clearance", answer.clearance), ("stiffness", STIFFNESS)):
         whole = float(along @ answer.covariance @ along)
         shares = {source: float(along @ part @ along) / whole for source, part in parts.items()} if whole > 0 else {}
         found[quantity] = shares | {"scatter": 1.0 - sum(shares.values())}

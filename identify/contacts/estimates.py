@@ -71,11 +71,12 @@ def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Con
 
 def _check_known(rig: Rig) -> None:
     """Raises RigError if the description holds something that the linear model of the identification leaves out."""
-    for what in ("loads", "base_motion", "force_sensor", "dampers", "tones"):
+    for what in ("masses", "springs", "clamps", "loads", "base_motion", "force_sensor", "dampers", "tones"):
         if getattr(rig, what) not in ((), None, ForceSensor()):
-            raise RigError(f"rig.json of {rig.name!r} has {what}, which `identify contact` does not know")
-    if any(spring.cubic_n_per_m3 for spring in rig.springs):
-        raise RigError(f"rig.json of {rig.name!r} has a cubic spring, which `identify contact` does not know")
+            raise RigError(
+                f"rig.json of {rig.name!r} has {what}, which the identification does not know; it takes beams, "
+                "structures and masses on springs, without attachments"
+            )
 
 
 def _observed(

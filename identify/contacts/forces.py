@@ -8,12 +8,14 @@ from scipy.fft import next_fast_len
 from scipy.ndimage import uniform_filter1d
 
 from identify.signals.kinematics import CORNER_HZ, TAPER_S, Kinematics, taper
+from identify.signals.spectra import decimated
 from identify.structure.modal import transformation
 from identify.structure.nuisance import BodyMotion, Change, Nuisance, Observed, changes_of
 from identify.structure.response import Response, across, times
 from identify.structure.slow_motion import responses_of, slow_stiffness
 from rig.errors import RigError
 from rig.model.description import Rig
+from rig.model.modes import Modes, modes_of
 from rig.model.tolerances import Tolerances
 
 SMOOTHED_HZ = 1.0
@@ -132,12 +134,23 @@ def separated_forces(
         forces[i] = lines.in_time(_weighed(to_force[:, change.sensors], change.delivered), kept)
         if change.displaced is not None and np.any(signs[:, change.sensors]):
             eta[i] = lines.in_time(times(signs[:, change.sensors], change.displaced), kept)
+    found = lines.in_time(_weighed(to_force, measured - scale * observed.by_force), kept)
+    if rig.bodies[0].is_mass and len(rig.bodies) == len(rig.contacts) == 1:
+        found = _on_mass(modes_of(rig, rig.bodies[0]), motion, factor)[:, :kept]
     return ContactForces(
-        force_n=lines.in_time(_weighed(to_force, measured - scale * observed.by_force), kept),
+        force_n=found,
         factor=factor,
         nuisances=NuisanceSignals(tuple(c.parameter for c in changes), forces, eta),
         slow_n_per_m=slow_stiffness(rig, responses),
     )
+
+
+def _on_mass(mass: Modes, motion: Kinematics, factor: int) -> Float[np.ndarray, "contacts fewer"]:
+    """F - m a - c v - k x, which needs no quiet start."""
+    per_mass = float(mass.shapes(np.zeros(1), 1)[0, 0] ** 2)
+    natural, ratio = 2 * np.pi * float(mass.frequencies_hz(1)[0]), float(mass.damping_ratios(1)[0])
+    own = motion.acceleration_m_per_s2[:1] + 2 * ratio * natural * motion.velocity_m_per_s[:1]
+    return decimated(motion.force_n - (own + natural**2 * motion.displacement_m[:1]) / per_mass, factor)
 
 
 def _covariance(

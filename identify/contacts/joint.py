@@ -9,7 +9,7 @@ from scipy.sparse import block_array, csc_matrix, csr_matrix, diags
 from scipy.sparse.linalg import splu, spsolve
 from scipy.stats import norm, t
 
-from identify.contacts.start import CLEARANCE, LAW, STIFFNESS, ContactRecord, Law, clearly_closed, regressed
+from identify.contacts.start import LAW, STIFFNESS, ContactRecord, Law, clearly_closed, regressed, touched_stops
 from identify.signals.descent import Step, descended
 from identify.signals.drift import Spline, spline
 from identify.signals.scores import PARTS, part_scores
@@ -35,8 +35,8 @@ class Joint:
 
     of_tolerances and of_drift are the parts of the covariance that come from what rig.json may have wrong and from the
     slow motion that accelerometers miss; the rest is the record's own scatter. sides_known says whether lower and upper
-    are told apart; drift_m and drift_m_per_s are what was added to the relative displacement and velocity. pulls are
-    the nuisance parameters in their standard deviations.
+    are told apart, touched which of them the record tells. drift_m and drift_m_per_s are what was added to the relative
+    displacement and velocity. pulls are the nuisance parameters in their standard deviations.
     """
 
     values: Law
@@ -44,17 +44,23 @@ class Joint:
     of_tolerances: Float[np.ndarray, "4 4"]
     of_drift: Float[np.ndarray, "4 4"]
     sides_known: bool
+    touched: tuple[bool, bool]
     drift_m: Float[np.ndarray, " samples"]
     drift_m_per_s: Float[np.ndarray, " samples"]
     pulls: Float[np.ndarray, " nuisances"]
 
     @property
+    def clearance(self) -> Law:
+        """As a linear function of the parameters: half the total play, or the clearance of the one stop touched."""
+        return _clearance(self.touched)
+
+    @property
     def clearance_m(self) -> float:
-        return float(CLEARANCE @ self.values)
+        return float(self.clearance @ self.values)
 
     @property
     def clearance_error_m(self) -> float:
-        return self.error(CLEARANCE)
+        return self.error(self.clearance)
 
     @property
     def stiffness_n_per_m(self) -> float:
@@ -68,6 +74,11 @@ class Joint:
     def error(self, of: Law) -> float:
         """The standard error of a linear function of the parameters, such as `STIFFNESS`."""
         return float(np.sqrt(of @ self.covariance @ of))
+
+
+def _clearance(touched: tuple[bool, bool]) -> Law:
+    lower, upper = np.array(touched) / sum(touched)
+    return LAW.vector({"lower_clearance_m": lower, "upper_clearance_m": upper})
 
 
 def law_force_n(
@@ -107,16 +118,16 @@ def fit_joint(seen: ContactRecord) -> Joint:
     Raises RigError if the contact is hardly ever closed or the fit does not converge.
     """
     curve = spline(seen.eta_m.size, seen.sample_rate_hz, seen.drift)
-    tie = np.eye(len(LAW))
+    touched = touched_stops(seen)
+    tie = np.eye(len(LAW))[:, [*touched, True, True]]
     if not seen.sides_known:
-        tie = np.column_stack([2 * CLEARANCE, tie[:, 2:]])
+        tie = np.column_stack([2 * _clearance(touched), tie[:, 2:]])
     law, knots = regressed(seen, curve)
-    for begin in (knots, np.zeros_like(knots)):  # rarely, the regression's drift leads astray
-        start = _linearised(seen, curve, law, begin, np.zeros(len(seen.nuisance_n)))
-        state, weights = _fitted(seen, curve, tie, start)
-        if _curvature_pull(curve, state) <= MOST_PULL:
-            break
-    else:
+    none = np.zeros(len(seen.nuisance_n))
+    begun = (knots, np.zeros_like(knots)) if curve.knots else (knots,)  # rarely, the regression's drift leads astray
+    fitted = [_fitted(seen, curve, tie, _linearised(seen, curve, law, begin, none)) for begin in begun]
+    state, weights = min(fitted, key=lambda one: float(np.sum(one[0].residual ** 2)))
+    if _curvature_pull(curve, state) > MOST_PULL:
         raise RigError(
             "the drift that would explain it is larger than the noise of the accelerometers allows; check their noise "
             "and gains, or excite the rig more strongly"
@@ -143,6 +154,7 @@ def fit_joint(seen: ContactRecord) -> Joint:
         of_tolerances=of_tolerances,
         of_drift=of_drift,
         sides_known=seen.sides_known,
+        touched=touched,
         drift_m=curve.value @ state.knots - state.pulls[seen.moving] @ seen.nuisance_m,
         drift_m_per_s=curve.rate @ state.knots - state.pulls[seen.moving] @ seen.nuisance_m_per_s,
         pulls=state.pulls,
@@ -263,14 +275,15 @@ def _descended(
 
 def _scales(state: _State, tie: Float[np.ndarray, "4 free"]) -> Float[np.ndarray, " free"]:
     """Sizes of the free parameters, so that the normal equations are well conditioned."""
-    gap, stiffness = max(float(CLEARANCE @ state.law), 1e-9), state.stiffness_n_per_m
+    lower, upper, stiffness, _ = state.law
+    gap = max(min(lower, upper), 1e-9)
     return np.asarray(np.max(tie * np.array([gap, gap, stiffness, 1e-3 * stiffness])[:, None], axis=0))
 
 
 def _scatter(state: _State) -> float:
     """Standard deviation of the residual while the contact is open; of all of it where that is larger."""
-    open_n = np.std(state.residual[np.abs(state.by_eta) < 1e-3 * state.stiffness_n_per_m])
-    return float(open_n) if np.isfinite(open_n) and open_n > 0 else float(np.std(state.residual))
+    free = state.residual[np.abs(state.by_eta) < 1e-3 * state.stiffness_n_per_m]
+    return float(np.std(free)) if np.any(free) else float(np.std(state.residual))
 
 
 def _weights(seen: ContactRecord, state: _State, open_n: float) -> Weights:

@@ -11,7 +11,8 @@ class Estimate(msgspec.Struct, frozen=True):
 
 
 class ContactEstimate(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A contact. clearance_m is half the total play; the two sides are given where the zero of eta is known."""
+    """A contact. clearance_m is half the total play, or that of the one stop that is ever touched; the two sides are
+    given where the zero of eta is known."""
 
     name: str
     clearance_m: Estimate

@@ -21,9 +21,8 @@ LAW = ParameterSet(
     )
 )
 """What is estimated of a `DeadZone`; its damping may have any sign."""
-CLEARANCE = LAW.vector({"lower_clearance_m": 0.5, "upper_clearance_m": 0.5})
 STIFFNESS = LAW.vector({"stiffness_n_per_m": 1.0})
-"""Linear functions of the parameters: half the total play, and the stiffness."""
+"""The stiffness as a linear function of the parameters."""
 
 Law = Float[np.ndarray, "4"]
 """Values of its parameters."""
@@ -36,6 +35,8 @@ STAGES = ((0.5, 30.0), (0.2, 30.0), (0.1, 10.0), (0.03, 3.0), (0.01, 1.0))
 drift's curvature so many times better than measured: in turn, so that at first no drift can follow the closures."""
 OUTSIDE = 3.0
 """So many of those shares off, a force of either sign that rings weighs little in the next turn (Geman, McClure)."""
+BEYOND = 1.1
+"""A stop that is never touched is put so many times the largest relative displacement away."""
 LEAST_CLOSED = 1e-3
 """A stop that is clearly touched for a smaller share of the record is not told by it."""
 
@@ -83,21 +84,35 @@ def clearly_closed(seen: ContactRecord) -> Bool[np.ndarray, " fewer"]:
     return size > max(CLEAR_SHARE * float(np.quantile(size, 0.995)), ABOVE_NOISE * seen.quiet_n)
 
 
+def touched_stops(seen: ContactRecord) -> tuple[bool, bool]:
+    """Whether the lower stop is clearly touched, and the upper one.
+
+    Raises RigError if neither is, or one alone where nothing shows how far it stands from the rest position.
+    """
+    closed = clearly_closed(seen)
+    lower, upper = (bool(np.mean(closed & side) >= LEAST_CLOSED) for side in (seen.force_n < 0, seen.force_n > 0))
+    if not (lower or upper):
+        raise RigError("it hardly ever closes in this record; excite the rig more strongly")
+    if not ((lower and upper) or seen.sides_known):
+        raise RigError(
+            "only one of its stops is ever touched, so its play cannot be told; excite the rig more strongly, or "
+            "measure displacements"
+        )
+    return lower, upper
+
+
 def regressed(seen: ContactRecord, curve: Spline) -> tuple[Law, Float[np.ndarray, " knots"]]:
-    """Where the contact is clearly closed, eta + b = +-clearance + force / k: linear in clearance, 1/k and b."""
+    """Where the contact is clearly closed, eta + b = +-clearance + force / k: linear in clearance, 1/k and b.
+
+    Raises RigError as `touched_stops` does, and if no force grows with the relative displacement.
+    """
     size = np.abs(seen.force_n)
     at_force = curve.value[:: seen.factor][: size.size]
     force = seen.force_n
     closed = clearly_closed(seen)
     if seen.spring_n_per_m:  # the drift's own force is in the measured one: leave it to Gauss-Newton
         at_force = csr_matrix(at_force.shape)
-    touched = [float(np.mean(closed & side)) for side in (force < 0, force > 0)]
-    if max(touched) < LEAST_CLOSED:
-        raise RigError("it hardly ever closes in this record; excite the rig more strongly")
-    if min(touched) < LEAST_CLOSED:
-        raise RigError(
-            "only one of its stops is ever touched, so its play cannot be told; excite the rig more strongly"
-        )
+    touched = touched_stops(seen)
     eta = seen.eta_m[:: seen.factor][: size.size][closed]
     columns = hstack([-at_force[closed], np.stack([np.sign(force[closed]), force[closed]], axis=1)]).tocsr()
     bent = hstack([curve.curvature, csr_matrix((curve.target.size, 2))])
@@ -114,4 +129,6 @@ def regressed(seen: ContactRecord, curve: Spline) -> tuple[Law, Float[np.ndarray
         raise RigError(
             "no force grows with this relative displacement; excite the rig more strongly, or check rig.json"
         )
-    return np.array([max(clearance, 0.0), max(clearance, 0.0), 1 / softness, 0.0]), np.array(knots)
+    far = BEYOND * float(np.max(np.abs(seen.eta_m)))
+    lower, upper = (max(clearance, 0.0) if one else far for one in touched)
+    return np.array([lower, upper, 1 / softness, 0.0]), np.array(knots)

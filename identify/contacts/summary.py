@@ -51,8 +51,8 @@ def _contact(name: str, found: Joint) -> results.ContactEstimate:
         clearance_m=results.Estimate(found.clearance_m, found.clearance_error_m),
         stiffness_n_per_m=stiffness,
         damping_n_s_per_m=damping,
-        lower_clearance_m=lower if found.sides_known else None,
-        upper_clearance_m=upper if found.sides_known else None,
+        lower_clearance_m=lower if found.sides_known and found.touched[0] else None,
+        upper_clearance_m=upper if found.sides_known and found.touched[1] else None,
     )
 
 

@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import null_space
 
 from identify.structure.response import Response, across, response_of
 from rig.errors import RigError
 from rig.model.description import Rig
+
+RANK = 1e-9
+"""A mode that moves a contact by a smaller share of the largest does not move it."""
 
 
 def responses_of(rig: Rig, omega: Float[np.ndarray, " lines"], zero_known: bool) -> tuple[Response, ...]:
@@ -23,8 +25,13 @@ def responses_of(rig: Rig, omega: Float[np.ndarray, " lines"], zero_known: bool)
     """
     found = tuple(response_of(rig, body, omega) for body in rig.bodies)
     over = [across(rig, r) for r in found]
-    contacts = len(rig.contacts)
-    if contacts and np.linalg.matrix_rank(np.concatenate(over, axis=1)) < contacts:
+    contacts, least = len(rig.contacts), RANK * max(float(np.max(np.abs(o), initial=0.0)) for o in over)
+
+    def told(counts: list[int]) -> int:
+        by_modes = np.concatenate([o[:, :n] for o, n in zip(over, counts, strict=True)], axis=1)
+        return int(np.linalg.matrix_rank(by_modes, least))
+
+    if contacts and told([r.count for r in found]) < contacts:
         raise RigError(
             f"the {contacts} contacts of rig {rig.name!r} move by fewer independent modes; describe more modes, or "
             "fewer contacts"
@@ -32,7 +39,7 @@ def responses_of(rig: Rig, omega: Float[np.ndarray, " lines"], zero_known: bool)
     if zero_known:
         return found
     counts = [1 if r.body.is_mass else r.body.rigid_modes for r in found]
-    while np.linalg.matrix_rank(np.concatenate([o[:, :n] for o, n in zip(over, counts, strict=True)], 1)) < contacts:
+    while told(counts) < contacts:
         following = [r.dynamics.natural_hz[n] if n < r.count else np.inf for r, n in zip(found, counts, strict=True)]
         touched = [np.any(o) for o in over]
         counts[int(np.argmin(np.where(touched, following, np.inf)))] += 1
@@ -47,7 +54,8 @@ def slow_stiffness(rig: Rig, responses: tuple[Response, ...]) -> Float[np.ndarra
     """
     over = np.concatenate([across(rig, r) for r in responses], axis=1)
     omega = 2 * np.pi * np.concatenate([r.dynamics.natural_hz for r in responses])
-    still = null_space(over[:, omega == 0].T) if np.any(omega == 0) else np.eye(len(over))
+    combined, sizes, _ = np.linalg.svd(over[:, omega == 0])
+    still = combined[:, np.count_nonzero(sizes > RANK * np.max(np.abs(over), initial=0.0)) :]
     if not (still.size and any(np.any(r.dynamics.natural_hz[: r.dynamics.high_passed]) for r in responses)):
         return np.zeros((len(over), len(over)))
     held = over[:, omega > 0]

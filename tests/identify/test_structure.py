@@ -10,7 +10,6 @@ from identify.gaps.residual.nuisance import columns_of
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates
 from rig.effects.base import Scale
-from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.structure import structure_of
 from rig.model.tolerances import EXACT, LABORATORY
@@ -89,11 +88,3 @@ def test_jitter_draws_the_same_laboratory(recordings):
     for one, other in zip(data.bodies, beams.bodies, strict=True):
         np.testing.assert_allclose(one.frequencies_hz(8), other.frequencies_hz(8))
         np.testing.assert_allclose(one.damping_ratios(8), other.damping_ratios(8))
-
-
-def test_a_contact_on_what_cannot_float_is_refused(recordings):
-    for recording in recordings:
-        stop = msgspec.structs.replace(recording.rig.contacts[0], at=recording.rig.contacts[0].against, against=None)
-        held = msgspec.structs.replace(recording.rig, contacts=(stop,))
-        with pytest.raises(RigError, match="accelerations tell the constant forces of 0 of the 1 contacts"):
-            identify_contact(Recording(held, recording.signals, recording.provenance), use="acceleration")

@@ -14,7 +14,7 @@ from rig.errors import RigError
 from rig.model.contact_laws import DeadZone
 from rig.model.description import PointMass, Station
 from rig.model.tolerances import EXACT
-from rig.recording import Recording, Signals, channel_groups, read, truth_path
+from rig.recording import Recording, read, truth_path
 from rig.simulation.plants import modal
 from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle, Sdof
@@ -162,23 +162,6 @@ def test_a_contact_that_is_never_reached_is_not_answered(tmp_path):
     assert "excite the rig more strongly" in silent.reason
     assert found.stops == (None,)
     assert found.report.surface.histogram == ()
-
-
-def test_several_masses_on_springs_are_refused(mass):
-    """Only one mass alone is identified by its equation of motion; between bodies, one has to float."""
-    machine, other = mass.rig, Station("other")
-    (body,), (contact,) = machine.bodies, machine.contacts
-    first = next(s for s in machine.sensors if s.quantity == "displacement")
-    rig = msgspec.structs.replace(
-        machine,
-        bodies=(body, msgspec.structs.replace(body, name="other")),
-        contacts=(msgspec.structs.replace(contact, against=other),),
-        sensors=(first, msgspec.structs.replace(first, name="second", station=other)),
-    )
-    moved = np.repeat(mass.signals["displacement"].values, 2, axis=0)
-    signals = {**mass.signals, "displacement": Signals(channel_groups(rig)["displacement"], 0.0, moved)}
-    with pytest.raises(RigError, match="tell the constant forces of 0 of the 1 contacts, as constant forces only move"):
-        identify_contact(replace(mass, rig=rig, signals=signals))
 
 
 @pytest.fixture(scope="module")
