@@ -90,7 +90,7 @@ def _option(field: msgspec.structs.FieldInfo, text: str) -> Any:
     elif default not in (None, ()):
         shown = ",".join(default) if isinstance(default, tuple) else default
         text = f"{text} Default: {shown}."
-    metavars = {"Path": "FILE", "tuple[float": "NUMBER,...", "float": "NUMBER", "": "TEXT"}
+    metavars = {"Path": "FILE", "tuple[float": "NUMBER,...", "tuple[int": "NUMBER,...", "float": "NUMBER", "": "TEXT"}
     metavar = next(shown for part, shown in metavars.items() if part in str(field.type))
     name = f"--{field.name.replace('_', '-')}"
     return Annotated[str | None, typer.Option(name, help=text, metavar=metavar, show_default=False)]

@@ -11,6 +11,7 @@ import numpy as np
 from rig.errors import RigError
 from rig.files import write_bytes
 from rig.lab.exporting import map_of
+from rig.lab.modal_uff import Axis, Choice, structure_from_uff
 from rig.model.beam import Beam
 from rig.model.contact_laws.dead_zone import equal_sides
 from rig.model.description import Body, Contact, Rig, Station, to_json
@@ -166,13 +167,26 @@ class StructureRig(_Start, frozen=True, kw_only=True):
         Path | None, msgspec.Meta(description="JSON file of a structure, as it stands in rig.json; or --from-uff.")
     ] = None
     along: Annotated[
-        Literal["x", "y", "z"] | None,
+        Axis | None,
         msgspec.Meta(description="Axis of the UFF file along the body; otherwise the longest."),
     ] = None
     direction: Annotated[
-        Literal["x", "y", "z"] | None,
+        Axis | None,
         msgspec.Meta(description="Axis in which it vibrates; otherwise that of the largest shapes or of the FRFs."),
     ] = None
+    nodes: Annotated[
+        tuple[int, ...], msgspec.Meta(description="Nodes of the UFF file that are taken; otherwise all.")
+    ] = ()
+    positions_m: Annotated[
+        tuple[float, ...],
+        msgspec.Meta(description="Their places, m, where the UFF file has no coordinates; in the order of the nodes."),
+    ] = ()
+    length_m: Annotated[
+        float | None, msgspec.Meta(description="Length of the body, m; otherwise up to the last node.")
+    ] = None
+    band_hz: Annotated[
+        tuple[float, ...], msgspec.Meta(description="LOW,HIGH: the band in which FRFs are fitted; otherwise all.")
+    ] = ()
     mass_kg: Annotated[
         float | None, msgspec.Meta(description="Of a free body whose analysis has no rigid-body modes: its mass, kg.")
     ] = None
@@ -191,7 +205,10 @@ class StructureRig(_Start, frozen=True, kw_only=True):
         """The body from its file, and what is to be said of it; raises RigError if it cannot be used."""
         if (self.from_uff is None) == (self.body is None):
             raise RigError("give the body of the structure by one file: --from-uff FILE, or --body FILE.json")
-        found, notes = self._from_json(), ()
+        if self.from_uff is None:
+            return self._with_rigid_modes(self._from_json()), ()
+        told = (self.along, self.direction, self.nodes, self.positions_m, self.length_m, self.band_hz)
+        found, notes = structure_from_uff(self.from_uff, Choice(*told))
         return self._with_rigid_modes(found), notes
 
     def rig_of(self, body: Structure) -> Rig:

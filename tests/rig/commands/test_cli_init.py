@@ -7,10 +7,12 @@ from io import StringIO
 import msgspec
 import numpy as np
 import pytest
+import pyuff
 
 from rig.commands.cli import main
 from rig.model.description import read_rig
 from rig.recording import read
+from tests.rig.lab.test_modal_uff import nodes, normal_modes
 from tests.rig.lab.test_starting import BEAMS, CONTACT, fin
 
 MASS = {"mass_kg": 1.0, "frequency_hz": 5.0} | CONTACT
@@ -72,6 +74,18 @@ def test_a_structure_is_refused_by_ancf_in_one_sentence(rig, tmp_path):
     status, out, err = rig("record", "rig.json", "--plant", "ancf", "--duration", 2, "--out", "r.mcap")
     assert (status, out) == (1, "")
     assert err == "rig: the ancf plant meshes beams, and 'fin' is a modal basis; simulate it with modal\n"
+
+
+def test_a_modal_analysis_becomes_a_rig_that_records(rig, tmp_path):
+    pyuff.UFF("arm.uff").write_sets([nodes(), *normal_modes()], mode="add")
+    status, out, err = rig("init", "structure", "--from-uff", "arm.uff", *options(FRAME | {"force_m": 0.9}))
+    assert (status, err) == (0, "")
+    assert out.startswith("5 modes in direction z, 10 nodes along y, 0.9 m, from arm.uff\n")
+    (body,) = read_rig(tmp_path / "rig.json").bodies
+    assert (body.name, body.max_modes) == ("arm", 5)
+    status, out, err = rig("record", "rig.json", "--duration", 2, "--out", "r.mcap")
+    assert (status, err) == (0, "")
+    assert "by the plant modal" in out
 
 
 def test_what_is_missing_is_asked_for_on_a_terminal_alone(rig, tmp_path, monkeypatch):
