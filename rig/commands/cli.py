@@ -14,7 +14,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from rig.commands.cli_files import export_, import_, recover
+from rig.commands.cli_files import draw, export_, import_, recover
 from rig.commands.cli_init import init
 from rig.commands.command_line import Force, Json, StoppedError, progress_bar, refuse_existing, run, working
 from rig.effects import effect_named, effects
@@ -224,6 +224,7 @@ def view(
 app.command()(recover)
 app.command("import")(import_)
 app.command("export")(export_)
+app.command()(draw)
 app.add_typer(init, name="init")
 
 

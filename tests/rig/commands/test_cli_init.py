@@ -141,3 +141,19 @@ def test_help_has_an_example_and_every_option(rig, kind):
     assert f"Example: rig init {kind} " in out
     for name in KINDS[kind].__struct_fields__:
         assert f"--{name.replace('_', '-')} " in out
+
+
+def test_a_rig_and_a_recording_are_drawn(rig, tmp_path):
+    rig("init", "mass", *options(MASS))
+    assert rig("record", "rig.json", "--plant", "modal", "--duration", 2, "--out", "r.mcap")[0] == 0
+    for file in ("rig.json", "r.mcap"):
+        status, _, err = rig("draw", file)
+        assert (status, err) == (0, "")
+    assert (tmp_path / "rig.svg").read_bytes() == (tmp_path / "r.svg").read_bytes()
+    status, _, err = rig("draw", "rig.json")
+    assert (status, err) == (1, "rig: rig.svg: exists already; give another name, or --force to overwrite it\n")
+    assert rig("draw", "rig.json", "--out", "rig.json", "--force")[0] == 2
+    (tmp_path / "bad.json").write_text("{}")
+    status, _, err = rig("draw", "bad.json")
+    assert status == 1
+    assert "bad.json: not a rig description" in err
