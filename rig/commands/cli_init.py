@@ -12,10 +12,10 @@ import msgspec
 import typer
 
 from rig.commands.command_line import Force, Json, refuse_existing
-from rig.lab.starting import KINDS, MAP_NAME, BeamsRig, MassRig, StructureRig, write_start
+from rig.lab.starting import KINDS, MAP_NAME, Start, write_start
 from rig.recording import RIG_NAME
 
-Kind = type[MassRig] | type[BeamsRig] | type[StructureRig]
+Kind = type[Start]
 Out = Annotated[Path, typer.Option(help=f"The folder for {RIG_NAME} and {MAP_NAME}; made if need be.")]
 _EXAMPLES = {
     "mass": "--mass-kg 1 --frequency-hz 5 --clearance-m 1e-3 --stiffness-n-per-m 1e4 --sample-rate-hz 512 --out lab",
@@ -41,12 +41,7 @@ def _command(name: str, kind: Kind) -> Callable[..., None]:
         for path in (out / RIG_NAME, out / MAP_NAME):
             refuse_existing(path, force)
         start = _started(kind, helps, {k: v for k, v in words.items() if v is not None})
-        notes: tuple[str, ...] = ()
-        if isinstance(start, StructureRig):
-            body, notes = start.structure()
-            rig = start.rig_of(body)
-        else:
-            rig = start.rig()
+        rig, notes = start.described()
         written = write_start(rig, out)
         if as_json:
             print(json.dumps({"rig": str(written[0]), "map": str(written[1]), "notes": notes}))
@@ -72,7 +67,7 @@ def _command(name: str, kind: Kind) -> Callable[..., None]:
 
 def _in_order(kind: Kind) -> list[msgspec.structs.FieldInfo]:
     """Its own fields first, what every rig has last."""
-    shared = [f.name for f in msgspec.structs.fields(kind.__bases__[0])]
+    shared = [f.name for f in msgspec.structs.fields(Start)]
     return sorted(msgspec.structs.fields(kind), key=lambda f: f.name in shared)
 
 
@@ -96,7 +91,7 @@ def _option(field: msgspec.structs.FieldInfo, text: str) -> Any:
     return Annotated[str | None, typer.Option(name, help=text, metavar=metavar, show_default=False)]
 
 
-def _started(kind: Kind, helps: Mapping[str, str], words: Mapping[str, str]) -> MassRig | BeamsRig | StructureRig:
+def _started(kind: Kind, helps: Mapping[str, str], words: Mapping[str, str]) -> Start:
     """The numbers, of which those missing are asked for on a terminal."""
     values = {name: _value(kind, name, text) for name, text in words.items()}
     missing = [f.name for f in _in_order(kind) if f.required and f.name not in values]

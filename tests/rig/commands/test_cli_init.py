@@ -12,8 +12,8 @@ import pyuff
 from rig.commands.cli import main
 from rig.model.description import read_rig
 from rig.recording import read
-from tests.rig.lab.test_modal_uff import nodes, normal_modes
-from tests.rig.lab.test_starting import BEAMS, CONTACT, fin
+from tests.rig.lab.modal.test_uff import nodes, normal_modes
+from tests.rig.lab.starting.test_starting import BEAMS, CONTACT, fin
 
 MASS = {"mass_kg": 1.0, "frequency_hz": 5.0} | CONTACT
 FRAME = {"contacts_m": 0.1, "force_m": 0.5, "noise_density": 1e-3} | CONTACT | {"sample_rate_hz": 4096.0}

@@ -21,7 +21,7 @@ from rig.model.description import (
 from rig.simulation.reference import BarrelCradle, Sdof
 from rig.viewer.schematic import draw
 from rig.viewer.svg import MOVING, SENSOR
-from tests.rig.lab.test_starting import structure_rig
+from tests.rig.lab.starting.test_starting import structure_rig
 
 SVG = "{http://www.w3.org/2000/svg}"
 

@@ -5,7 +5,7 @@ import pytest
 import pyuff
 
 from rig.errors import RigError
-from rig.lab.modal_uff import Choice, structure_from_uff
+from rig.lab.modal import Choice, structure_from_uff
 from rig.model.beam import Beam
 from rig.model.structure import structure_of
 

@@ -5,7 +5,11 @@ import numpy as np
 import pytest
 
 from rig.errors import RigError
-from rig.lab.starting import BeamsRig, MassRig, StructureRig, spread, write_start
+from rig.lab.starting import write_start
+from rig.lab.starting.base import spread
+from rig.lab.starting.beams import BeamsRig
+from rig.lab.starting.mass import MassRig
+from rig.lab.starting.structure import StructureRig
 from rig.model.beam import Beam
 from rig.model.description import contact_stations, read_rig
 from rig.model.structure import structure_of
