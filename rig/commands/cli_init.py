@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_args, get_type_hints
 import msgspec
 import typer
 
-from rig.commands.command_line import Force, Json, refuse_existing
+from rig.commands.command_line import Force, Json, refuse_existing, working
 from rig.lab.starting import KINDS, MAP_NAME, Start, write_start
 from rig.recording import RIG_NAME
 
@@ -41,7 +41,8 @@ def _command(name: str, kind: Kind) -> Callable[..., None]:
         for path in (out / RIG_NAME, out / MAP_NAME):
             refuse_existing(path, force)
         start = _started(kind, helps, {k: v for k, v in words.items() if v is not None})
-        rig, notes = start.described()
+        with working(f"describing a rig of the kind {name}"):
+            rig, notes = start.described()
         written = write_start(rig, out)
         if as_json:
             print(json.dumps({"rig": str(written[0]), "map": str(written[1]), "notes": notes}))

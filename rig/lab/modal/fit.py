@@ -10,15 +10,15 @@ from rig.errors import RigError
 
 ORDERS = range(6, 62, 2)
 """Of the polynomials whose poles are compared."""
-SAME_FREQUENCY, SAME_DAMPING = 5e-3, 0.2
+SAME_FREQUENCY, SAME_DAMPING = 5e-3, 0.4
 """Poles of two orders that differ by less, relatively, are one; modes nearer to each other are not told apart."""
-LASTING = 0.3
+LASTING = 0.15
 """A pole of at least this share of the orders is a mode."""
 MOST_DAMPING = 0.2
-STANDS_OUT = 3.0
-"""So far a mode's peak stands out of the rms error of the fit, in one FRF at least."""
-RESOLVED = 0.1
-"""The least half-power bandwidth of a mode, in intervals between lines."""
+REFINED = (0.02, 1.5)
+"""How far the refinement may move the logarithms of a frequency and of a damping ratio."""
+NEAREST, STANDS_OUT = 8, 2.0
+"""At the median of so many lines about it a mode is so far above the rms error of the fit, in one FRF at least."""
 MOST_LINES = 4000
 """A finer grid is thinned to so many lines for the search of poles; the refinement uses every line."""
 
@@ -64,7 +64,7 @@ def fit_modes(
         modes = _refined(frequency_hz, measured, modes)
         basis = _basis(frequency_hz, modes)
         found = _solved(basis, measured)
-        real = _believed(frequency_hz, modes, found, np.abs(measured - found.T @ basis.T), driving)
+        real = _believed(frequency_hz, basis, modes, found, np.abs(measured - found.T @ basis.T), driving)
         if real.all():
             break
         if not real.any():
@@ -83,10 +83,13 @@ def _lasting(
 ) -> Float[np.ndarray, "modes 2"]:
     """Logarithms of frequency and damping ratio of the poles that stay from order to order."""
     stable, before, orders = [], np.zeros((0, 2)), 0
+    squares, projected = _equations(frequency_hz, measured)
     for order in ORDERS:
         if 3 * order > frequency_hz.size:
             break
-        poles = _poles(frequency_hz, measured, order)
+        some = slice(order + 1)
+        rows = projected[:, some, some].reshape(-1, order + 1)
+        poles = _poles(frequency_hz, squares[some, some] - rows.conj().T @ rows)
         away = np.abs(poles[:, None] - before[None]) < (SAME_FREQUENCY, SAME_DAMPING)
         stable.append(poles[np.any(np.all(away, axis=2), axis=1)])
         before, orders = poles, orders + 1
@@ -97,21 +100,30 @@ def _lasting(
     return np.array(kept).reshape(-1, 2)
 
 
-def _poles(
-    frequency_hz: Float[np.ndarray, " lines"], measured: Complex[np.ndarray, "frfs lines"], order: int
-) -> Float[np.ndarray, "poles 2"]:
-    """Logarithms of frequency and damping ratio of the damped poles in the band, of one order.
+def _equations(
+    frequency_hz: Float[np.ndarray, " lines"], measured: Complex[np.ndarray, "frfs lines"]
+) -> tuple[Complex[np.ndarray, "n n"], Complex[np.ndarray, "frfs n n"]]:
+    """Of sum_r b_or z^r - a_o sum_r d_r z^r = 0 with z = exp(-i pi (f - f0) / (1.02 band)), in least squares: the
+    products of the a_o z^r, summed over the FRFs, and their projections on an orthonormal basis of the z^r.
 
-    With z = exp(-i pi (f - f0) / (1.02 band)): sum_r b_or z^r - a_o sum_r d_r z^r = 0 in least squares, b eliminated.
+    The leading columns of both are those of a lower order; b is eliminated by the difference of their squares.
     """
     first, band = frequency_hz[0], 1.02 * (frequency_hz[-1] - frequency_hz[0])
-    powers = np.exp(-1j * np.pi * (frequency_hz - first)[:, None] / band * np.arange(order + 1))
-    orthogonal = np.linalg.qr(powers)[0]
-    normal = np.zeros((order + 1, order + 1), dtype=complex)
+    powers = np.exp(-1j * np.pi * (frequency_hz - first)[:, None] / band * np.arange(ORDERS[-1] + 1))
+    orthonormal = np.linalg.qr(powers)[0].conj().T
+    squares, projected = np.zeros((powers.shape[1],) * 2, dtype=complex), []
     for row in measured:
         weighted = row[:, None] * powers
-        weighted -= orthogonal @ (orthogonal.conj().T @ weighted)
-        normal += weighted.conj().T @ weighted
+        squares += weighted.conj().T @ weighted
+        projected.append(orthonormal @ weighted)
+    return squares, np.array(projected)
+
+
+def _poles(
+    frequency_hz: Float[np.ndarray, " lines"], normal: Complex[np.ndarray, "n n"]
+) -> Float[np.ndarray, "poles 2"]:
+    """Logarithms of frequency and damping ratio of the damped poles in the band, from the equations of one order."""
+    first, band = frequency_hz[0], 1.02 * (frequency_hz[-1] - frequency_hz[0])
     denominator = np.append(1.0, np.linalg.lstsq(normal[1:, 1:], -normal[1:, 0], rcond=None)[0])
     roots = np.roots(denominator[::-1])
     roots = roots[np.abs(roots) > 0]
@@ -148,18 +160,19 @@ def _told_apart(
 
 def _believed(
     frequency_hz: Float[np.ndarray, " lines"],
+    basis: Complex[np.ndarray, "lines terms"],
     modes: Float[np.ndarray, "modes 2"],
     found: Float[np.ndarray, "terms frfs"],
     errors: Float[np.ndarray, "frfs lines"],
     driving: int,
 ) -> Bool[np.ndarray, " modes"]:
-    """Whether each is a normal mode (positive at the driving point), in the band, resolved by its lines, and stands
-    out: its peak r / 2 z of an accelerance is above the rms error of one FRF at least."""
-    natural_hz, ratios = np.exp(modes.T)
-    peaks = np.abs(found[:-2]) / (2 * ratios[:, None]) / np.sqrt(np.mean(errors**2, axis=1))
+    """Whether each is a normal mode (positive at the driving point), in the band, and stands out of the errors."""
+    natural_hz = np.exp(modes[:, 0])
+    nearest = np.argsort(np.abs(frequency_hz[:, None] - natural_hz), axis=0)[:NEAREST]
+    heights = np.median(np.abs(np.take_along_axis(basis[:, : len(modes)], nearest, axis=0)), axis=0)
+    seen = np.abs(found[:-2]) * heights[:, None] / np.sqrt(np.mean(errors**2, axis=1))
     inside = (natural_hz > frequency_hz[0]) & (natural_hz < frequency_hz[-1])
-    resolved = 2 * ratios * natural_hz > RESOLVED * np.median(np.diff(frequency_hz))
-    return np.asarray((found[:-2, driving] > 0) & inside & resolved & (peaks.max(axis=1) > STANDS_OUT))
+    return np.asarray((found[:-2, driving] > 0) & inside & (seen.max(axis=1) > STANDS_OUT))
 
 
 def _refined(
@@ -167,14 +180,16 @@ def _refined(
     measured: Complex[np.ndarray, "frfs lines"],
     modes: Float[np.ndarray, "modes 2"],
 ) -> Float[np.ndarray, "modes 2"]:
-    """The frequencies and dampings of the least sum of squares."""
+    """The frequencies and dampings of the least sum of squares near those given."""
 
     def residual(unknowns: Float[np.ndarray, " unknowns"]) -> Float[np.ndarray, " data"]:
         basis = _basis(frequency_hz, unknowns.reshape(-1, 2))
         error = measured - _solved(basis, measured).T @ basis.T
         return np.concatenate([error.real.ravel(), error.imag.ravel()])
 
-    found = least_squares(residual, modes.ravel(), x_scale=np.tile([1e-3, 1e-1], len(modes)), max_nfev=30)
+    near, scales = np.tile(REFINED, len(modes)), np.tile([1e-3, 1e-1], len(modes))
+    start = modes.ravel()
+    found = least_squares(residual, start, bounds=(start - near, start + near), x_scale=scales, max_nfev=30)
     refined = found.x.reshape(-1, 2)
     return np.asarray(refined[np.argsort(refined[:, 0])])
 
