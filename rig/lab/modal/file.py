@@ -52,7 +52,13 @@ def read_uff(path: Path) -> UffFile:
         sets: dict[int, list[dict[str, Any]]] = {}
         for place, kind in enumerate(kinds):
             if kind in (15, 55, 58, 164, 2411):
-                sets.setdefault(kind, []).append(reader.read_sets(place))
+                with np.errstate(all="ignore"):  # what is not finite is refused where it is used
+                    sets.setdefault(kind, []).append(reader.read_sets(place))
+        nodes = {
+            int(node): np.array([x, y, z])
+            for one in (*sets.get(15, []), *sets.get(2411, []))
+            for node, x, y, z in zip(one["node_nums"], one["x"], one["y"], one["z"], strict=True)
+        }
     except OSError as error:
         raise RigError(f"{path}: cannot be opened ({error.strerror or error}); check the name") from error
     except Exception as error:  # what the format's library raises on a bad file is not to be listed
@@ -62,12 +68,7 @@ def read_uff(path: Path) -> UffFile:
     length, force = (float(units.get(name) or 1.0) for name in ("length", "force"))
     if not (0 < length < np.inf and 0 < force < np.inf):
         raise RigError(f"{path}: its units (dataset 164) are no numbers above zero; export it again")
-    nodes = {
-        int(node): np.array([x, y, z]) / length
-        for one in (*sets.get(15, []), *sets.get(2411, []))
-        for node, x, y, z in zip(one["node_nums"], one["x"], one["y"], one["z"], strict=True)
-    }
-    return UffFile(path, sets, nodes, length, force)
+    return UffFile(path, sets, {node: place / length for node, place in nodes.items()}, length, force)
 
 
 def line_of(

@@ -51,9 +51,12 @@ def fit_modes(
     """
     lines = frequency_hz > 0
     frequency_hz, accelerance = frequency_hz[lines], accelerance[:, lines]
-    scale = np.sqrt(np.mean(np.abs(accelerance) ** 2, axis=1))
-    if frequency_hz.size < 3 * ORDERS[0] or not (scale > 0).all():
-        raise RigError(f"{frequency_hz.size} lines above 0 Hz are too few, or an FRF is zero; give more lines")
+    with np.errstate(over="ignore"):
+        scale = np.sqrt(np.mean(np.abs(accelerance) ** 2, axis=1))
+    if not (np.isfinite(scale) & (scale > 0)).all():
+        raise RigError("an FRF is zero or too large for a number; leave its node out")
+    if frequency_hz.size < 3 * ORDERS[0]:
+        raise RigError(f"{frequency_hz.size} lines above 0 Hz are too few; give {3 * ORDERS[0]} or more")
     measured = accelerance / scale[:, None]
     thin = max(1, frequency_hz.size // MOST_LINES)
     modes = _lasting(frequency_hz[::thin], measured[:, ::thin])

@@ -228,13 +228,20 @@ def test_what_cannot_be_used_is_refused_in_one_sentence(tmp_path, datasets, said
     assert said in str(caught.value)
 
 
-@pytest.mark.parametrize("content", [b"", b"t,F\n0,1\n", b"\x00\xff" * 100, "half"])
+@pytest.mark.parametrize("content", [b"", b"t,F\n0,1\n", b"\x00\xff" * 100, "half", "short"])
 def test_what_is_no_uff_file_is_refused(tmp_path, content, capfd):
     path = tmp_path / "arm.uff"
-    if content == "half":
+    if isinstance(content, str):
         read(tmp_path, [nodes(), *normal_modes()])
-        content = path.read_bytes()[: path.stat().st_size * 2 // 3]
-        content = content[: content.rindex(b"\n") - 20] + b"\n    -1\n"
+        whole = path.read_bytes()
+        half = whole[: len(whole) * 2 // 3]
+        last = b" 0.00000E+00\n    -1\n"  # of the last node
+        content = (
+            half[: half.rindex(b"\n") - 20] + b"\n    -1\n"
+            if content == "half"
+            else whole.replace(last, b"\n    -1\n", 1)
+        )
+        assert content != whole
     path.write_bytes(content)
     with pytest.raises(RigError, match=r"arm\.uff: ") as caught:
         structure_from_uff(path, Choice())
