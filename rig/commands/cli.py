@@ -14,15 +14,17 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from rig.commands.cli_files import export_, import_, recover
+from rig.commands.cli_files import draw, export_, import_, recover
+from rig.commands.cli_init import init
 from rig.commands.command_line import Force, Json, StoppedError, progress_bar, refuse_existing, run, working
 from rig.effects import effect_named, effects
 from rig.errors import RigError
-from rig.model.description import Station
+from rig.model.description import Station, read_rig
 from rig.recording import Recording, Signals, read, read_truth, truth_path
+from rig.simulation.own import Drive, OwnRig, own_rig, plant_for
 from rig.simulation.plants import PLANTS, plant_named
 from rig.simulation.record import record as record_rig
-from rig.simulation.reference import REFERENCES, reference
+from rig.simulation.reference import REFERENCES, BarrelCradle, Sdof, reference
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 
@@ -42,11 +44,26 @@ def _settings_text(title: str, kinds: Mapping[str, type[msgspec.Struct]]) -> str
     )
 
 
-@app.command(epilog=_settings_text("Settings of", REFERENCES) + "\n\n" + _settings_text("Effect", effects()))
+_EPILOG = (
+    _settings_text("Settings of", {**REFERENCES, "FILE.json": Drive}),
+    "None stands for a value that follows from the rig: rms_n moves the contacts by some clearances.",
+    _settings_text("Effect", effects()),
+)
+
+
+@app.command(epilog="\n\n".join(_EPILOG))
 def record(
-    scenario: Annotated[str, typer.Argument(help=f"One of: {', '.join(REFERENCES)}.")],
+    scenario: Annotated[
+        str,
+        typer.Argument(metavar="RIG", help=f"One of {', '.join(REFERENCES)}, or a rig of your own: its rig.json."),
+    ],
     out: Annotated[Path, typer.Option(help="The recording to write; the truth file is written beside it.")],
-    plant: Annotated[str, typer.Option(help=f"How it is simulated: {', '.join(PLANTS)}.")] = "ancf",
+    plant: Annotated[
+        str | None,
+        typer.Option(
+            help=f"How it is simulated: {', '.join(PLANTS)}. Otherwise ancf; modal where a body is a structure."
+        ),
+    ] = None,
     duration: Annotated[float | None, typer.Option(help="Length of the record, s.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the force and of the sensors' noise.")] = None,
     settings: Annotated[
@@ -62,26 +79,24 @@ def record(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Simulate a reference rig and record it.
+    """Simulate a reference rig, or your own, and record it.
 
     Example: rig record barrel_cradle --duration 60 --set noise_density=1e-3 --out barrel_cradle.mcap
+
+    Example: rig record rig.json --duration 60 --set rms_n=20 --out own.mcap
     """
     words = [s.partition("=") for s in settings or []]
     for key, equals, _ in words:
         if not equals:
             raise typer.BadParameter(f"{key!r} is not KEY=VALUE", param_hint="--set")
-    if plant not in PLANTS:
+    if plant not in {None, *PLANTS}:
         raise typer.BadParameter(f"{plant!r} is none of {', '.join(PLANTS)}", param_hint="--plant")
-    if scenario not in REFERENCES:
-        raise typer.BadParameter(f"{scenario!r} is none of {', '.join(REFERENCES)}", param_hint="SCENARIO")
     chosen = {key: value for key, _, value in words}
     chosen |= {} if duration is None else {"duration_s": str(duration)}
     chosen |= {} if seed is None else {"seed": str(seed)}
-    try:
-        machine = reference(scenario, chosen)
-    except RigError as error:
-        raise typer.BadParameter(str(error), param_hint="--set") from error
-    rig = machine.rig()
+    machine = _machine(scenario, chosen)
+    rig, force_n = machine.rig(), machine.force()
+    plant = plant or plant_for(rig)
     try:
         actual = reduce(lambda so_far, text: effect_named(text).applied_to(so_far), effect or [], rig)
     except RigError as error:
@@ -92,7 +107,7 @@ def record(
         with progress_bar(f"recording {out.name} ({plant})") as progress:
             record_rig(
                 rig,
-                machine.force(),
+                force_n,
                 plant=plant_named(plant),
                 duration_s=machine.duration_s,
                 step_s=machine.step_s,
@@ -107,7 +122,22 @@ def record(
     if as_json:
         print(json.dumps({"recording": str(out), "truth": str(truth_path(out))}))
     else:
-        print(f"{out}: {machine.duration_s:g} s of {scenario} recorded; what only a simulator knows: {truth_path(out)}")
+        force_text = f"force {force_n.rms_n:g} N rms, {force_n.low_hz:g} to {force_n.high_hz:g} Hz"
+        print(f"{out}: {machine.duration_s:g} s of {scenario} recorded by the plant {plant}, {force_text}")
+        print(f"{truth_path(out)}: what only a simulator knows")
+
+
+def _machine(scenario: str, settings: dict[str, str]) -> Sdof | BarrelCradle | OwnRig:
+    """A reference rig by its name, or the rig in a file. Wrong words are typer's; a file that is no rig a RigError."""
+    own = Path(scenario).suffix == ".json"
+    if not own and scenario not in REFERENCES:
+        known = ", ".join(REFERENCES)
+        raise typer.BadParameter(f"{scenario!r} is none of {known}, and no FILE.json", param_hint="RIG")
+    rig = read_rig(Path(scenario)) if own else None
+    try:
+        return reference(scenario, settings) if rig is None else own_rig(rig, settings)
+    except RigError as error:
+        raise typer.BadParameter(str(error), param_hint="--set") from error
 
 
 @app.command()
@@ -194,6 +224,8 @@ def view(
 app.command()(recover)
 app.command("import")(import_)
 app.command("export")(export_)
+app.command()(draw)
+app.add_typer(init, name="init")
 
 
 def _summary(recording: Recording) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The commands of `rig` that bring recordings back, in and out: recover, import, export."""
+"""The commands of `rig` that bring recordings and rigs back, in and out: recover, import, export, draw."""
 
 import json
 from pathlib import Path
@@ -10,6 +10,7 @@ import typer
 from rig.commands.command_line import Force, Json, progress_bar, refuse_existing, working
 from rig.lab.exporting import WRITERS, export
 from rig.lab.importing import import_file
+from rig.model.description import read_rig
 from rig.recording import read
 from rig.recording.recovery import recover as recover_recording
 
@@ -80,3 +81,22 @@ def export_(
     with progress_bar(f"writing {out.name}") as progress:
         export(read(file), format_, out, map_, progress)
     print(f"{', '.join(map(str, written))}: written")
+
+
+def draw(
+    file: Annotated[Path, typer.Argument(help="A rig.json, or a recording.")],
+    out: Annotated[Path | None, typer.Option(help="The .svg to write; otherwise beside the file.")] = None,
+    force: Force = False,
+) -> None:
+    """Draw a rig: bodies, sensors, contacts with their clearances, the force, and what is attached.
+
+    Example: rig draw lab/rig.json --out lab/rig.svg
+    """
+    from rig.viewer.schematic import draw as draw_rig
+
+    target = out or file.with_suffix(".svg")
+    if target.absolute() == file.absolute():
+        raise typer.BadParameter(f"{target} is the rig itself", param_hint="--out")
+    refuse_existing(target, force)
+    draw_rig(read_rig(file) if file.suffix == ".json" else read(file).rig, target)
+    print(f"{target}: written; a browser shows it")

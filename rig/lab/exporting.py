@@ -2,7 +2,7 @@
 
 import csv
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from rig.files import atomic_write, write_bytes
 from rig.model.description import to_json
 from rig.model.quantities import QUANTITIES
 from rig.recording import RIG_NAME, Recording
+from rig.recording.channels import Channels
 
 _UFF_KINDS = {q.name: q.uff_kind for q in QUANTITIES.values()} | {"force": 13}
 _UFF_TIME = 17
@@ -34,7 +35,8 @@ def export(
     with atomic_write(out) as part:
         WRITERS[form](recording, part, progress)
     if map_path is not None:
-        write_bytes(_map_of(recording, form).encode(), map_path)
+        groups = {name: signals.channels for name, signals in recording.signals.items()}
+        write_bytes(map_of(groups, form).encode(), map_path)
         write_bytes(to_json(recording.rig), map_path.with_name(RIG_NAME))
 
 
@@ -99,20 +101,20 @@ Writer = Callable[[Recording, Path, Callable[[float], None]], None]
 WRITERS: dict[str, Writer] = {"csv": _write_csv, "uff": _write_uff, "mat": _write_mat}
 
 
-def _map_of(recording: Recording, form: str) -> str:
-    """The map of an exported file; JSON's strings are TOML's."""
+def map_of(groups: Mapping[str, Channels], form: str) -> str:
+    """The map of a file of these channels, as exported; JSON's strings are TOML's."""
     lines = [f"rig = {json.dumps(RIG_NAME)}"]
     if form == "csv":
         lines.append('time = { column = "time_s", unit = "s" }')
     else:
-        lines.append(f"sample_rate_hz = {recording.rig.sample_rate_hz!r}")
+        lines.append(f"sample_rate_hz = {groups['force'].sample_rate_hz!r}")
     sensors = []
-    for group, number, name, _ in _rows(recording):
-        rows = len(recording.signals[group].channels.names)
-        column = name if form != "mat" else group if rows == 1 else f"{group}[{number}]"
-        entry = f"{{ column = {json.dumps(column)}, unit = {json.dumps(recording.signals[group].channels.unit)} }}"
-        if group == "force":
-            lines.append(f"force = {entry}")
-        else:
-            sensors.append(f"{json.dumps(name)} = {entry}")
+    for group, channels in groups.items():
+        for number, name in enumerate(channels.names, start=1):
+            column = name if form != "mat" else group if len(channels.names) == 1 else f"{group}[{number}]"
+            entry = f"{{ column = {json.dumps(column)}, unit = {json.dumps(channels.unit)} }}"
+            if group == "force":
+                lines.append(f"force = {entry}")
+            else:
+                sensors.append(f"{json.dumps(name)} = {entry}")
     return "\n".join([*lines, "", "[sensors]", *sensors, ""])

@@ -12,7 +12,7 @@ from rig.errors import RigError
 from rig.lab.clock import RATE_TOLERANCE, even
 from rig.lab.tables import Column, TextForm, columns_of
 from rig.lab.units import si_factor
-from rig.model.description import Rig, check_given, from_json
+from rig.model.description import Rig, read_rig
 from rig.recording import RIG_NAME, channel_groups, with_history, writing
 
 
@@ -98,15 +98,11 @@ def _write(
 def _read_map(path: Path) -> tuple[Map, Rig]:
     try:
         mapping = msgspec.toml.decode(path.read_bytes(), type=Map)
-        place = path.parent / mapping.rig
-        text = place.read_bytes()
     except OSError as error:
         raise RigError(f"{error.filename}: cannot be opened ({error.strerror}); check the name") from error
     except (msgspec.DecodeError, ValueError, RecursionError) as error:
         raise RigError(f"{path}: is no map ({error}); see rig/lab/README.md") from error
-    rig = from_json(text, str(place))
-    check_given(rig, str(place))
-    return mapping, rig
+    return mapping, read_rig(path.parent / mapping.rig)
 
 
 def _found(columns: Sequence[Column], entry: Source) -> Column:

@@ -1,4 +1,7 @@
-"""The numeric arrays of a MATLAB file: where a type is damaged, scipy's reader ends the process, or it swells."""
+"""The numeric arrays of a MATLAB file, also in structs and cells.
+
+Version 5 to 7 is read here: where a type is damaged, scipy's reader ends the process, or it swells.
+"""
 
 import math
 import struct
@@ -14,22 +17,29 @@ from rig.errors import RigError
 SMALL_BYTES = 256 * 1024 * 1024
 MOST_TIMES = 20
 """A file may swell to SMALL_BYTES, or to so many times its size."""
+MOST_ELEMENTS = 100_000
+"""Of a struct or cell array."""
 _HEADER_BYTES = 128
 _MATRIX, _COMPRESSED = 14, 15
+_CELL, _STRUCT = 1, 2
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _NUMERIC_CLASSES = range(6, 16)
 _COMPLEX = 1 << 11
 
 
 def arrays_of(path: Path) -> Iterator[tuple[str, np.ndarray]]:
-    """Name and values of every real numeric array; raises RigError or ValueError if the file is cut or damaged.
+    """Name and values of every real numeric array, named as MATLAB does: `a`, `run.a`, `run(2).a`, `c{3}`.
 
-    Files of version 5 to 7 are read here, of version 4 by scipy; 7.3 is refused.
+    Files of version 4 are read by scipy, of 7.3 (HDF5) by h5py, an optional dependency. Raises RigError or ValueError
+    if the file is cut or damaged.
     """
     content = path.read_bytes()
     order = {b"IM": "<", b"MI": ">"}.get(content[126:128])
     if content.startswith(b"MATLAB 7.3"):
-        raise RigError(f"{path}: is a MATLAB file of version 7.3; store it by save(..., '-v7')")
+        from rig.lab.matlab_hdf5 import arrays_of_hdf5
+
+        yield from arrays_of_hdf5(path, max(SMALL_BYTES, MOST_TIMES * len(content)))
+        return
     if order is None or not content.startswith(b"MATLAB 5.0"):
         yield from _version_4(content)
         return
@@ -45,8 +55,8 @@ def arrays_of(path: Path) -> Iterator[tuple[str, np.ndarray]]:
                 raise RigError(f"{path}: its compressed data {what}")
             left -= len(inner)
             kind, body, _ = _element(inner, 0, order)
-        if kind == _MATRIX and (found := _matrix(body, order)) is not None:
-            yield found
+        if kind == _MATRIX:
+            yield from _matrix(body, order)
 
 
 def _element(content: bytes, at: int, order: str) -> tuple[int, bytes, int]:
@@ -62,22 +72,53 @@ def _element(content: bytes, at: int, order: str) -> tuple[int, bytes, int]:
     return kind, content[begin : begin + length], after
 
 
-def _matrix(body: bytes, order: str) -> tuple[str, np.ndarray] | None:
-    """Name and values; None if it is no real numeric array."""
+def _matrix(body: bytes, order: str, outer: str = "") -> Iterator[tuple[str, np.ndarray]]:
+    """Name and values of an array, or of those in a struct or a cell array; nothing if it is not real and numeric."""
+    if not body:
+        return
     _, about, at = _element(body, 0, order)
     (flags,) = struct.unpack_from(f"{order}I", about)
-    if flags & 0xFF not in _NUMERIC_CLASSES or flags & _COMPLEX:
-        return None
+    kind = flags & 0xFF
     _, sizes, at = _element(body, at, order)
-    _, name, at = _element(body, at, order)
-    kind, data, _ = _element(body, at, order)
+    _, own, at = _element(body, at, order)
+    name = outer or own.decode(errors="replace")
     shape = tuple(np.frombuffer(sizes, f"{order}i4").tolist())
-    if kind not in _TYPES:
-        raise ValueError(f"its array {name.decode(errors='replace')!r} is of the unknown type {kind}")
-    values = np.frombuffer(data, order + _TYPES[kind])
-    if min(shape, default=0) < 0 or values.size != math.prod(shape):
-        raise ValueError(f"its array {name.decode(errors='replace')!r} of {shape} holds {values.size} values")
-    return name.decode(errors="replace"), values.reshape(shape, order="F")
+    if kind == _CELL:
+        yield from _inner(body, at, order, [f"{name}{{{k}}}" for k in range(1, _count(name, shape) + 1)])
+    elif kind == _STRUCT:
+        _, length, at = _element(body, at, order)
+        _, text, at = _element(body, at, order)
+        (size,) = struct.unpack(f"{order}i", length)
+        if size < 1:
+            raise ValueError(f"the fields of its struct {name!r} have no names")
+        fields = [text[k : k + size].partition(b"\0")[0].decode(errors="replace") for k in range(0, len(text), size)]
+        count = _count(name, shape)
+        elements = [name] if count == 1 else [f"{name}({k})" for k in range(1, count + 1)]
+        yield from _inner(body, at, order, [f"{element}.{field}" for element in elements for field in fields])
+    elif kind in _NUMERIC_CLASSES and not flags & _COMPLEX:
+        kind, data, _ = _element(body, at, order)
+        if kind not in _TYPES:
+            raise ValueError(f"its array {name!r} is of the unknown type {kind}")
+        values = np.frombuffer(data, order + _TYPES[kind])
+        if min(shape, default=0) < 0 or values.size != math.prod(shape):
+            raise ValueError(f"its array {name!r} of {shape} holds {values.size} values")
+        yield name, values.reshape(shape, order="F")
+
+
+def _inner(body: bytes, at: int, order: str, names: list[str]) -> Iterator[tuple[str, np.ndarray]]:
+    """The arrays of these names, one after the other."""
+    for name in names:
+        kind, inner, at = _element(body, at, order)
+        if kind != _MATRIX:
+            raise ValueError(f"its array {name!r} is of the unknown type {kind}")
+        yield from _matrix(inner, order, name)
+
+
+def _count(name: str, shape: tuple[int, ...]) -> int:
+    """Elements of a struct or cell array."""
+    if min(shape, default=0) < 0 or math.prod(shape) > MOST_ELEMENTS:
+        raise ValueError(f"its array {name!r} has the size {shape}")
+    return math.prod(shape)
 
 
 def _version_4(content: bytes) -> Iterator[tuple[str, np.ndarray]]:

@@ -85,27 +85,44 @@ def _csv(path: Path, text: TextForm) -> Iterable[Column]:
     lines = content.splitlines()[text.lines_before_names :]
     if not lines:
         raise RigError(f"{path}: has no line after the first {text.lines_before_names}; check lines_before_names")
-    if all(line.endswith(text.delimiter) for line in lines if line.strip()):  # behind the last column too
-        lines = [line.removesuffix(text.delimiter) for line in lines]
     names = [cell.strip() for cell in next(csv.reader(lines[:1], delimiter=text.delimiter))]
-    named = not all(_is_number(name, text.decimal) for name in names)
+    named = not all(_is_number(name, text.decimal) for name in names if name)
     skipped = (1 if named else 0) + text.lines_after_names
     body = [line for line in lines[skipped:] if line.strip()]
     if not body:
         raise RigError(f"{path}: holds no samples; export it again")
+    body, emptied = _without_empty_columns(body, text.delimiter)
+    width = len(next(csv.reader(body[:1], delimiter=text.delimiter)))
+    used = _used_columns(path, names, width, emptied) if named else width
     if text.decimal != ".":
         body = [line.replace(text.decimal, ".") for line in body]
+    only = range(used) if used < width else None  # None: every row must have the same number of columns
     try:
-        values = np.loadtxt(body, delimiter=text.delimiter, ndmin=2, comments=None, quotechar='"')
+        values = np.loadtxt(body, delimiter=text.delimiter, ndmin=2, comments=None, quotechar='"', usecols=only)
     except ValueError as error:
         reason = str(error).split(";")[0]
         raise RigError(
             f"{path}: {reason} (rows counted from the first sample); check delimiter, decimal and the lines skipped"
         ) from error
-    if values.shape[1] != len(names):
-        raise RigError(f"{path}: {len(names)} names for {values.shape[1]} columns; check the line of names")
     for number, column in enumerate(values.T, start=1):
         yield Column(names[number - 1] if named else f"column {number}", np.ascontiguousarray(column))
+
+
+def _without_empty_columns(body: list[str], delimiter: str) -> tuple[list[str], int]:
+    """The lines without the last columns that are empty in all of them, and how many those are."""
+    emptied = 0
+    blanks = " \t".replace(delimiter, "")
+    while all(line.rstrip(blanks).endswith(delimiter) for line in body):
+        body, emptied = [line.rstrip(blanks).removesuffix(delimiter) for line in body], emptied + 1
+    return body, emptied
+
+
+def _used_columns(path: Path, names: list[str], width: int, emptied: int) -> int:
+    """How many columns have a name and values; only last ones may lack either."""
+    named = next((k for k in range(len(names), 0, -1) if names[k - 1]), 0)
+    if width > len(names) or named > width + emptied or not named:
+        raise RigError(f"{path}: {named} names for {width} columns; check the line of names")
+    return min(named, width)
 
 
 def _is_number(cell: str, decimal: str) -> bool:

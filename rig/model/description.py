@@ -1,6 +1,7 @@
 """A rig as a value: bodies, contacts, the exciting force and the sensors. It travels in every recording as rig.json."""
 
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -371,3 +372,15 @@ def from_json(text: bytes, source: str) -> Rig:
         return msgspec.convert(_with_laws_named(msgspec.json.decode(text)), Rig)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise RigError(f"{source}: not a rig description: {error}; see rig/recording/README.md") from error
+
+
+def read_rig(path: Path) -> Rig:
+    """The rig in a file; raises RigError if it cannot be opened, is no rig, or lacks shapes where something stands."""
+    try:
+        text = path.read_bytes()
+    except (OSError, ValueError) as error:  # a ValueError where the name holds a null character
+        reason = getattr(error, "strerror", None) or error
+        raise RigError(f"{path}: cannot be opened ({reason}); check the name") from error
+    rig = from_json(text, str(path))
+    check_given(rig, str(path))
+    return rig

@@ -1,6 +1,6 @@
 """Which sensors a rig has of each quantity, and the band in which a recording shows them."""
 
-from rig.model.description import Rig, Sensor
+from rig.model.description import Rig, Sensor, Station
 from rig.model.quantities import QuantityName
 
 PASSBAND = 0.4
@@ -13,3 +13,13 @@ def sensors_of(rig: Rig, quantity: QuantityName) -> tuple[Sensor, ...]:
 
 def quantities_of(rig: Rig) -> tuple[QuantityName, ...]:
     return tuple(dict.fromkeys(s.quantity for s in rig.sensors))
+
+
+def named_sensor(station: Station, quantity: QuantityName, noise_density: float = 0.0) -> Sensor:
+    """A sensor named by body, position and quantity. The noise is the accelerometers' alone, m/s^2/sqrt(Hz)."""
+    return Sensor(
+        name=f"{station.body}_{round(station.position_m * 1000):04d}mm_{quantity}",
+        station=station,
+        quantity=quantity,
+        noise_density=noise_density if quantity == "acceleration" else 0.0,
+    )

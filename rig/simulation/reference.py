@@ -6,10 +6,11 @@ import msgspec
 
 from rig.errors import RigError
 from rig.model.beam import Beam
-from rig.model.contact_laws import DeadZone
-from rig.model.description import Contact, Rig, Sensor, Station
+from rig.model.contact_laws.dead_zone import equal_sides
+from rig.model.description import Contact, Rig, Station
 from rig.model.oscillator import Oscillator
 from rig.model.quantities import QUANTITIES, QuantityName
+from rig.model.sensing import named_sensor
 from rig.simulation.excitation import Excitation, excitation_of
 
 
@@ -37,7 +38,7 @@ class Sdof(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     def rig(self) -> Rig:
         mass = Station("mass")
         quantities = _quantities(self.sensors)
-        law = _equal_sides(self.clearance_m, self.stiffness_n_per_m, self.contact_damping_n_s_per_m)
+        law = equal_sides(self.clearance_m, self.stiffness_n_per_m, self.contact_damping_n_s_per_m)
         return Rig(
             name="sdof",
             bodies=(
@@ -50,7 +51,7 @@ class Sdof(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
             ),
             contacts=(Contact(name="stop", at=mass, against=None, law=law),),
             force_at=mass,
-            sensors=tuple(_sensor(mass, quantity, self.noise_density) for quantity in quantities),
+            sensors=tuple(named_sensor(mass, quantity, self.noise_density) for quantity in quantities),
             sample_rate_hz=self.sample_rate_hz,
         )
 
@@ -104,7 +105,7 @@ class BarrelCradle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
                 name=name,
                 at=Station("barrel", on_barrel),
                 against=Station("cradle", on_cradle),
-                law=_equal_sides(clearance, stiffness, self.contact_damping_n_s_per_m),
+                law=equal_sides(clearance, stiffness, self.contact_damping_n_s_per_m),
             )
             for name, on_barrel, on_cradle, clearance, stiffness in (
                 ("contact_1", 0.0, self.overlap_start_m, self.clearance_1_m, self.stiffness_1_n_per_m),
@@ -118,7 +119,7 @@ class BarrelCradle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
             contacts=contacts,
             force_at=Station("barrel", self.length_m),
             sensors=tuple(
-                _sensor(Station(beam, position), quantity, self.noise_density)
+                named_sensor(Station(beam, position), quantity, self.noise_density)
                 for quantity in quantities
                 for beam, positions in self._positions(reach)
                 for position in positions
@@ -176,22 +177,3 @@ def _quantities(sensors: str) -> list[QuantityName]:
     if unknown := sorted(set(names) - set(QUANTITIES)):
         raise RigError(f"sensors is {sensors!r}: no quantity {unknown[0]!r}; join any of {', '.join(QUANTITIES)} by +")
     return names
-
-
-def _equal_sides(clearance_m: float, stiffness_n_per_m: float, damping_n_s_per_m: float) -> DeadZone:
-    return DeadZone(
-        lower_clearance_m=clearance_m,
-        upper_clearance_m=clearance_m,
-        stiffness_n_per_m=stiffness_n_per_m,
-        damping_n_s_per_m=damping_n_s_per_m,
-    )
-
-
-def _sensor(station: Station, quantity: QuantityName, noise_density: float) -> Sensor:
-    """A sensor named by body, position and quantity; displacement sensors stand in for the paper's known motion."""
-    return Sensor(
-        name=f"{station.body}_{round(station.position_m * 1000):04d}mm_{quantity}",
-        station=station,
-        quantity=quantity,
-        noise_density=noise_density if quantity == "acceleration" else 0.0,
-    )

@@ -113,7 +113,7 @@ def stage(deflection: Deflection, sample_rate_hz: float, magnification: float | 
 
     There are 6000 frames, but at least 60 and at most 600 in a second.
     """
-    left = _left_ends(deflection.rig)
+    left = left_ends(deflection.rig)
     extent = max(left[b.name] + b.length_m for b in deflection.rig.bodies) - min(left.values()) or 1.0
     largest = float(np.abs(deflection.displacement_m).max(initial=0.0))
     if magnification is None:
@@ -124,7 +124,7 @@ def stage(deflection: Deflection, sample_rate_hz: float, magnification: float | 
     return Stage(deflection, left, extent, magnification, sample_rate_hz, frames)
 
 
-def _left_ends(rig: Rig) -> dict[str, float]:
+def left_ends(rig: Rig) -> dict[str, float]:
     """The first body begins at 0; the others lie so that the two stations of a contact have the same x."""
     left = {rig.bodies[0].name: 0.0}
     for _ in rig.bodies:

@@ -8,6 +8,7 @@ from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import h5py
 import numpy as np
 import pyuff
 from nptdms import ChannelObject, TdmsWriter
@@ -92,7 +93,13 @@ def _plainly(
         names = [f"column {k + 1}" for k in range(len(rows[0]))]
     except ValueError:
         names, rows = rows[0], rows[1:]
-    numbers = [[float(c.replace(decimal, ".")) for c in row] for row in rows[lines_after_names:] if any(row)]
+    rows = [row for row in rows[lines_after_names:] if any(row)]
+    while not any(row[-1] for row in rows):  # last columns may be empty, or have no name
+        rows = [row[:-1] for row in rows]
+    names = names[: len(rows[0])]
+    while not names[-1]:
+        names = names[:-1]
+    numbers = [[float(c.replace(decimal, ".")) for c in row[: len(names)]] for row in rows]
     return dict(zip(names, np.array(numbers).T, strict=True))
 
 
@@ -135,10 +142,17 @@ def uff(binary: int) -> bytes:
 
 
 @cache
-def mat(compressed: int) -> bytes:
+def mat(kind: int) -> bytes:
+    """Version 5, 7 (compressed) and 7.3 (HDF5)."""
     stream = BytesIO()
-    savemat(stream, table()[1] | {"note": "by hand"}, do_compression=bool(compressed))
-    return stream.getvalue()
+    if kind < 2:
+        savemat(stream, table()[1] | {"note": "by hand"}, do_compression=bool(kind))
+        return stream.getvalue()
+    with h5py.File(stream, "w", userblock_size=512) as file:
+        for name, row in table()[1].items():
+            file.create_dataset(name, data=row[:, None]).attrs["MATLAB_class"] = np.bytes_("double")
+    head = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
+    return head + stream.getvalue()[len(head) :]
 
 
 @cache
@@ -157,7 +171,7 @@ def uff_table(rng: np.random.Generator, folder: Path) -> str:
 
 
 def mat_table(rng: np.random.Generator, folder: Path) -> str:
-    return _judged_binary(rng, folder, "lab.mat", mat(int(rng.integers(2))), "{}", 0.0)
+    return _judged_binary(rng, folder, "lab.mat", mat(int(rng.integers(3))), "{}", 0.0)
 
 
 def tdms_table(rng: np.random.Generator, folder: Path) -> str:

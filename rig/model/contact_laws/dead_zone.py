@@ -93,3 +93,13 @@ def _secant(law: Any, depth: Any) -> Any:
     if law.exponent != 1.0:
         stiffness = stiffness * power(magnitude(depth) / law.reference_depth_m, law.exponent - 1.0)
     return stiffness
+
+
+def equal_sides(clearance_m: float, stiffness_n_per_m: float, damping_n_s_per_m: float = 0.0) -> DeadZone:
+    """The paper's contact: the same clearance to both sides."""
+    return DeadZone(
+        lower_clearance_m=clearance_m,
+        upper_clearance_m=clearance_m,
+        stiffness_n_per_m=stiffness_n_per_m,
+        damping_n_s_per_m=damping_n_s_per_m,
+    )

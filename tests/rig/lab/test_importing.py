@@ -159,12 +159,14 @@ def test_matlab(folder):
     check(imported(folder, told, "lab.mat"))
 
 
-def test_matlab_7_3_is_named(folder):
-    (folder / "lab.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + b"\x89HDF\r\n\x1a\n" * 20)
-    with pytest.raises(
-        RigError, match=r"lab\.mat: is a MATLAB file of version 7\.3; store it by save\(\.\.\., '-v7'\)"
-    ):
-        imported(folder, mapped(), "lab.mat")
+def test_matlab_structs(folder):
+    savemat(folder / "lab.mat", {"run": {"F": VALUES["force"], "data": {"x": VALUES[X], "a": VALUES[A]}, "t": TIME_S}})
+    told = mapped(
+        time={"column": "run.t"},
+        force={"column": "run.F", "unit": "kN"},
+        sensors={X: {"column": "run.data.x", "unit": "mm"}, A: {"column": "run.data.a", "unit": "g"}},
+    )
+    check(imported(folder, told, "lab.mat"))
 
 
 def test_matlab_4_is_read_too(folder):

@@ -1,19 +1,118 @@
 """The arrays of a MATLAB file."""
 
+import sys
+
+import h5py
 import numpy as np
 import pytest
 from scipy.io import savemat
 
+from rig.errors import RigError
+from rig.lab import matlab
 from rig.lab.matlab import arrays_of
+from rig.lab.tables import TextForm, columns_of
+
+RNG = np.random.default_rng(1)
+FORCE, ACC, FIRST, SECOND = (RNG.standard_normal(shape) for shape in ((7, 1), (7, 3), (7, 1), (7, 2)))
+NESTED = {
+    "fs": np.array([[512.0]]),
+    "run.F": FORCE,
+    "run.sensors.acc": ACC,
+    "runs(1).x": FIRST,
+    "runs(2).x": SECOND,
+    "cells{1}": FIRST,
+    "cells{3}": SECOND,
+}
+
+
+def write_5(path, compressed=False):
+    """As MATLAB's save -v7."""
+    runs, cells = np.empty((1, 2), dtype=[("x", object)]), np.empty((1, 3), dtype=object)
+    runs["x"][0] = FIRST, SECOND
+    cells[0] = FIRST, "by hand", SECOND
+    run = {"F": FORCE, "note": "by hand", "sensors": {"acc": ACC, "phase": ACC * 1j}}
+    savemat(path, {"fs": 512.0, "run": run, "runs": runs, "cells": cells}, do_compression=compressed)
+
+
+def write_73(path):
+    """As MATLAB's save -v7.3: transposed, in groups, with references for the elements of struct and cell arrays."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+
+        def put(place, values, kind="double"):
+            place = file.create_dataset(place, data=np.asarray(values).T)
+            place.attrs["MATLAB_class"] = np.bytes_(kind)
+            return place.ref
+
+        def put_references(place, references, kind=None):
+            dataset = file.create_dataset(place, (len(references), 1), dtype=h5py.ref_dtype)
+            dataset[:, 0] = references
+            if kind:
+                dataset.attrs["MATLAB_class"] = np.bytes_(kind)
+
+        put("fs", [[512.0]])
+        put("run/F", FORCE)
+        put("run/note", np.array([[98, 121]], dtype="u2"), "char")
+        put("run/sensors/acc", ACC)
+        put("run/sensors/phase", np.zeros((7, 3), dtype=[("real", "f8"), ("imag", "f8")]))
+        put("run/sensors/none", np.zeros((2, 1), dtype="u8"))
+        file["run/sensors/none"].attrs["MATLAB_empty"] = 1
+        put_references("runs/x", [put("#refs#/a", FIRST), put("#refs#/b", SECOND)])
+        text = put("#refs#/d", np.array([[98, 121]], dtype="u2"), "char")
+        put_references("cells", [put("#refs#/c", FIRST), text, put("#refs#/e", SECOND)], "cell")
+    head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
+    with path.open("rb+") as stream:
+        stream.write(head)
 
 
 @pytest.mark.parametrize("compressed", [False, True])
 def test_matlab_arrays_of_every_kind(tmp_path, compressed):
     kinds = ("i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8")
     arrays = {f"as_{kind}": np.arange(12.0).reshape(3, 4).astype(kind) for kind in kinds}
-    others = {"z": np.ones((2, 2)) * 1j, "text": "by hand", "cell": np.array([1, "a"], dtype=object)}
+    others = {"z": np.ones((2, 2)) * 1j, "text": "by hand", "empty": {}}
     savemat(tmp_path / "lab.mat", others | arrays, do_compression=compressed)
     found = dict(arrays_of(tmp_path / "lab.mat"))
     assert set(found) == set(arrays)
     for name, array in arrays.items():
         np.testing.assert_array_equal(found[name], array)
+
+
+@pytest.mark.parametrize("write", [write_5, lambda path: write_5(path, True), write_73], ids=["5", "7", "7.3"])
+def test_arrays_in_structs_and_cells_have_matlabs_names(tmp_path, write):
+    path = tmp_path / "lab.mat"
+    write(path)
+    found = dict(arrays_of(path))
+    assert set(found) == set(NESTED)
+    for name, array in NESTED.items():
+        np.testing.assert_array_equal(found[name], array)
+    columns = {c.name: c.values for c in columns_of(path, TextForm())}
+    np.testing.assert_array_equal(columns["run.sensors.acc[2]"], ACC[:, 1])
+    np.testing.assert_array_equal(columns["runs(1).x"], FIRST[:, 0])
+
+
+@pytest.mark.parametrize("write", [write_5, write_73])
+def test_a_cut_file_is_refused(tmp_path, write):
+    path = tmp_path / "lab.mat"
+    write(path)
+    content = path.read_bytes()
+    for size in np.linspace(130, len(content) - 200, 12, dtype=int):
+        path.write_bytes(content[:size])
+        with pytest.raises(RigError, match=r"lab\.mat: "):
+            columns_of(path, TextForm())
+
+
+def test_a_file_of_version_7_3_that_swells_is_refused(tmp_path, monkeypatch):
+    path = tmp_path / "lab.mat"
+    write_73(path)
+    with h5py.File(path, "a") as file:
+        file.create_dataset("zeros", (1_000_000, 1), dtype="f8", compression="gzip", chunks=True)
+    monkeypatch.setattr(matlab, "SMALL_BYTES", 10_000)
+    with pytest.raises(RigError, match=r"lab\.mat: its compressed data swells beyond measure"):
+        columns_of(path, TextForm())
+
+
+def test_without_h5py_version_7_3_is_named(tmp_path, monkeypatch):
+    path = tmp_path / "lab.mat"
+    write_73(path)
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(RigError, match=r"lab\.mat: is a MATLAB file of version 7\.3; install h5py .*\[hdf5\].*'-v7'"):
+        columns_of(path, TextForm())

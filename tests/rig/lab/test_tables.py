@@ -16,8 +16,46 @@ def test_what_is_not_of_its_format_is_refused(tmp_path, suffix):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("names", ["V1,V2,\n", ""])
-def test_a_comma_behind_every_line_is_no_column(tmp_path, names):
+def columns(tmp_path, content, **form):
     path = tmp_path / "lab.csv"
-    path.write_text(f"{names}0.5,1.0,\n0.25,2.0,\n")
-    assert [c.values.tolist() for c in columns_of(path, TextForm())] == [[0.5, 0.25], [1.0, 2.0]]
+    path.write_text(content)
+    return {c.name: c.values.tolist() for c in columns_of(path, TextForm(**form))}
+
+
+@pytest.mark.parametrize(
+    ("names", "rest"),
+    [
+        ("", ","),
+        ("V1,V2,", ","),
+        ("V1,V2", ","),
+        ("V1,V2,,", ",,"),
+        ("V1,V2,", ""),
+        ("V1,V2,note", ","),
+        ("V1,V2,note,", ", ,"),
+        ("V1,V2,", ",9"),
+        ("V1,V2, ,", ",9,8"),
+        ("V1,V2,", ",by hand"),
+    ],
+)
+def test_last_columns_without_a_name_or_without_values_are_left_out(tmp_path, names, rest):
+    content = "\n".join([*([names] if names else []), f"0.5,1.0{rest}", f"0.25,2.0{rest}", ""])
+    found = columns(tmp_path, content)
+    assert list(found) == (["V1", "V2"] if names else ["column 1", "column 2"])
+    assert list(found.values()) == [[0.5, 0.25], [1.0, 2.0]]
+    others = content.replace(",", ";").replace(".", ",")
+    assert list(columns(tmp_path, others, delimiter=";", decimal=",").values()) == [[0.5, 0.25], [1.0, 2.0]]
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("V1,V2\n1,2,3\n", "2 names for 3 columns"),
+        ("V1,V2,V3\n1,2\n", "3 names for 2 columns"),
+        ("V1,,V3\n1,,3\n", "could not convert string ''"),
+        ("V1,V2,V3\n1,2,\n1,2,3\n", "could not convert string ''"),
+        ("V1,V2\n,\n,\n", "2 names for 0 columns"),
+    ],
+)
+def test_other_columns_need_names_and_values(tmp_path, content, said):
+    with pytest.raises(RigError, match=said):
+        columns(tmp_path, content)

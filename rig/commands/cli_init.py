@@ -1,0 +1,119 @@
+"""The command `rig init`: a first rig.json and import map, from options or from questions."""
+
+import json
+import sys
+from collections.abc import Callable, Mapping
+from functools import partial
+from inspect import Parameter, Signature
+from pathlib import Path
+from typing import Annotated, Any, get_args, get_type_hints
+
+import msgspec
+import typer
+
+from rig.commands.command_line import Force, Json, refuse_existing, working
+from rig.lab.starting import KINDS, MAP_NAME, Start, write_start
+from rig.recording import RIG_NAME
+
+Kind = type[Start]
+Out = Annotated[Path, typer.Option(help=f"The folder for {RIG_NAME} and {MAP_NAME}; made if need be.")]
+_EXAMPLES = {
+    "mass": "--mass-kg 1 --frequency-hz 5 --clearance-m 1e-3 --stiffness-n-per-m 1e4 --sample-rate-hz 512 --out lab",
+    "beams": "--cradle-length-m 1.2 --barrel-length-m 1.5 --overlap-start-m 0.5 ... --out lab",
+    "structure": "--from-uff fin.uff --contacts-m 0.2 --force-m 0.5 --clearance-m 1e-4 ... --out lab",
+}
+init = typer.Typer(no_args_is_help=True)
+
+
+@init.callback()
+def _group() -> None:
+    """Write a first rig.json and an import map for a rig of your own. All numbers are in SI units.
+
+    Example: rig init mass --help
+    """
+
+
+def _command(name: str, kind: Kind) -> Callable[..., None]:
+    """The command of one kind of rig: an option for each of its fields, by the field's name."""
+    helps = _helps(kind)
+
+    def command(out: Path, force: bool, as_json: bool, **words: str | None) -> None:
+        for path in (out / RIG_NAME, out / MAP_NAME):
+            refuse_existing(path, force)
+        start = _started(kind, helps, {k: v for k, v in words.items() if v is not None})
+        with working(f"describing a rig of the kind {name}"):
+            rig, notes = start.described()
+        written = write_start(rig, out)
+        if as_json:
+            print(json.dumps({"rig": str(written[0]), "map": str(written[1]), "notes": notes}))
+            return
+        for note in notes:
+            print(note)
+        print(f"{', '.join(map(str, written))}: written; next: rig draw {written[0]}")
+
+    command.__doc__ = f"{kind.__doc__}\n\nExample: rig init {name} {_EXAMPLES[name]}"
+    options = [
+        Parameter(field.name, Parameter.KEYWORD_ONLY, default=None, annotation=_option(field, helps[field.name]))
+        for field in _in_order(kind)
+    ]
+    own = [
+        Parameter("out", Parameter.KEYWORD_ONLY, default=Path(), annotation=Out),
+        Parameter("force", Parameter.KEYWORD_ONLY, default=False, annotation=Force),
+        Parameter("as_json", Parameter.KEYWORD_ONLY, default=False, annotation=Json),
+    ]
+    command.__signature__ = Signature([*options, *own])  # type: ignore[attr-defined]
+    command.__annotations__ = {p.name: p.annotation for p in (*options, *own)}
+    return command
+
+
+def _in_order(kind: Kind) -> list[msgspec.structs.FieldInfo]:
+    """Its own fields first, what every rig has last."""
+    shared = [f.name for f in msgspec.structs.fields(Start)]
+    return sorted(msgspec.structs.fields(kind), key=lambda f: f.name in shared)
+
+
+def _helps(kind: Kind) -> dict[str, str]:
+    told = {}
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        told[name] = next(m.description or "" for m in get_args(hint)[1:] if isinstance(m, msgspec.Meta))
+    return told
+
+
+def _option(field: msgspec.structs.FieldInfo, text: str) -> Any:
+    default = field.default
+    if field.required:
+        text = f"{text} Needed."
+    elif default not in (None, ()):
+        shown = ",".join(default) if isinstance(default, tuple) else default
+        text = f"{text} Default: {shown}."
+    metavars = {"Path": "FILE", "tuple[float": "NUMBER,...", "tuple[int": "NUMBER,...", "float": "NUMBER", "": "TEXT"}
+    metavar = next(shown for part, shown in metavars.items() if part in str(field.type))
+    name = f"--{field.name.replace('_', '-')}"
+    return Annotated[str | None, typer.Option(name, help=text, metavar=metavar, show_default=False)]
+
+
+def _started(kind: Kind, helps: Mapping[str, str], words: Mapping[str, str]) -> Start:
+    """The numbers, of which those missing are asked for on a terminal."""
+    values = {name: _value(kind, name, text) for name, text in words.items()}
+    missing = [f.name for f in _in_order(kind) if f.required and f.name not in values]
+    if missing and not sys.stdin.isatty():
+        named = ", ".join(f"--{name.replace('_', '-')}" for name in missing)
+        raise typer.BadParameter(f"missing: {named}")
+    for name in missing:
+        asked = f"{name}: {helps[name].rstrip('.')}"
+        values[name] = typer.prompt(asked, value_proc=partial(_value, kind, name))
+    return kind(**values)
+
+
+def _value(kind: Kind, name: str, text: str) -> Any:
+    """A field's value from its text; of a list, with commas."""
+    hint = get_type_hints(kind)[name]
+    given = text.split(",") if "tuple" in str(hint) else text
+    try:
+        return msgspec.convert(given, hint, strict=False, dec_hook=lambda of, value: of(value))
+    except msgspec.ValidationError as error:
+        raise typer.BadParameter(f"{text!r} does not fit: {error}", param_hint=f"--{name.replace('_', '-')}") from error
+
+
+for _name, _kind in KINDS.items():
+    init.command(_name)(_command(_name, _kind))

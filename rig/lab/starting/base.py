@@ -1,0 +1,78 @@
+"""What every first rig needs beside its bodies."""
+
+from collections.abc import Sequence
+from itertools import product
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from rig.model.contact_laws.dead_zone import equal_sides
+from rig.model.description import Body, Contact, Rig, Station
+from rig.model.quantities import QuantityName
+from rig.model.sensing import named_sensor
+
+STATIONS = 6
+"""Of a body's sensors, the contacts among them: as many as the reference rig has."""
+
+
+class Start(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What every rig needs beside its bodies. Places are metres from a body's left end."""
+
+    clearance_m: Annotated[float, msgspec.Meta(description="Clearance on each side of a contact, m.")]
+    stiffness_n_per_m: Annotated[float, msgspec.Meta(description="Contact stiffness, N/m.")]
+    sample_rate_hz: Annotated[float, msgspec.Meta(description="Sampling rate of the records, Hz.")]
+    damping_n_s_per_m: Annotated[float, msgspec.Meta(description="Contact damping, N s/m.")] = 0.0
+    quantity: Annotated[
+        tuple[QuantityName, ...],
+        msgspec.Meta(description="What the sensors measure, with commas: acceleration, velocity, displacement."),
+    ] = ("acceleration",)
+    noise_density: Annotated[float, msgspec.Meta(description="Noise of the accelerometers, m/s^2/sqrt(Hz).")] = 0.0
+    name: Annotated[str, msgspec.Meta(description="Name of the rig.")] = "rig"
+
+    def rig(self) -> Rig:
+        """The rig that these numbers describe; raises RigError where they do not fit."""
+        return self.described()[0]
+
+    def described(self) -> tuple[Rig, tuple[str, ...]]:
+        """The rig, and sentences on where its numbers come from."""
+        raise NotImplementedError
+
+    def _rig(
+        self,
+        bodies: tuple[Body, ...],
+        meetings: Sequence[tuple[Station, Station | None]],
+        force_at: Station,
+        stations: Sequence[Station],
+    ) -> Rig:
+        law = equal_sides(self.clearance_m, self.stiffness_n_per_m, self.damping_n_s_per_m)
+        return Rig(
+            name=self.name,
+            bodies=bodies,
+            contacts=tuple(
+                Contact(name=f"contact_{k}", at=at, against=against, law=law)
+                for k, (at, against) in enumerate(meetings, start=1)
+            ),
+            force_at=force_at,
+            sensors=tuple(named_sensor(s, q, self.noise_density) for q, s in product(self.quantity, stations)),
+            sample_rate_hz=self.sample_rate_hz,
+        )
+
+
+def spread(
+    taken_m: Sequence[float],
+    length_m: float,
+    without: Sequence[float] = (),
+    among_m: Sequence[float] | None = None,
+    count: int = STATIONS,
+) -> tuple[float, ...]:
+    """The places taken and more, `count` in all, each as far as can be from those before it and from `without`.
+
+    More are chosen on a grid of a fortieth of the length, or among the places given.
+    """
+    chosen = sorted(set(taken_m))
+    offered = np.linspace(0, length_m, 41) if among_m is None else np.array(among_m)
+    while len(chosen) < min(count, len(offered)):
+        away = np.abs(offered[:, None] - np.array([*chosen, *without])).min(axis=1)
+        chosen.append(float(f"{offered[np.argmax(away)]:.9g}") if among_m is None else float(offered[np.argmax(away)]))
+    return tuple(sorted(chosen))

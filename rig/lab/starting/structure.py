@@ -1,0 +1,129 @@
+"""A first rig of a body that is known by its modes."""
+
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from rig.errors import RigError
+from rig.lab.modal import Axis, Choice, structure_from_uff
+from rig.lab.starting.base import Start, spread
+from rig.model.description import Rig, Station
+from rig.model.structure import Structure, structure_of
+
+NEAR = 1e-3
+"""A place so near to a given one of a modal basis, in lengths of the body, is that one."""
+
+
+class StructureRig(Start, frozen=True, kw_only=True):
+    """A body of any shape, given by its modal basis, that meets stops on the ground."""
+
+    contacts_m: Annotated[tuple[float, ...], msgspec.Meta(description="Places that meet the stops, m, with commas.")]
+    force_m: Annotated[float, msgspec.Meta(description="Place of the force, m.")]
+    from_uff: Annotated[
+        Path | None,
+        msgspec.Meta(description="UFF file of a modal analysis: mode shapes (dataset 55), or FRFs (dataset 58)."),
+    ] = None
+    body: Annotated[
+        Path | None, msgspec.Meta(description="JSON file of a structure, as it stands in rig.json; or --from-uff.")
+    ] = None
+    along: Annotated[
+        Axis | None,
+        msgspec.Meta(description="Axis of the UFF file along the body; otherwise the longest."),
+    ] = None
+    direction: Annotated[
+        Axis | None,
+        msgspec.Meta(description="Axis in which it vibrates; otherwise that of the largest shapes or of the FRFs."),
+    ] = None
+    nodes: Annotated[
+        tuple[int, ...], msgspec.Meta(description="Nodes of the UFF file that are taken; otherwise all.")
+    ] = ()
+    positions_m: Annotated[
+        tuple[float, ...],
+        msgspec.Meta(description="Their places, m, where the UFF file has no coordinates; in the order of the nodes."),
+    ] = ()
+    length_m: Annotated[
+        float | None, msgspec.Meta(description="Length of the body, m; otherwise up to the last node.")
+    ] = None
+    band_hz: Annotated[
+        tuple[float, ...], msgspec.Meta(description="LOW,HIGH: the band in which FRFs are fitted; otherwise all.")
+    ] = ()
+    mass_kg: Annotated[
+        float | None, msgspec.Meta(description="Of a free body whose analysis has no rigid-body modes: its mass, kg.")
+    ] = None
+    centre_m: Annotated[float | None, msgspec.Meta(description="With mass_kg: its centre of mass, m.")] = None
+    inertia_kg_m2: Annotated[
+        float | None, msgspec.Meta(description="With mass_kg: its moment of inertia about that centre, kg m^2.")
+    ] = None
+    stations_m: Annotated[
+        tuple[float, ...], msgspec.Meta(description="Sensors; otherwise 6, the contacts and the force among them.")
+    ] = ()
+
+    def described(self) -> tuple[Rig, tuple[str, ...]]:
+        body, notes = self.structure()
+        return self._rig_of(body), notes
+
+    def structure(self) -> tuple[Structure, tuple[str, ...]]:
+        """The body from its file, and what is to be said of it; raises RigError if it cannot be used."""
+        if (self.from_uff is None) == (self.body is None):
+            raise RigError("give the body of the structure by one file: --from-uff FILE, or --body FILE.json")
+        if self.from_uff is None:
+            return self._with_rigid_modes(self._from_json()), ()
+        told = (self.along, self.direction, self.nodes, self.positions_m, self.length_m, self.band_hz)
+        found, notes = structure_from_uff(self.from_uff, Choice(*told))
+        return self._with_rigid_modes(found), notes
+
+    def _rig_of(self, body: Structure) -> Rig:
+        contacts, stations = (
+            [_given(body, x, what) for x in places]
+            for what, places in (("contacts_m", self.contacts_m), ("stations_m", self.stations_m))
+        )
+        force_m = _given(body, self.force_m, "force_m")
+        places = stations or spread([*contacts, force_m], body.length_m, among_m=body.positions_m.tolist())
+        meetings = [(Station(body.name, x), None) for x in contacts]
+        return self._rig((body,), meetings, Station(body.name, force_m), [Station(body.name, x) for x in places])
+
+    def _from_json(self) -> Structure:
+        path = self.body or Path()
+        try:
+            return msgspec.json.decode(path.read_bytes(), type=Structure)
+        except OSError as error:
+            raise RigError(f"{path}: cannot be opened ({error.strerror or error}); check the name") from error
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+            raise RigError(f"{path}: is no structure ({error}); see rig/model/README.md") from error
+
+    def _with_rigid_modes(self, body: Structure) -> Structure:
+        """With translation, 1/sqrt(m), and rotation, (x - centre)/sqrt(J), as modes of 0 Hz before the others."""
+        told = (self.mass_kg, self.centre_m, self.inertia_kg_m2)
+        if told == (None, None, None):
+            return body
+        if self.mass_kg is None or self.centre_m is None or self.inertia_kg_m2 is None:
+            raise RigError("mass_kg, centre_m and inertia_kg_m2 belong together; give all three, or none")
+        if body.rigid_modes:
+            raise RigError(f"{body.name!r} has {body.rigid_modes} rigid-body modes already; leave mass_kg out")
+        if not (0 < self.mass_kg < np.inf and 0 < self.inertia_kg_m2 < np.inf):
+            raise RigError(
+                f"mass_kg is {self.mass_kg} and inertia_kg_m2 {self.inertia_kg_m2}; give finite values above zero"
+            )
+        places = body.positions_m
+        turning = (places - self.centre_m) / np.sqrt(self.inertia_kg_m2)
+        rigid = np.stack([np.full(len(places), 1 / np.sqrt(self.mass_kg)), turning], axis=1)
+        return structure_of(
+            body.name,
+            body.length_m,
+            np.append(np.zeros(2), body.natural_hz),
+            np.append(np.zeros(2), body.ratios),
+            places,
+            np.append(rigid, body.shapes(places, body.max_modes), axis=1),
+        )
+
+
+def _given(body: Structure, place_m: float, what: str) -> float:
+    """The place of the modal basis that is meant; raises RigError if there is none near."""
+    nearest = float(body.positions_m[np.argmin(np.abs(body.positions_m - place_m))])
+    if not abs(nearest - place_m) <= NEAR * body.length_m:
+        raise RigError(
+            f"{what} has {place_m} m, where {body.name!r} has no shapes; the nearest place that has is {nearest:g} m"
+        )
+    return nearest

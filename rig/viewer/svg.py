@@ -1,0 +1,97 @@
+"""The few shapes of a technical drawing as SVG elements; x to the right and y down, in pixels."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
+
+from rig.files import write_bytes
+
+INK, FAINT, STEEL, MOVING, FORCE, SENSOR = "#222", "#888", "#d4d9e0", "#2f6fb0", "#c23b22", "#2a7f4f"
+Point = tuple[float, float]
+
+
+@dataclass
+class Drawing:
+    """What has been drawn so far, and how far it reaches."""
+
+    elements: list[str] = field(default_factory=list)
+    corners: list[Point] = field(default_factory=list)
+
+    def line(self, *points: Point, colour: str = INK, width: float = 1.5, dashed: bool = False, fill: str = "") -> None:
+        """A polyline; closed where it is filled."""
+        self.corners += points
+        kind, dashes = ("polygon" if fill else "polyline"), ' stroke-dasharray="4 3"' if dashed else ""
+        path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+        style = f'fill="{fill or "none"}" stroke="{colour}" stroke-width="{width}"{dashes}'
+        self.elements.append(f'<{kind} points="{path}" {style}/>')
+
+    def text(
+        self, x: float, y: float, words: str, colour: str = INK, anchor: str = "start", turned: int = 0, size: int = 12
+    ) -> None:
+        reach = 0.6 * size * len(words)  # of a letter, about
+        left = {"start": 0.0, "middle": -reach / 2, "end": -reach}[anchor]
+        self.corners += [(x, y - reach), (x + reach, y)] if turned else [(x + left, y - size), (x + left + reach, y)]
+        turn = f' transform="rotate({turned} {x:.1f} {y:.1f})"' if turned else ""
+        place = f'x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" font-size="{size}"{turn}'
+        halo = 'paint-order="stroke" stroke="white" stroke-width="3"'
+        self.elements.append(f'<text {place} fill="{colour}" {halo}>{escape(words)}</text>')
+
+    def box(
+        self, left: float, top: float, right: float, bottom: float, fill: str = STEEL, dashed: bool = False
+    ) -> None:
+        self.line((left, top), (right, top), (right, bottom), (left, bottom), fill=fill, dashed=dashed)
+
+    def dot(self, x: float, y: float, colour: str, radius: float = 3.0) -> None:
+        self.corners.append((x, y))
+        self.elements.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius}" fill="{colour}"/>')
+
+    def arrow(self, tail: Point, tip: Point, colour: str = INK, width: float = 2.0) -> None:
+        """Upright or level."""
+        (x0, y0), (x, y) = tail, tip
+        size = 4 + 2 * width
+        along = ((x > x0) - (x < x0), (y > y0) - (y < y0))
+        back = (x - size * along[0], y - size * along[1])
+        across = (size / 2 * along[1], size / 2 * along[0])
+        self.line(tail, back, colour=colour, width=width)
+        wings = ((back[0] - across[0], back[1] - across[1]), (back[0] + across[0], back[1] + across[1]))
+        self.line(tip, *wings, colour=colour, width=1.0, fill=colour)
+
+    def ground(self, x: float, y: float, width: float = 36.0, upwards: bool = False) -> None:
+        """A level line with hatches on the far side."""
+        self.line((x - width / 2, y), (x + width / 2, y))
+        far = y - 8 if upwards else y + 8
+        for k in range(int(width // 9)):
+            at = x - width / 2 + 9 * (k + 1)
+            self.line((at, y), (at - 7, far), width=1.0, colour=FAINT)
+
+    def wall(self, x: float, y: float, half: float) -> None:
+        """An upright line with hatches to the left."""
+        self.line((x, y - half), (x, y + half), width=2.5)
+        for k in range(int(2 * half // 9)):
+            at = y - half + 9 * (k + 1)
+            self.line((x, at - 7), (x - 8, at), width=1.0, colour=FAINT)
+
+    def spring(self, x: float, top: float, bottom: float) -> None:
+        step = (bottom - top) / 8
+        turns: Sequence[Point] = [(x + (7 if k % 2 else -7), top + step * (k + 0.5)) for k in range(1, 7)]
+        self.line((x, top), (x, top + step), *turns, (x, bottom - step), (x, bottom))
+
+    def damper(self, x: float, top: float, bottom: float) -> None:
+        middle = (top + bottom) / 2
+        self.line((x, top), (x, middle))
+        self.line((x - 7, middle), (x + 7, middle), width=2.5)
+        self.line((x - 9, middle - 8), (x - 9, middle + 8), (x + 9, middle + 8), (x + 9, middle - 8))
+        self.line((x, middle + 8), (x, bottom))
+
+    def write(self, path: Path, margin: float = 20.0) -> None:
+        """The file, as large as what is drawn; raises RigError if it cannot be written."""
+        xs, ys = zip(*self.corners, strict=True)
+        left, top = min(xs) - margin, min(ys) - margin
+        width, height = max(xs) + margin - left, max(ys) + margin - top
+        head = (
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{left:.1f} {top:.1f} {width:.1f} {height:.1f}" '
+            f'width="{width:.0f}" height="{height:.0f}" font-family="sans-serif">'
+        )
+        back = f'<rect x="{left:.1f}" y="{top:.1f}" width="{width:.1f}" height="{height:.1f}" fill="white"/>'
+        write_bytes("\n".join([head, back, *self.elements, "</svg>", ""]).encode(), path)

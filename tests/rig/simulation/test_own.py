@@ -1,0 +1,45 @@
+"""The force on a rig of one's own."""
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from rig.errors import RigError
+from rig.model.contact_laws.dead_zone import equal_sides
+from rig.simulation.own import PLAYS, own_rig, plant_for, rattling_n
+from rig.simulation.reference import BarrelCradle, Sdof
+
+
+def test_white_noise_moves_a_mass_as_theory_says():
+    """A flat force over a band that holds the resonance: eta_rms^2 = S pi f0 / (4 zeta k^2), S = F_rms^2 / band."""
+    start = Sdof(damping_ratio=0.02)
+    (mass,) = start.rig().bodies
+    force_n = rattling_n(start.rig(), 0.0, 100.0)
+    eta_m = force_n * np.sqrt(np.pi * mass.frequency_hz / (4 * mass.damping_ratio * 100.0)) / mass.stiffness_n_per_m
+    assert eta_m == pytest.approx(PLAYS * start.clearance_m, rel=0.2)  # to one significant digit
+
+
+@pytest.mark.parametrize("start", [Sdof(), BarrelCradle()])
+def test_the_papers_forces_are_near(start):
+    assert 0.5 < rattling_n(start.rig(), start.low_hz, start.high_hz) / start.rms_n < 2
+
+
+def test_a_force_where_no_contact_has_a_clearance():
+    rig = Sdof().rig()
+    (contact,) = rig.contacts
+    assert rattling_n(replace(rig, contacts=(replace(contact, law=equal_sides(0.0, 1e4)),)), 0.5, 15.0) == 1.0
+    assert rattling_n(replace(rig, contacts=()), 0.5, 15.0) == 1.0
+
+
+def test_settings_follow_from_the_rig_unless_they_are_given():
+    rig = Sdof(sample_rate_hz=1000.0).rig()
+    own = own_rig(rig, {})
+    assert own.step_s == 1 / 17_000
+    assert own.force().high_hz == 25.0
+    given = own_rig(rig, {"rms_n": "2", "step_s": "1e-4", "high_hz": "40", "seed": "3", "duration_s": "5"})
+    assert (given.force().rms_n, given.force().high_hz, given.force().seed) == (2.0, 40.0, 3)
+    assert (given.step_s, given.duration_s) == (1e-4, 5.0)
+    assert plant_for(rig) == "ancf"
+    for wrong in ({"mass_kg": "2"}, {"rms_n": "much"}):
+        with pytest.raises(RigError, match=next(iter(wrong))):
+            own_rig(rig, wrong)

@@ -1,0 +1,113 @@
+"""The drawing of a rig: everything is named, and stands where it is."""
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from rig.errors import RigError
+from rig.model.description import (
+    BaseMotion,
+    Clamp,
+    PointDamper,
+    PointMass,
+    PointSpring,
+    StaticLoad,
+    Station,
+    Tone,
+    contact_stations,
+)
+from rig.simulation.reference import BarrelCradle, Sdof
+from rig.viewer.schematic import draw
+from rig.viewer.svg import MOVING, SENSOR
+from tests.rig.lab.starting.test_starting import structure_rig
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def drawn(rig, tmp_path):
+    draw(rig, tmp_path / "rig.svg")
+    return ET.parse(tmp_path / "rig.svg").getroot()
+
+
+def texts(root):
+    return [(one.text, float(one.get("x")), float(one.get("y"))) for one in root.iter(f"{SVG}text")]
+
+
+def corners(root, kind, colour):
+    shapes = (one for one in root.iter(SVG + kind) if one.get("stroke") == colour)
+    return [np.array([p.split(",") for p in one.get("points").split()], dtype=float) for one in shapes]
+
+
+def attached(body, low_m, high_m):
+    low, high = Station(body, low_m), Station(body, high_m)
+    return {
+        "masses": (PointMass(station=low, mass_kg=0.123),),
+        "springs": (PointSpring(station=high, stiffness_n_per_m=456.0, cubic_n_per_m3=7e8),),
+        "dampers": (PointDamper(station=low, damping_n_s_per_m=8.9),),
+        "loads": (StaticLoad(station=high, force_n=-3.21),),
+        "tones": (Tone(station=low, frequency_hz=54.3, cosine_n=1.0),),
+    }
+
+
+SAID = ("0.123 kg", "456 N/m", "7e+08 N/m\u00b3", "8.9 N s/m", "3.21 N", "tone 54.3 Hz")
+
+
+@pytest.mark.parametrize("kind", ["mass", "beams", "structure"])
+def test_everything_is_named_with_its_numbers(tmp_path, kind):
+    bodies = {"mass": Sdof().rig(), "beams": BarrelCradle().rig(), "structure": structure_rig(tmp_path).rig()}
+    rig = bodies[kind]
+    name, length_m = rig.force_at.body, rig.body(rig.force_at.body).length_m
+    base = BaseMotion(acceleration_rms_m_per_s2=0.11, low_hz=1.5, high_hz=29.0)
+    rig = replace(rig, name="<a> & b", base_motion=base, **attached(name, 0.2 * length_m, 0.8 * length_m))
+    if kind == "beams":
+        rig = replace(rig, clamps=(Clamp(body="cradle", rotational_n_m_per_rad=5432.0),))
+    words = [text for text, _, _ in texts(drawn(rig, tmp_path))]
+    wanted = ["<a> & b", "force F", "base motion 0.11 m/s\u00b2 rms, 1.5 to 29 Hz", *SAID]
+    wanted += [c.name for c in rig.contacts] + ["5432 N m/rad"] * len(rig.clamps)
+    wanted += [f"+{1e3 * c.law.upper_clearance_m:g} mm" for c in rig.contacts]
+    assert set(wanted) <= set(words)
+    assert all(any(text.startswith(f"{body.name}: ") for text in words) for body in rig.bodies)
+
+
+@pytest.mark.parametrize("kind", ["beams", "structure"])
+def test_along_the_bodies_it_is_to_scale(tmp_path, kind):
+    rig = BarrelCradle(overlap_start_m=0.4).rig() if kind == "beams" else structure_rig(tmp_path).rig()
+    root = drawn(rig, tmp_path)
+    scale = 800.0 / (1.4 if kind == "beams" else 0.5)
+    left = {"cradle": 0.0, "barrel": 0.4, "fin": 0.0}
+
+    def x_of(stations):
+        return sorted({round(scale * (left[s.body] + s.position_m), 1) for s in stations})
+
+    marks = corners(root, "polygon", SENSOR)
+    assert len(marks) == len({s.station for s in rig.sensors})
+    tips = sorted({float(mark[np.argmax(mark[:, 1]), 0]) for mark in marks})
+    np.testing.assert_allclose(tips, x_of(s.station for s in rig.sensors), atol=0.11)
+    (force,) = [x for text, x, _ in texts(root) if text == "force F"]
+    assert force - 10 == pytest.approx(x_of([rig.force_at])[0], abs=0.1)
+    if kind == "beams":
+        links = [line for line in corners(root, "polyline", MOVING) if len(line) == 4]
+        ends = sorted({float(x) for line in links for x in line[[0, -1], 0]})
+        np.testing.assert_allclose(ends, x_of(s for c in rig.contacts for s in contact_stations(c)), atol=0.11)
+
+
+@pytest.mark.parametrize("make", [lambda: Sdof().rig(), lambda: BarrelCradle().rig()])
+def test_nothing_lies_outside_the_picture(tmp_path, make):
+    root = drawn(make(), tmp_path)
+    left, top, width, height = map(float, root.get("viewBox").split())
+    for text, x, y in texts(root):
+        assert left < x < left + width, text
+        assert top < y < top + height, text
+
+
+def test_things_on_a_mass_stand_apart(tmp_path):
+    rig = replace(Sdof().rig(), **attached("mass", 0.0, 0.0))
+    places = [x for text, x, _ in texts(drawn(rig, tmp_path)) if text in ("stop", "force F", "x, a", *SAID)]
+    assert np.diff(np.unique(np.round(places))).min() > 50
+
+
+def test_a_folder_that_is_not_there_is_said(tmp_path):
+    with pytest.raises(RigError, match="cannot be written"):
+        draw(Sdof().rig(), tmp_path / "none" / "rig.svg")
