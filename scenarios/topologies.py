@@ -116,14 +116,20 @@ def frame(support_hz: float) -> Rig:
     return rig_of("frame", (body,), (stop("bumper", floors[3], floors[2], 1e-4, 1e6),), floors, floors[0])
 
 
-def one_mass(*clearances_m: float, one_sided: bool = False) -> Rig:
+def one_mass(
+    *clearances_m: float,
+    frequency_hz: float = 12.0,
+    damping_ratio: float = 0.02,
+    one_sided: bool = False,
+    quantity: str = "displacement",
+) -> Rig:
     """A mass between stops; of a one-sided stop the lower one is out of reach."""
-    body = Oscillator(name="mass", mass_kg=1.0, frequency_hz=12.0, damping_ratio=0.02)
+    body = Oscillator(name="mass", mass_kg=1.0, frequency_hz=frequency_hz, damping_ratio=damping_ratio)
     at = Station("mass")
     contacts = tuple(stop(f"stop_{k + 1}", at, None, c, 2e4) for k, c in enumerate(clearances_m))
     if one_sided:
         contacts = tuple(replace(c, law=replace(c.law, lower_clearance_m=1.0)) for c in contacts)
-    return rig_of("mass", (body,), contacts, [at], at, "displacement")
+    return rig_of("mass", (body,), contacts, [at], at, quantity)
 
 
 RIGS = {
@@ -139,6 +145,14 @@ RIGS = {
     "frame, free": Topology(frame(0.0), 60.0, "contact_clearance:factor=0.5"),
     "frame on soft supports": Topology(frame(3.0), 60.0, "contact_clearance:factor=0.5"),
     "mass with a stop on one side": Topology(one_mass(5e-4, one_sided=True), 6.0, "contact_stiffness:factor=1.5"),
+    "free mass with friction": Topology(
+        one_mass(1e-3, frequency_hz=0.0, damping_ratio=0.0, quantity="acceleration"), 6.0, "ground_friction:force_n=1"
+    ),
+    "overdamped mass": Topology(
+        one_mass(1e-3, frequency_hz=3.0, damping_ratio=3.0, quantity="acceleration"),
+        60.0,
+        "contact_clearance:factor=0.5",
+    ),
     "two stops on one mass": Topology(one_mass(5e-4, 8e-4), 6.0, "contact_stiffness:factor=1.5", told=False),
 }
 

@@ -96,6 +96,7 @@ def _observed(
     for j in range(len(rig.contacts)):
         displaced = separated.nuisances.eta_m[:, j]
         moving = np.any(displaced, axis=1)
+        drift = drift_of(rig, motion, j, noise, tolerances, samples)
         nuisance_m = oversampled(displaced[moving], separated.factor)[:, :samples]
         found.append(
             ContactRecord(
@@ -106,7 +107,12 @@ def _observed(
                 factor=separated.factor,
                 quiet_n=float(quiet_n[j]),
                 unmodelled=tolerances.unmodelled_contact,
-                drift=drift_of(rig, motion, j, noise, tolerances, float(separated.slow_n_per_m[j, j]), samples),
+                drift=drift
+                and replace(
+                    drift,
+                    spring_n_per_m=float(separated.slow_n_per_m[j, j]),
+                    damper_n_s_per_m=float(separated.slow_n_s_per_m[j, j]),
+                ),
                 nuisance_n=separated.nuisances.force_n[:, j],
                 moving=moving,
                 nuisance_m=nuisance_m,
@@ -122,7 +128,6 @@ def drift_of(
     contact: int,
     noise: Float[np.ndarray, " stations"],
     tolerances: Tolerances,
-    spring_n_per_m: float,
     samples: int,
 ) -> Drift | None:
     """What is known of the slow part of a contact's relative displacement; None where nothing of it is lost.
@@ -143,7 +148,7 @@ def drift_of(
     return Drift(
         acceleration_m_per_s2=(slow[0] - (slow[1] if len(slow) > 1 else 0.0))[:samples],
         noise_density=max(float(np.hypot.reduce(densities)), QUIETEST),
-        spring_n_per_m=spring_n_per_m,
+        spring_n_per_m=0.0,
     )
 
 

@@ -12,7 +12,7 @@ from identify.signals.spectra import decimated
 from identify.structure.modal import transformation
 from identify.structure.nuisance import BodyMotion, Change, Nuisance, Observed, changes_of
 from identify.structure.response import Response, across, times
-from identify.structure.slow_motion import responses_of, slow_stiffness
+from identify.structure.slow_motion import responses_of, slow_damping, slow_stiffness
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.modes import Modes, modes_of
@@ -42,13 +42,15 @@ class NuisanceSignals:
 class ContactForces:
     """Contact forces (N), low-passed and sampled at the record's rate over `factor`.
 
-    slow_n_per_m are the forces that slow relative displacements take, which accelerations do not tell.
+    slow_n_per_m are the forces that slow relative displacements take, which accelerations do not tell, slow_n_s_per_m
+    those of slow velocities.
     """
 
     force_n: Float[np.ndarray, "contacts fewer"]
     factor: int
     nuisances: NuisanceSignals
     slow_n_per_m: Float[np.ndarray, "contacts contacts"]
+    slow_n_s_per_m: Float[np.ndarray, "contacts contacts"]
 
     def after(self, fewer: int) -> "ContactForces":
         """Without the first samples, so many of the forces."""
@@ -137,11 +139,13 @@ def separated_forces(
     found = lines.in_time(_weighed(to_force, measured - scale * observed.by_force), kept)
     if rig.bodies[0].is_mass and len(rig.bodies) == len(rig.contacts) == 1:
         found = _on_mass(modes_of(rig, rig.bodies[0]), motion, factor)[:, :kept]
+    slow_n_per_m = slow_stiffness(rig, responses)
     return ContactForces(
         force_n=found,
         factor=factor,
         nuisances=NuisanceSignals(tuple(c.parameter for c in changes), forces, eta),
-        slow_n_per_m=slow_stiffness(rig, responses),
+        slow_n_per_m=slow_n_per_m,
+        slow_n_s_per_m=slow_damping(rig, responses, slow_n_per_m),
     )
 
 

@@ -105,8 +105,8 @@ def fit_joint(seen: ContactRecord) -> Joint:
     """Gauss-Newton on the low-passed residual, with a cubic spline b(t) for the drift, a spring to the ground, and
     nuisance parameters theta with a prior of one:
 
-        residual = force - theta' nuisance_n - spring b - low-pass[k dz(eta + b - theta' nuisance_m; lower, upper)
-                   + c (eta' + b') beyond the gap]
+        residual = force - theta' nuisance_n - spring b - damper b'
+                   - low-pass[k dz(eta + b - theta' nuisance_m; lower, upper) + c (eta' + b') beyond the gap]
 
     b'' is held to what the accelerometers saw of it, within their noise. Where nothing holds the zero of the relative
     displacement, lower = upper = half the total play. The start is a linear regression of eta on the force over the
@@ -170,7 +170,7 @@ class _State:
     by_law: Float[np.ndarray, "fewer 4"]
     by_pulls: Float[np.ndarray, "fewer nuisances"]
     by_eta: Float[np.ndarray, " fewer"]
-    at_force: csr_matrix
+    by_knots: csr_matrix
 
     @property
     def stiffness_n_per_m(self) -> float:
@@ -215,16 +215,18 @@ def _linearised(
     by_stiffness, by_damping = _by_stiffness_and_damping(law, eta, velocity)
     parts = np.stack([stiffness * below, -stiffness * above, by_stiffness, by_damping, stiffness * outside])
     *by_law, tangent = decimated(parts, seen.factor)[:, : seen.force_n.size]
-    by_eta = tangent + seen.spring_n_per_m
     fine = max(1, round(FINE_HZ / seen.sample_rate_hz))
     finer = oversampled(np.stack([eta, velocity]), fine)
     fitted = decimated(law_force_n(law, *finer), fine * seen.factor)[: seen.force_n.size]
     at_force = curve.value[:: seen.factor][: seen.force_n.size]
-    residual = seen.force_n - pulls @ seen.nuisance_n - fitted - seen.spring_n_per_m * (at_force @ knots)
+    held = seen.spring_n_per_m * at_force + seen.damper_n_s_per_m * curve.rate[:: seen.factor][: seen.force_n.size]
+    residual = seen.force_n - pulls @ seen.nuisance_n - fitted - held @ knots
     by_pulls = seen.nuisance_n.T.copy()
     moved = outside * (stiffness * seen.nuisance_m + damping * seen.nuisance_m_per_s)
     by_pulls[:, seen.moving] -= decimated(moved, seen.factor)[:, : seen.force_n.size].T
-    return _State(law, knots, pulls, residual, np.stack(by_law, axis=1), by_pulls, by_eta, at_force)
+    return _State(
+        law, knots, pulls, residual, np.stack(by_law, axis=1), by_pulls, tangent, diags(tangent) @ at_force + held
+    )
 
 
 def _fitted(
@@ -306,7 +308,7 @@ def _jacobian(state: _State, to_law: Float[np.ndarray, "4 free"]) -> tuple[csr_m
 
     The low-pass acts on the slope of the law; the drift is slow against it.
     """
-    return diags(state.by_eta) @ state.at_force, np.concatenate([state.by_pulls, state.by_law @ to_law], axis=1)
+    return state.by_knots, np.concatenate([state.by_pulls, state.by_law @ to_law], axis=1)
 
 
 def _normal(

@@ -74,6 +74,10 @@ class ContactRecord:
         return 0.0 if self.drift is None else self.drift.spring_n_per_m
 
     @property
+    def damper_n_s_per_m(self) -> float:
+        return 0.0 if self.drift is None else self.drift.damper_n_s_per_m
+
+    @property
     def sides_known(self) -> bool:
         return self.drift is None or self.drift.spring_n_per_m > 0
 

@@ -15,12 +15,14 @@ class Drift:
     """What the accelerometers say of the drift b(t).
 
     acceleration_m_per_s2 is b'' as measured, below the corner of the integration; noise_density (m/s^2/sqrt(Hz)) is
-    its one-sided noise. spring_n_per_m is a spring to the ground under the contact, which holds the zero.
+    its one-sided noise. spring_n_per_m is a spring to the ground under the contact, which holds the zero, and
+    damper_n_s_per_m a damper beside it.
     """
 
     acceleration_m_per_s2: Float[np.ndarray, " samples"]
     noise_density: float
     spring_n_per_m: float
+    damper_n_s_per_m: float = 0.0
 
     @property
     def unfollowed_m(self) -> float:

@@ -27,15 +27,15 @@ SLOPE = 1e-4
 class Dynamics:
     """Modes on the lines of a record; one object for the same modes, so that products of theirs are kept.
 
-    The springs of so many of the lowest act on the high-passed displacement alone.
+    The springs of those that are high_passed act on the high-passed displacement alone.
     """
 
     natural_hz: Float[np.ndarray, " modes"]
     damping_ratios: Float[np.ndarray, " modes"]
     omega: Float[np.ndarray, " lines"]
-    high_passed: int
+    high_passed: tuple[int, ...]
 
-    def with_high_passed(self, modes: int) -> "Dynamics":
+    def with_high_passed(self, modes: tuple[int, ...]) -> "Dynamics":
         return _dynamics(self.natural_hz.tobytes(), self.damping_ratios.tobytes(), self.omega.tobytes(), modes)
 
 
@@ -96,11 +96,13 @@ def response_of(rig: Rig, body: Body, omega: Float[np.ndarray, " lines"]) -> Res
     """Of a body with what the rig attaches to it."""
     modes, count = modes_of(rig, body), body.max_modes
     natural_hz, zeta = modes.frequencies_hz(count), modes.damping_ratios(count)
-    return Response(body, modes, count, _dynamics(natural_hz.tobytes(), zeta.tobytes(), omega.tobytes(), 0))
+    return Response(body, modes, count, _dynamics(natural_hz.tobytes(), zeta.tobytes(), omega.tobytes(), ()))
 
 
 @lru_cache(maxsize=16)
-def _dynamics(natural_hz: bytes, damping_ratios: bytes, omega_rad_per_s: bytes, high_passed: int) -> Dynamics:
+def _dynamics(
+    natural_hz: bytes, damping_ratios: bytes, omega_rad_per_s: bytes, high_passed: tuple[int, ...]
+) -> Dynamics:
     """Of the modes whose doubles are given."""
     hz, zeta, omega = (np.frombuffer(values) for values in (natural_hz, damping_ratios, omega_rad_per_s))
     return Dynamics(hz, zeta, omega, high_passed)
@@ -110,7 +112,7 @@ def _dynamics(natural_hz: bytes, damping_ratios: bytes, omega_rad_per_s: bytes, 
 def _accelerance(modes: Dynamics) -> Complex[np.ndarray, "modes lines"]:
     hz, zeta, omega = modes.natural_hz, modes.damping_ratios, modes.omega
     found = -(omega**2) * receptance(hz, zeta, omega / (2 * np.pi))
-    for mode in range(modes.high_passed):
+    for mode in modes.high_passed:
         natural = 2 * np.pi * hz[mode]
         held = natural**2 * integrated(omega, -2, CORNER_HZ)
         found[mode] = 1 / (1 + held + 2 * zeta[mode] * natural * integrated(omega, -1, CORNER_HZ))

@@ -67,9 +67,14 @@ class Scale:
         return self._body().mass_kg
 
     def stiffness_n_per_m(self) -> float:
-        """Of the body at its softest point: one over the sum of phi^2 / omega^2 of its elastic modes."""
+        """Of the body at its softest point: one over the sum of phi^2 / omega^2 of its elastic modes.
+
+        Of a free mass, which has none, that of the stiffest contact.
+        """
         shapes, omega = self._shapes()
         elastic = omega > 0
+        if not np.any(elastic):
+            return max((c.law.stiffness_n_per_m for c in self.rig.contacts), default=self._body().mass_kg)
         return float(1 / np.max((shapes[:, elastic] ** 2) @ (1 / omega[elastic] ** 2)))
 
     def length_m(self) -> float:

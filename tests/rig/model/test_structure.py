@@ -72,7 +72,7 @@ def test_a_basis_is_read_from_json_and_written_again():
         (b"[0,40.5]", b"[40.5,0]", "frequencies_hz do not ascend; sort the modes"),
         (b"40.5", b"-40.5", "a frequency is -40.5 Hz; give"),
         (b'"frequencies_hz":[0,40.5]', b'"frequencies_hz":[]', "frequencies_hz is empty; give"),
-        (b"0.02", b"1.5", "a damping ratio is 1.5; give"),
+        (b"0.02", b"-0.5", "a damping ratio is -0.5; give"),
         (b"[0.7,-0.8]", b"[0.7]", "there are 1 shape values at 0.2 m for 2 modes; give one each"),
         (b'"position_m":0.2', b'"position_m":0', "the positions of shapes do not ascend; sort them"),
         (b'"position_m":0.2', b'"position_m":0.6', "shapes are given at 0.6 m; give places from 0 to 0.5 m"),
