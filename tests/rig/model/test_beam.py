@@ -97,7 +97,6 @@ def test_static_deflection_is_the_sum_of_the_modes():
         {"youngs_modulus_pa": float("inf")},
         {"density_kg_per_m3": 0.0},
         {"damping_ratio": -0.1},
-        {"damping_ratio": -0.1},
     ],
 )
 def test_a_bad_value_is_named(changes):

@@ -21,7 +21,7 @@ def test_stiffness_and_damping_give_back_frequency_and_ratio(mass_kg, frequency_
     assert body.damping_ratios(1) == [damping_ratio]
 
 
-@pytest.mark.parametrize(("field", "value"), [("mass_kg", 0.0), ("frequency_hz", float("nan")), ("damping_ratio", -0.1)])
+@pytest.mark.parametrize(("field", "value"), [("mass_kg", 0.0), ("frequency_hz", np.nan), ("damping_ratio", -0.1)])
 def test_a_bad_value_is_named(field, value):
     good = {"name": "m", "mass_kg": 1.0, "frequency_hz": 5.0, "damping_ratio": 0.01}
     with pytest.raises(RigError, match=rf"'m': {field} is {value}; give"):
