@@ -114,6 +114,8 @@ def _observed(
                     damper_n_s_per_m=float(separated.slow_n_s_per_m[j, j]),
                 ),
                 nuisance_n=separated.nuisances.force_n[:, j],
+                noise_in_n=separated.nuisances.noise_in_n[:, j],
+                noise_in_m=separated.nuisances.noise_in_m[moving, j],
                 moving=moving,
                 nuisance_m=nuisance_m,
                 nuisance_m_per_s=np.gradient(nuisance_m, 1 / motion.sample_rate_hz, axis=1),

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Complex, Float
 from scipy.fft import next_fast_len
 from scipy.ndimage import uniform_filter1d
 
+from identify.signals.drift import KNOT_S
 from identify.signals.kinematics import CORNER_HZ, TAPER_S, Kinematics, taper
 from identify.signals.spectra import decimated
 from identify.structure.modal import transformation
@@ -27,15 +28,27 @@ LEAST = 1e-3
 
 @dataclass(frozen=True)
 class NuisanceSignals:
-    """What one standard deviation of each nuisance parameter adds to the forces and to the relative displacements."""
+    """What one standard deviation of each nuisance parameter adds to the forces and to the relative displacements.
+
+    They hold the sensors' noise, too: a share of that of the forces, and of the relative displacements (noise_in_n and
+    noise_in_m).
+    """
 
     parameters: tuple[Nuisance, ...]
     force_n: Float[np.ndarray, "nuisances contacts fewer"]
     eta_m: Float[np.ndarray, "nuisances contacts fewer"]
+    noise_in_n: Float[np.ndarray, "nuisances contacts"]
+    noise_in_m: Float[np.ndarray, "nuisances contacts"]
 
     def of_contact(self, contact: int) -> "NuisanceSignals":
         """Those of one alone."""
-        return replace(self, force_n=self.force_n[:, [contact]], eta_m=self.eta_m[:, [contact]])
+        return replace(
+            self,
+            force_n=self.force_n[:, [contact]],
+            eta_m=self.eta_m[:, [contact]],
+            noise_in_n=self.noise_in_n[:, [contact]],
+            noise_in_m=self.noise_in_m[:, [contact]],
+        )
 
 
 @dataclass(frozen=True)
@@ -126,6 +139,18 @@ def separated_forces(
     )
     changes = tuple(changes_of(observed))
     noises = (samples * noise**2)[:, None] * np.abs(scale) ** 2
+    phase = np.random.default_rng(0).uniform(0, 2 * np.pi, measured.shape)
+    least = 1e-12 * np.mean(np.abs(measured) ** 2)
+    drawn = np.sqrt(np.maximum(noises, least)) * np.exp(1j * phase) * (lines.omega > 2 * np.pi * 0.5 / KNOT_S)
+    by_noise = changes_of(
+        replace(
+            observed,
+            explained=drawn,
+            by_force=np.zeros_like(observed.by_force),
+            displaced=-drawn / scale / lines.omega**2,
+            bodies=tuple(_body_motion(rig, r, motion, drawn / scale) for r in responses),
+        )
+    )
     to_force = _least_squares(-drives[1:] * scale, _covariance(noises, measured, changes, lines))
     left_out_s = LEFT_OUT_S if any(b.length_m for b in rig.bodies) else TAPER_S
     kept = (samples - round(left_out_s * rate)) // factor
@@ -136,6 +161,12 @@ def separated_forces(
         forces[i] = lines.in_time(_weighed(to_force[:, change.sensors], change.delivered), kept)
         if change.displaced is not None and np.any(signs[:, change.sensors]):
             eta[i] = lines.in_time(times(signs[:, change.sensors], change.displaced), kept)
+    noise_n, noise_m = _weighed(to_force, drawn), times(signs, -drawn / scale / lines.omega**2)
+    noise_in_n, noise_in_m = np.zeros(count[:2]), np.zeros(count[:2])
+    for i, change in enumerate(by_noise):
+        noise_in_n[i] = _share(noise_n, _weighed(to_force[:, change.sensors], change.delivered))
+        if change.displaced is not None:
+            noise_in_m[i] = _share(noise_m, times(signs[:, change.sensors], change.displaced))
     found = lines.in_time(_weighed(to_force, measured - scale * observed.by_force), kept)
     if rig.bodies[0].is_mass and len(rig.bodies) == len(rig.contacts) == 1:
         found = _on_mass(modes_of(rig, rig.bodies[0]), motion, factor)[:, :kept]
@@ -143,7 +174,7 @@ def separated_forces(
     return ContactForces(
         force_n=found,
         factor=factor,
-        nuisances=NuisanceSignals(tuple(c.parameter for c in changes), forces, eta),
+        nuisances=NuisanceSignals(tuple(c.parameter for c in changes), forces, eta, noise_in_n, noise_in_m),
         slow_n_per_m=slow_n_per_m,
         slow_n_s_per_m=slow_damping(rig, responses, slow_n_per_m),
     )
@@ -194,6 +225,15 @@ def _least_squares(
     if not np.isfinite(condition) or condition > 1e12:
         raise RigError("the stations cannot tell the contact forces apart; measure more stations on both bodies")
     return np.ascontiguousarray(np.transpose(np.linalg.inv(normal) @ weighted.conj().transpose(0, 2, 1), (1, 2, 0)))
+
+
+def _share(
+    noise: Complex[np.ndarray, "contacts lines"], of_nuisance: Complex[np.ndarray, "contacts lines"]
+) -> Float[np.ndarray, " contacts"]:
+    """The multiple of the one that is nearest to the other."""
+    size = np.sum(np.abs(noise) ** 2, axis=1)
+    product = np.sum((noise.conj() * of_nuisance).real, axis=1)
+    return np.divide(product, size, out=np.zeros_like(size), where=size > 0)
 
 
 def _weighed(

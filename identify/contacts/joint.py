@@ -105,12 +105,14 @@ def fit_joint(seen: ContactRecord) -> Joint:
     """Gauss-Newton on the low-passed residual, with a cubic spline b(t) for the drift, a spring to the ground, and
     nuisance parameters theta with a prior of one:
 
-        residual = force - theta' nuisance_n - spring b - damper b'
-                   - low-pass[k dz(eta + b - theta' nuisance_m; lower, upper) + c (eta' + b') beyond the gap]
+        residual = (force - theta' nuisance_n
+                    - low-pass[k dz(eta + h b - theta' nuisance_m; lower, upper) + c (eta' + h b') beyond the gap]) / g
+                   - spring b - damper b',  g = 1 - theta' noise_in_n, h = 1 - theta' noise_in_m
 
     b'' is held to what the accelerometers saw of it, within their noise. Where nothing holds the zero of the relative
-    displacement, lower = upper = half the total play. The start is a linear regression of eta on the force over the
-    samples at which the contact is clearly closed.
+    displacement, lower = upper = half the total play. g and h keep gains from being fitted to the noise, which
+    shrinks as the signals do. The start is a linear regression of eta on the force over the samples at which the
+    contact is clearly closed.
 
     The covariance is a sandwich estimate over sixteenths of the record (residuals may be coloured), plus what an error
     of one in each row of the priors does; it holds whatever the residuals were weighed by.
@@ -148,6 +150,7 @@ def fit_joint(seen: ContactRecord) -> Joint:
         curve.curvature @ inverse[: curve.knots],
     )
     of_scatter, of_tolerances, of_drift = (to_law @ (x.T @ x) @ to_law.T for x in of_rows)
+    drift_m, drift_m_per_s = _drift(seen, curve, state.knots, state.pulls)
     return Joint(
         values=state.law,
         covariance=of_scatter + of_tolerances + of_drift,
@@ -155,8 +158,8 @@ def fit_joint(seen: ContactRecord) -> Joint:
         of_drift=of_drift,
         sides_known=seen.sides_known,
         touched=touched,
-        drift_m=curve.value @ state.knots - state.pulls[seen.moving] @ seen.nuisance_m,
-        drift_m_per_s=curve.rate @ state.knots - state.pulls[seen.moving] @ seen.nuisance_m_per_s,
+        drift_m=drift_m,
+        drift_m_per_s=drift_m_per_s,
         pulls=state.pulls,
     )
 
@@ -206,10 +209,8 @@ def _linearised(
     pulls: Float[np.ndarray, " nuisances"],
 ) -> _State:
     lower, upper, stiffness, damping = law
-    eta, velocity = seen.eta_m + curve.value @ knots, seen.velocity_m_per_s + curve.rate @ knots
-    if pulls.any():
-        eta = eta - pulls[seen.moving] @ seen.nuisance_m
-        velocity = velocity - pulls[seen.moving] @ seen.nuisance_m_per_s
+    drift, drift_rate = _drift(seen, curve, knots, pulls)
+    eta, velocity = seen.eta_m + drift, seen.velocity_m_per_s + drift_rate
     above, below = eta > upper, eta < -lower
     outside = (above | below).astype(float)
     by_stiffness, by_damping = _by_stiffness_and_damping(law, eta, velocity)
@@ -220,12 +221,34 @@ def _linearised(
     fitted = decimated(law_force_n(law, *finer), fine * seen.factor)[: seen.force_n.size]
     at_force = curve.value[:: seen.factor][: seen.force_n.size]
     held = seen.spring_n_per_m * at_force + seen.damper_n_s_per_m * curve.rate[:: seen.factor][: seen.force_n.size]
-    residual = seen.force_n - pulls @ seen.nuisance_n - fitted - held @ knots
-    by_pulls = seen.nuisance_n.T.copy()
+    kept, drift_kept = 1 - pulls @ seen.noise_in_n, 1 - pulls[seen.moving] @ seen.noise_in_m
+    fast = (seen.force_n - pulls @ seen.nuisance_n - fitted) / kept
+    by_drift = diags(tangent) @ at_force
+    by_pulls = seen.nuisance_n.T - fast[:, None] * seen.noise_in_n
     moved = outside * (stiffness * seen.nuisance_m + damping * seen.nuisance_m_per_s)
     by_pulls[:, seen.moving] -= decimated(moved, seen.factor)[:, : seen.force_n.size].T
+    by_pulls[:, seen.moving] -= np.outer(by_drift @ knots, seen.noise_in_m)
     return _State(
-        law, knots, pulls, residual, np.stack(by_law, axis=1), by_pulls, tangent, diags(tangent) @ at_force + held
+        law=law,
+        knots=knots,
+        pulls=pulls,
+        residual=fast - held @ knots,
+        by_law=np.stack(by_law, axis=1) / kept,
+        by_pulls=by_pulls / kept,
+        by_eta=tangent,
+        by_knots=drift_kept / kept * by_drift + held,
+    )
+
+
+def _drift(
+    seen: ContactRecord, curve: Spline, knots: Float[np.ndarray, " knots"], pulls: Float[np.ndarray, " nuisances"]
+) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
+    """What the knots and the nuisance parameters add to the relative displacement, and to its rate."""
+    moving = pulls[seen.moving]
+    kept = 1 - moving @ seen.noise_in_m
+    return (
+        np.asarray(kept * (curve.value @ knots) - moving @ seen.nuisance_m),
+        np.asarray(kept * (curve.rate @ knots) - moving @ seen.nuisance_m_per_s),
     )
 
 

@@ -152,7 +152,9 @@ def start_of(
         unmodelled=0.0,
         drift=None,
         nuisance_n=np.zeros((0, force.size)),
+        noise_in_n=np.zeros(0),
         moving=np.zeros(0, dtype=bool),
+        noise_in_m=np.zeros(0),
         nuisance_m=np.zeros((0, force.size)),
         nuisance_m_per_s=np.zeros((0, force.size)),
     )

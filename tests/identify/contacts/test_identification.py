@@ -10,10 +10,11 @@ import pytest
 
 import identify
 from identify.contacts import identify_contact
+from identify.contacts.estimates import find_contacts
 from rig.errors import RigError
 from rig.model.contact_laws import DeadZone
 from rig.model.description import PointMass, Station
-from rig.model.tolerances import EXACT
+from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import Recording, read, truth_path
 from rig.simulation.plants import modal
 from rig.simulation.record import record
@@ -152,6 +153,14 @@ def test_one_mass_with_unequal_stops_and_damping(tmp_path, use):
         (contact.damping_n_s_per_m, law.damping_n_s_per_m, 2e-2),
     ):
         assert found.value == pytest.approx(true, rel=share)
+
+
+def test_gains_are_not_fitted_to_the_noise(tmp_path):
+    """A common gain of force and sensor that is too small would make the noise, and so the residual, smaller."""
+    recording = short_mass(tmp_path, duration_s=240.0, sensors="acceleration", noise_density=2e-3)
+    (fit,) = find_contacts(recording, "acceleration", LABORATORY).estimates
+    assert np.abs(fit.pulls).max() < 1
+    assert abs(fit.values[0] - recording.rig.contacts[0].law.lower_clearance_m) < 2 * fit.errors[0]
 
 
 def test_a_contact_that_is_never_reached_is_not_answered(tmp_path):
