@@ -1,0 +1,207 @@
+"""What a channel's samples show by themselves, without any model of the rig."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from identify.checks.findings import Finding, named
+from identify.checks.spectra import quiet_samples
+
+STUCK = 1e-3
+"""A channel that stands at its largest or smallest value for a larger share of the record is clipped."""
+COARSE = 0.01
+"""Steps of a larger share of a channel's root mean square are too coarse."""
+HELD = 8
+"""So many equal samples in a row are held."""
+SPIKE = 25.0
+"""A sample that is off what its neighbours say by more than so many times the usual is a spike."""
+HUMS = 3.0
+"""Mains hum of more than so many times the neighbouring lines, and a hundredth of the channel, counts."""
+HUM_SHARE = 2e-3
+SLOW_HZ, SLOW = 0.25, 0.05
+OFFSET = 0.05
+MOVING = 0.3
+
+Row = Float[np.ndarray, " samples"]
+
+
+def dead(name: str, row: Row) -> Finding | None:
+    if np.ptp(row) > 1e-9 * max(abs(float(row[0])), 1e-300) and np.ptp(row) > 0:
+        return None
+    return Finding(
+        cause="dead",
+        channels=(name,),
+        evidence=f"{name} stands at {row[0]:.4g} throughout",
+        mend="check its cable and amplifier, or take it out of rig.json",
+    )
+
+
+def clipped(name: str, row: Row) -> Finding | None:
+    """It stands at its largest or smallest value, not only where it is coarse."""
+    for side, value in (("largest", row.max()), ("smallest", row.min())):
+        share = float(np.mean(row == value))
+        if share > STUCK and share * row.size >= 4 and abs(value - row.mean()) > 1.0 * row.std():
+            return Finding(
+                cause="clipped",
+                channels=(name,),
+                evidence=f"{name} stands at its {side} value, {value:.4g}, for {100 * share:.2g} % of the record",
+                mend="take a larger measuring range or a weaker excitation, and record again",
+            )
+    return None
+
+
+def quantised(name: str, row: Row) -> Finding | None:
+    """The most common difference between neighbouring levels is large."""
+    levels = np.unique(row[:: max(1, row.size // 20_000)])
+    if levels.size > 2000 or levels.size < 3:
+        return None
+    step, rms = float(np.median(np.diff(levels))), float(row.std())
+    if step < COARSE * rms:
+        return None
+    return Finding(
+        cause="quantised",
+        channels=(name,),
+        evidence=f"{name} moves in steps of {step:.3g}, {100 * step / rms:.2g} % of its root mean square",
+        mend="take a smaller measuring range or more bits, and record again",
+    )
+
+
+def held(name: str, row: Row) -> Finding | None:
+    """Runs of equal samples beside which the channel moves: lost samples that were filled."""
+    same = np.diff(row) == 0
+    edges = np.flatnonzero(np.diff(np.r_[0, same.astype(np.int8), 0]))
+    runs = edges[1::2] - edges[::2]
+    moves = float(np.mean(same)) < 0.5
+    extreme = np.array([row[k] in (row.max(), row.min()) for k in edges[::2]], dtype=bool)
+    extreme |= (edges[::2] == 0) | (row[edges[::2]] == 0)
+    long = runs[(runs >= HELD) & ~extreme]
+    if not (moves and long.size and np.mean(runs) > 0 and np.mean(same) < 0.3):
+        return None
+    first = int(edges[::2][(runs >= HELD) & ~extreme][0])
+    return Finding(
+        cause="held samples",
+        channels=(name,),
+        evidence=f"{name} repeats one value {int(long.max()) + 1} times in a row, in {long.size} places, first at sample "
+        f"{first}: samples were lost there",
+        mend="record again, or leave that part of the record out",
+    )
+
+
+def spikes(name: str, row: Row) -> Finding | None:
+    """Single samples that their neighbours do not explain, beside neighbours that fit."""
+    if row.size < 1000:
+        return None
+    off = np.abs(row[2:-2] - (4 * (row[1:-3] + row[3:-1]) - row[:-4] - row[4:]) / 6)
+    usual = np.maximum(_moving_mean(off, 201), 0.02 * off.mean())
+    found = np.flatnonzero(off > SPIKE * usual)
+    if not found.size:
+        return None
+    alone = [k for k in found if off[k] > 1.4 * max(off[max(k - 1, 0)], off[min(k + 1, off.size - 1)])]
+    if not alone:
+        return None
+    return Finding(
+        cause="spikes",
+        channels=(name,),
+        evidence=f"{name} jumps for single samples in {len(alone)} places, first at sample {alone[0] + 2}",
+        mend="check cables and connectors, and record again",
+    )
+
+
+def _moving_mean(values: Row, width: int) -> Row:
+    """Of both sides, without the middle."""
+    sums = np.cumsum(np.r_[0.0, values])
+    low = np.clip(np.arange(values.size) - width // 2, 0, values.size)
+    high = np.clip(np.arange(values.size) + width // 2 + 1, 0, values.size)
+    return np.asarray((sums[high] - sums[low] - values) / np.maximum(high - low - 1, 1))
+
+
+def mains(rate_hz: float, row: Row, force: Row) -> tuple[float, float] | None:
+    """Frequency and amplitude of a mains tone that stands out, in the quiet start if there is one; else None."""
+    quiet = quiet_samples(force, rate_hz)
+    part = row[:quiet] if quiet > 0.4 * rate_hz else row
+    own = part - part.mean()
+    size = np.abs(np.fft.rfft(own * np.hanning(own.size))) * 4 / own.size
+    hz = np.fft.rfftfreq(own.size, 1 / rate_hz)
+    width = hz[1]
+    for base in (50.0, 60.0):
+        near = np.abs(hz - base) <= max(0.15, 1.5 * width)
+        beside = (np.abs(hz - base) > max(0.6, 3 * width)) & (np.abs(hz - base) < max(3.0, 9 * width))
+        if not (near.any() and beside.any()):
+            continue
+        height, usual = float(size[near].max()), float(np.sqrt(np.mean(size[beside] ** 2)))
+        if height > 2 * HUMS * usual and height > HUM_SHARE * float(row.std()):
+            return float(hz[near][np.argmax(size[near])]), height
+    return None
+
+
+def hum(name: str, rate_hz: float, row: Row, force: Row) -> Finding | None:
+    found = mains(rate_hz, row, force)
+    if found is None:
+        return None
+    hz, height = found
+    return Finding(
+        cause="hum",
+        channels=(name,),
+        evidence=f"{name} holds a tone of {hz:.3g} Hz, {100 * height / float(row.std() * np.sqrt(2)):.2g} % of its size, "
+        "that the force does not make: mains hum",
+        mend="ground the cables at one end, keep them away from mains cables, and record again",
+    )
+
+
+def offset(name: str, row: Row) -> Finding | None:
+    """For quantities whose mean over a record is zero."""
+    mean, rms = float(row.mean()), float(row.std())
+    if abs(mean) < OFFSET * rms:
+        return None
+    return Finding(
+        cause="offset",
+        channels=(name,),
+        evidence=f"{name} has a constant part of {mean:.3g}, {100 * abs(mean) / rms:.2g} % of its root mean square",
+        mend="take the mean off, or couple it AC",
+    )
+
+
+def drift(name: str, rate_hz: float, row: Row) -> Finding | None:
+    """Slow motion that an acceleration of a moving rig cannot have."""
+    length = row.size
+    size = np.abs(np.fft.rfft((row - row.mean()) * np.hanning(length))) ** 2
+    slow = int(SLOW_HZ * length / rate_hz) + 1
+    share = float(np.sqrt(np.sum(size[1:slow]) / np.sum(size)))
+    if share < SLOW:
+        return None
+    return Finding(
+        cause="drift",
+        channels=(name,),
+        evidence=f"{name} drifts: {100 * share:.2g} % of its root mean square lies below {SLOW_HZ:g} Hz",
+        mend="let the amplifier warm up, keep it from temperature changes, or high-pass it",
+    )
+
+
+def not_at_rest(name: str, rate_hz: float, row: Row) -> Finding | None:
+    """It moves at the record's first samples."""
+    first = row[: max(8, round(0.02 * rate_hz))]
+    if np.sqrt(np.mean((first - row.mean()) ** 2)) < MOVING * row.std():
+        return None
+    return Finding(
+        cause="not at rest",
+        channels=(name,),
+        evidence=f"{name} moves already at the record's first samples",
+        mend="begin the record with a second at rest, before the force; of a cut record, the beginning is missing",
+    )
+
+
+def copies(names: list[str], rows: list[Row]) -> Iterator[Finding]:
+    """Channels that are the same, but for a factor."""
+    thin = [r[:: max(1, r.size // 8192)] for r in rows]
+    units = [(t - t.mean()) / n if (n := float(np.linalg.norm(t - t.mean()))) > 0 else np.zeros_like(t) for t in thin]
+    alike = np.abs(np.array(units) @ np.array(units).T)
+    for i, one in enumerate(names):
+        for k in range(i):
+            if alike[i, k] > 1 - 1e-9:
+                yield Finding(
+                    cause="copy",
+                    channels=(names[k], one),
+                    evidence=f"{named((names[k], one))} hold the same samples",
+                    mend="check the channel map: one of them was recorded or imported twice",
+                )
