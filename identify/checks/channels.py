@@ -1,12 +1,15 @@
 """Which channel does not fit the others, and in which way."""
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Complex, Float
 
-from identify.checks.findings import Cause, Finding
+from identify.checks.findings import Finding
+from identify.checks.prediction import LinearCheck, Predicted, by_forces, driven_by
 from identify.checks.spectra import Spectra
+from rig.model.description import Rig, Station
 
 FACTORS = {
     "g instead of m/s^2, or the reverse": 9.80665,
@@ -24,7 +27,8 @@ NEAR = 0.03
 FOLLOWS = 0.5
 """A channel with a lower coherence with what the others predict does not follow the motion."""
 LATEST_S = 0.1
-BANDS = 8
+BANDS, PLACES = 10, 41
+SAYS = "the linear model and all other channels"
 
 
 @dataclass(frozen=True)
@@ -71,111 +75,240 @@ def usual_factor(gain: float) -> str | None:
     return None
 
 
+@dataclass(frozen=True)
+class Explanation:
+    """A cause, and the share of a channel's power that it leaves unexplained."""
+
+    left: float
+    finding: Finding
+    allowance: float = 1.0
+    """A cause with more freedom has to leave so much less."""
+
+
 def channel_finding(
-    spectra: Spectra,
-    channel: int,
-    predicted: Complex[np.ndarray, "sensors lines"],
-    weight: Float[np.ndarray, " lines"],
+    rig: Rig, check: LinearCheck, channel: int, predicted: Predicted, over_time: Callable[[], Float[np.ndarray, " parts"] | None]
 ) -> Finding:
-    """The likeliest reason why a channel is not what all others predict; predicted is of every station."""
-    sensor, measured, omega = spectra.sensors[channel], spectra.acceleration[channel], spectra.omega
-    own = relation(omega, measured, predicted[channel], weight)
-    others = {
-        k: relation(omega, measured, predicted[k], weight, 0.0) for k in range(len(spectra.sensors)) if k != channel
-    }
-    turned = {n: relation(omega, measured * (1j * omega) ** -n, predicted[channel], weight, 0.0) for n in (-2, -1, 1, 2)}
-    place, there = max(others.items(), key=lambda one: one[1].coherence, default=(channel, own))
-    order, differs = max(turned.items(), key=lambda one: one[1].coherence)
-    missing = 1 - own.coherence
-    name = sensor.name
-    if there.coherence > 0.9 and 1 - there.coherence < 0.3 * missing and 0.8 < abs(there.gain) < 1.25:
-        other = spectra.sensors[place]
-        return Finding(
-            cause="station",
-            channels=(name,),
-            evidence=f"{name} shows the motion at {other.station.position_m:g} m of {other.station.body} "
-            f"({100 * there.coherence:.4g} % of its power), not that of its station",
-            mend=f"check its place, its cable and its column; it may be a copy of {other.name} or swapped with it",
-        )
-    if differs.coherence > 0.8 and 1 - differs.coherence < 0.3 * missing:
-        what = {1: "differentiated", 2: "differentiated twice", -1: "integrated", -2: "integrated twice"}[order]
-        return Finding(
-            cause="derivative",
-            channels=(name,),
-            evidence=f"{name} is the motion that the others predict, {what} ({100 * differs.coherence:.4g} % of it)",
-            mend="correct its quantity in rig.json and in the import map",
-        )
-    if own.coherence < FOLLOWS:
+    """The likeliest reason why a channel is not what all others predict.
+
+    over_time gives its delays in each part of the record, where they differ.
+    """
+    spectra, weight = check.spectra, 1 / check.scale[channel]
+    measured, omega, name = spectra.acceleration[channel], spectra.omega, spectra.sensors[channel].name
+    expected = predicted.acceleration[channel]
+    own = relation(omega, measured, expected, weight)
+    power = float(np.sum(np.abs(measured * weight) ** 2)) or 1.0
+
+    def left_by(explained: Complex[np.ndarray, " lines"]) -> float:
+        return float(np.sum(np.abs((measured - explained) * weight) ** 2)) / power
+
+    tried = [*_simple(name, own, omega, expected, left_by)]
+    tried += _elsewhere(rig, spectra, channel, predicted, weight, left_by)
+    tried += _differentiated(spectra, channel, expected, weight)
+    if (filtered := _filtered(name, omega, measured, expected, weight)) is not None:
+        tried.append(filtered)
+    best = min(tried, key=lambda one: one.left * one.allowance)
+    if best.left > 0.02 and (slipped := over_time()) is not None:
+        return _slipped(name, slipped)
+    if best.left > 1 - FOLLOWS:
         return Finding(
             cause="unrelated",
             channels=(name,),
             evidence=f"{name} follows {100 * max(own.coherence, 0):.2g} % of what all other channels predict there",
             mend="check its cable, its mounting and which column it was imported from, or take it out of rig.json",
         )
-    if missing > 0.05 and (fall := _filtered(spectra, channel, predicted[channel], weight)):
-        return Finding(cause="filtered", channels=(name,), evidence=f"{name} {fall}", mend="undo its filter")
-    return _simple(name, own, f"{name}", sensor.quantity)
+    return best.finding
 
 
-def _simple(name: str, own: Relation, subject: str, quantity: str) -> Finding:
-    """Sign, gain or delay."""
-    says = "the linear model and all other channels"
-    if own.gain < 0:
+def _simple(
+    name: str,
+    own: Relation,
+    omega: Float[np.ndarray, " lines"],
+    expected: Complex[np.ndarray, " lines"],
+    left_by: Callable[[Complex[np.ndarray, " lines"]], float],
+) -> Iterator[Explanation]:
+    """Sign, unit or gain; delay."""
+    late = np.exp(-1j * omega * own.delay_s)
+    turned = own.gain < 0 or abs(own.gain - 1) > 0.3
+    yield Explanation(left_by(own.gain * (late if turned else 1.0) * expected), channel_gain(name, own.gain))
+    if 0.7 < own.gain < 1.3:
+        yield Explanation(
+            left_by(late * expected),
+            Finding(
+                cause="delay",
+                channels=(name,),
+                evidence=f"{name} comes {1e3 * abs(own.delay_s):.3g} ms {'late' if own.delay_s > 0 else 'early'} "
+                f"against what {SAYS} predict",
+                mend=f"set delay_s = {own.delay_s:.3g} in rig.json, or synchronise its clock",
+            ),
+        )
+
+
+def channel_gain(name: str, gain: float) -> Finding:
+    """A sign, a unit or a calibration that is wrong: the channel delivers so many times what it should."""
+    if gain < 0 and 0.5 < -gain < 2:
         return Finding(
             cause="polarity",
             channels=(name,),
-            evidence=f"{subject} has the opposite sign of what {says} predict (gain {own.gain:.4g})",
+            evidence=f"{name} has the opposite sign of what {SAYS} predict (gain {gain:.4g})",
             mend="turn it with scale = -1 in the import map",
         )
-    units = usual_factor(own.gain)
-    if units or abs(own.gain - 1) > 0.3:
-        return Finding(
-            cause="units" if units else "gain",
-            channels=(name,),
-            evidence=f"{subject} delivers {own.gain:.4g} times what {says} predict",
-            mend=f"correct its unit or scale in the import map, it looks like {units}" if units else "correct its gain",
-        )
-    if abs(own.delay_s) > 1e-4:
-        return Finding(
-            cause="delay",
-            channels=(name,),
-            evidence=f"{subject} comes {1e3 * abs(own.delay_s):.3g} ms {'late' if own.delay_s > 0 else 'early'} "
-            f"against what {says} predict",
-            mend=f"set delay_s = {own.delay_s:.3g} in rig.json, or synchronise its clock",
-        )
+    units = usual_factor(gain)
     return Finding(
-        cause="gain",
+        cause="units" if units else "gain",
         channels=(name,),
-        evidence=f"{subject} delivers {own.gain:.4g} times what {says} predict",
-        mend=f"calibrate it again, or set gain = {own.gain:.4g}",
+        evidence=f"{name} delivers {gain:.4g} times what {SAYS} predict",
+        mend=f"correct its unit or scale in the import map, it looks like {units}"
+        if units
+        else f"calibrate it again, or set gain = {gain:.4g} in rig.json",
     )
 
 
-def _filtered(
+def _elsewhere(
+    rig: Rig,
     spectra: Spectra,
     channel: int,
-    predicted: Complex[np.ndarray, " lines"],
+    predicted: Predicted,
     weight: Float[np.ndarray, " lines"],
-) -> str | None:
-    """How a filter changes the channel over frequency, if one does: coherent in every band, with a gain that falls."""
-    parts = np.array_split(np.arange(spectra.omega.size), BANDS)
-    found = [
-        relation(spectra.omega[p], spectra.acceleration[channel][p], predicted[p], weight[p], 0.02) for p in parts
-    ]
-    if min(r.coherence for r in found) < 0.7:
+    left_by: Callable[[Complex[np.ndarray, " lines"]], float],
+) -> Iterator[Explanation]:
+    """It stands at another place of its body, or shows what another sensor should."""
+    sensor = spectra.sensors[channel]
+    for k, other in enumerate(spectra.sensors):
+        if k != channel and other.station != sensor.station:
+            there = relation(spectra.omega, spectra.acceleration[channel], predicted.acceleration[k], weight, 0.0)
+            if 0.8 < abs(there.gain) < 1.25:
+                yield Explanation(
+                    1 - there.coherence,
+                    Finding(
+                        cause="station",
+                        channels=(sensor.name, other.name),
+                        evidence=f"{sensor.name} shows the motion at {other.station.position_m:g} m of "
+                        f"{other.station.body} ({100 * there.coherence:.4g} % of its power), not that of its station",
+                        mend=f"check its place, its cable and its column; it may be a copy of {other.name}",
+                    ),
+                    2.0,
+                )
+    length = rig.body(sensor.station.body).length_m
+    if not length:
+        return
+    places = np.linspace(0, length, PLACES)
+    for _ in range(2):
+        stations = [Station(sensor.station.body, float(x)) for x in places]
+        left = [left_by(row) for row in by_forces(rig, predicted, spectra.omega, stations)]
+        best = int(np.argmin(left))
+        near = places[max(best - 1, 0)], places[min(best + 1, places.size - 1)]
+        at, places = float(places[best]), np.linspace(*near, PLACES)
+    if abs(at - sensor.station.position_m) > 2e-3:
+        yield Explanation(
+            min(left),
+            Finding(
+                cause="station",
+                channels=(sensor.name,),
+                of=sensor.station.body,
+                evidence=f"{sensor.name} moves as the place {at:.3f} m of {sensor.station.body} does, not as "
+                f"{sensor.station.position_m:g} m",
+                mend="measure its place and correct rig.json",
+            ),
+            1.5,
+        )
+
+
+def _differentiated(
+    spectra: Spectra, channel: int, expected: Complex[np.ndarray, " lines"], weight: Float[np.ndarray, " lines"]
+) -> Iterator[Explanation]:
+    name, omega = spectra.sensors[channel].name, spectra.omega
+    said = {1: "differentiated", 2: "differentiated twice", -1: "integrated", -2: "integrated twice"}
+    for order, what in said.items():
+        turned = relation(omega, spectra.acceleration[channel] * (1j * omega) ** -order, expected, weight, 0.0)
+        if not (0.5 < abs(turned.gain) < 2 or usual_factor(turned.gain)):
+            continue
+        yield Explanation(
+            1 - turned.coherence,
+            Finding(
+                cause="derivative",
+                channels=(name,),
+                evidence=f"{name} is the motion that the others predict, {what} ({100 * turned.coherence:.4g} % of it)",
+                mend="correct its quantity in rig.json and in the import map",
+            ),
+            3.0,
+        )
+
+
+def _filtered(
+    name: str,
+    omega: Float[np.ndarray, " lines"],
+    measured: Complex[np.ndarray, " lines"],
+    expected: Complex[np.ndarray, " lines"],
+    weight: Float[np.ndarray, " lines"],
+) -> Explanation | None:
+    """A gain and a phase that change over frequency: a constant of each in each of some bands, of growing width."""
+    gains, left, middle = bandwise(omega, measured, expected, weight)
+    size = np.abs(gains)
+    if not (size.max() > 1.03 * size.min() > 0):
         return None
-    gains = np.array([abs(r.gain) for r in found])
-    if gains.max() < 1.3 * gains.min():
-        return None
-    low, high = (spectra.omega[p[len(p) // 2]] / (2 * np.pi) for p in (parts[0], parts[-1]))
-    return f"passes {100 * gains[0]:.3g} % of the predicted motion at {low:.3g} Hz and {100 * gains[-1]:.3g} % at {high:.3g} Hz"
+    low, high = middle[0] / (2 * np.pi), middle[-1] / (2 * np.pi)
+    return Explanation(
+        left,
+        Finding(
+            cause="filtered",
+            channels=(name,),
+            evidence=f"{name} passes {100 * size[0]:.3g} % of the predicted motion at {low:.3g} Hz and "
+            f"{100 * size[-1]:.3g} % at {high:.3g} Hz",
+            mend="undo its filter or its coupling, or record without",
+        ),
+        4.0,
+    )
+
+
+def bandwise(
+    omega: Float[np.ndarray, " lines"],
+    measured: Complex[np.ndarray, " lines"],
+    expected: Complex[np.ndarray, " lines"],
+    weight: Float[np.ndarray, " lines"],
+) -> tuple[Complex[np.ndarray, " bands"], float, Float[np.ndarray, " bands"]]:
+    """The complex gain in each band, what share of the power they leave, and the bands' middles."""
+    edges = np.searchsorted(omega, np.geomspace(omega[0], omega[-1], BANDS + 1)[1:-1])
+    bands = [p for p in np.split(np.arange(omega.size), edges) if p.size > 5]
+    gains, left = [], 0.0
+    for p in bands:
+        of, by = measured[p] * weight[p], expected[p] * weight[p]
+        gain = np.vdot(by, of) / max(float(np.vdot(by, by).real), 1e-300)
+        gains.append(gain)
+        left += float(np.sum(np.abs(of - gain * by) ** 2))
+    whole = float(np.sum(np.abs(measured * weight) ** 2)) or 1.0
+    return np.array(gains), left / whole, np.array([omega[p[p.size // 2]] for p in bands])
+
+
+def _slipped(name: str, delays: Float[np.ndarray, " parts"]) -> Finding:
+    more = float(delays[-1] - delays[0])
+    return Finding(
+        cause="slipped samples",
+        channels=(name,),
+        evidence=f"{name} is {1e3 * abs(more):.3g} ms {'later' if more > 0 else 'earlier'} against the others at the "
+        "record's end than at its begin",
+        mend="it lost or doubled samples, or has a clock of its own: synchronise it and record again",
+    )
 
 
 def force_finding(
     spectra: Spectra, implied: Complex[np.ndarray, " lines"], weight: Float[np.ndarray, " lines"]
 ) -> Finding:
     """What is wrong with the measured force, by the force that all sensors imply."""
-    own = relation(spectra.omega, spectra.force, implied, weight)
+    driven = driven_by(spectra)
+    omega, measured, implied, weight = (x[driven] for x in (spectra.omega, spectra.force, implied, weight))
+    own = relation(omega, measured, implied, weight)
+    gains, left, middle = bandwise(omega, measured, implied, weight)
+    size = np.abs(gains)
+    if left < 0.3 and 1 - own.coherence > 4 * left and size.max() > 1.2 * size.min():
+        falls = size[-1] < size[0]
+        return Finding(
+            cause="filtered",
+            channels=("force",),
+            evidence=f"the force is {size[0]:.3g} times what all sensors imply at {middle[0] / (2 * np.pi):.3g} Hz and "
+            f"{size[-1]:.3g} times at {middle[-1] / (2 * np.pi):.3g} Hz: {'it' if falls else 'all sensors'} went through "
+            "a low-pass",
+            mend="undo the filter, or put the force and the sensors through the same",
+        )
     if own.coherence < FOLLOWS:
         return Finding(
             cause="force",

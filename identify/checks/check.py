@@ -1,54 +1,84 @@
 """All checks of a recording, in the order in which one hides the other."""
 
-from collections.abc import Callable
-from functools import partial
+from functools import cache
+
+import numpy as np
 
 from identify.checks import waveforms
-from identify.checks.findings import Finding
+from identify.checks.findings import Finding, merged
 from identify.checks.gross import gross
+from identify.checks.masses import mass_findings
 from identify.checks.prediction import linear_check
 from identify.checks.pulls import broken, broken_finding
-from identify.checks.spectra import spectra_of
-from identify.signals.kinematics import Use
+from identify.checks.spectra import Spectra, spectra_of
+from identify.signals.kinematics import Use, kinematics
 from rig.errors import RigError
-from rig.model.description import Rig
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 
-SPOILS = ("dead", "copy", "clipped", "held samples", "spikes")
+HIDE = ("dead", "clipped", "quantised", "held samples", "spikes", "hum", "noise", "drift", "offset", "not at rest")
+"""Of a channel's waveform only the first of these is told."""
+SPOILS = ("dead", "copy", "clipped", "held samples", "spikes", "quantised", "offset", "drift")
 """A channel with such a fault is left out of what follows."""
+MOST_REST = 0.5
+"""A record begins in motion if more than this share of its channels do."""
 
 
 def check_recording(
     recording: Recording, use: Use = "auto", tolerances: Tolerances | None = None
 ) -> tuple[Finding, ...]:
-    """What of the channels, the clock or rig.json cannot be right; empty of a sound recording."""
+    """What of the channels, the clock or rig.json cannot be right; empty of a sound recording.
+
+    First each channel's samples by themselves, then all channels against the linear model of rig.json.
+    """
+    believed = tolerances or recording.rig.tolerances or LABORATORY
+    found = _waveforms(recording, use)
+    spoilt = {c for f in found if f.cause in SPOILS for c in _left_out(f)}
+    whole = any(f.cause in ("jump", "not at rest") for f in found)
+    if "force" not in spoilt and not whole:
+        found += _against_model(recording, use, believed, spoilt)
+    told = {c for f in found if f.cause not in HIDE for c in f.channels if len(f.channels) == 1}
+    found = [f for f in found if f.cause not in ("noise", "drift", "offset") or not set(f.channels) <= told]
+    return merged(found, recording.rig)
+
+
+def _left_out(found: Finding) -> tuple[str, ...]:
+    """Of two channels that are the same one may be right, but for the force."""
+    return found.channels[1:] if found.cause == "copy" and "force" not in found.channels else found.channels
+
+
+def _against_model(recording: Recording, use: Use, believed: Tolerances, spoilt: set[str]) -> list[Finding]:
     rig = recording.rig
-    believed = tolerances or rig.tolerances or LABORATORY
-    found = list(_waveforms(recording, use))
-    if any("force" in f.channels and f.cause in SPOILS for f in found):
-        return tuple(found)
-    spoilt = {c for f in found if f.cause in SPOILS for c in (f.channels[1:] if f.cause == "copy" else f.channels)}
     sensors = tuple(s for s in rig.sensors if s.measures.translates and use in ("auto", s.quantity))
+
+    @cache
+    def fine() -> Spectra:
+        return spectra_of(recording, sensors, None)
+
     try:
         spectra = spectra_of(recording, sensors)
     except RigError:
-        return tuple(found)
+        return []
     usable = [i for i, s in enumerate(sensors) if s.name not in spoilt]
-    coarse = gross(rig, spectra, usable)
-    found += coarse.findings
+    if len(usable) <= len(rig.contacts) + 1:
+        if len(usable) == len(sensors) and all(b.is_mass for b in rig.bodies):
+            return mass_findings(rig, kinematics(recording, use), believed)
+        return []
+    coarse = gross(rig, spectra, usable, fine)
+    found = list(coarse.findings)
     if coarse.sound and len(coarse.kept) > len(rig.contacts) + 1:
-        check = linear_check(rig, spectra_of(recording, sensors, None), coarse.kept)
-        off, _ = broken(rig, check, coarse.kept, believed)
-        found += [broken_finding(b) for b in off]
-    return tuple(found)
+        off, _ = broken(rig, linear_check(rig, fine(), coarse.kept), coarse.kept, believed)
+        instead = gross(rig, spectra, coarse.kept, fine, doubted=True) if off and not found else None
+        found += instead.findings if instead and instead.findings else [broken_finding(b) for b in off]
+    return found
 
 
 def _waveforms(recording: Recording, use: Use) -> list[Finding]:
+    """Of every channel the first fault that its samples show; then what several channels show together."""
     rig, rate, force = recording.rig, recording.rig.sample_rate_hz, recording.force_n
-    measured = {s.name: s for s in rig.sensors if use in ("auto", s.quantity)}
+    measured = {s.name for s in rig.sensors if use in ("auto", s.quantity)}
     found: list[Finding] = []
-    names, rows = [], []
+    names, rows, offs, moving = [], [], [], []
     for group, signals in recording.signals.items():
         for name, row in zip(signals.channels.names, signals.values, strict=True):
             if group != "force" and name not in measured:
@@ -56,26 +86,29 @@ def _waveforms(recording: Recording, use: Use) -> list[Finding]:
             if (one := waveforms.dead(name, row)) is not None:
                 found.append(one)
                 continue
+            off = waveforms.off_neighbours(row)
             names.append(name)
             rows.append(row)
-            checks: list[Callable[..., Finding | None]] = [
-                waveforms.clipped,
-                waveforms.quantised,
-                waveforms.held,
-                waveforms.spikes,
+            offs.append(off)
+            checks = [
+                waveforms.clipped(name, row),
+                waveforms.quantised(name, row),
+                waveforms.held(name, row, force),
             ]
+            if group != "force":
+                checks += [waveforms.hum(name, rate, row, force), waveforms.noise(name, rate, row, force)]
             if group == "acceleration":
-                checks += [
-                    partial(_with_rate, waveforms.drift, rate),
-                    waveforms.offset,
-                    partial(_with_rate, waveforms.not_at_rest, rate),
-                ]
-            found += [f for check in checks if (f := check(name, row)) is not None]
-            if group != "force" and (tone := waveforms.hum(name, rate, row, force)) is not None:
-                found.append(tone)
-    found += waveforms.copies(names, rows)
-    return found
-
-
-def _with_rate(check: Callable[..., Finding | None], rate_hz: float, name: str, row: object) -> Finding | None:
-    return check(name, rate_hz, row)
+                checks += [waveforms.drift(name, rate, row), waveforms.offset(name, row)]
+                moving.append(waveforms.not_at_rest(name, rate, row))
+            found += [f for f in checks if f is not None][:1]
+    told = {c for f in found for c in f.channels}
+    for i, name in enumerate(names):
+        others = [o for n, o in zip(names, offs, strict=True) if n not in (name, "force")]
+        spiked = waveforms.spikes(name, offs[i], others if name != "force" else offs[1:])
+        if spiked is not None and name not in told:
+            found.append(spiked)
+    if moving and np.mean([f is not None for f in moving]) > MOST_REST:
+        found = [f for f in moving if f is not None]
+    elif (jump := waveforms.jumps(names, offs, rate)) is not None:
+        found = [*(f for f in found if f.cause != "spikes"), jump]
+    return [*found, *waveforms.copies(names, rows)]

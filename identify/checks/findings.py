@@ -1,8 +1,11 @@
 """What a check says: one sentence with the channel, the evidence and the likeliest mend."""
 
+from collections.abc import Sequence
 from typing import Literal
 
 import msgspec
+
+from rig.model.description import Rig
 
 Cause = Literal[
     "dead",
@@ -11,6 +14,8 @@ Cause = Literal[
     "quantised",
     "held samples",
     "spikes",
+    "jump",
+    "noise",
     "hum",
     "offset",
     "drift",
@@ -26,6 +31,8 @@ Cause = Literal[
     "derivative",
     "unrelated",
     "force",
+    "force place",
+    "contact place",
     "clock",
     "mass",
     "frequency",
@@ -59,3 +66,20 @@ def named(channels: tuple[str, ...], most: int = 3) -> str:
     if len(channels) <= most:
         return " and ".join(channels)
     return f"{channels[0]}, {channels[1]} and {len(channels) - 2} more"
+
+
+def merged(findings: Sequence[Finding], rig: Rig) -> tuple[Finding, ...]:
+    """Findings of one cause on three channels or more become one."""
+    found: list[Finding] = []
+    for cause in dict.fromkeys(f.cause for f in findings):
+        own = [f for f in findings if f.cause == cause]
+        names = tuple(dict.fromkeys(n for f in own for n in f.channels))
+        if len(own) < 3:
+            found += own
+            continue
+        bodies = {s.station.body for s in rig.sensors if s.name in names}
+        body = bodies.pop() if len(bodies) == 1 else ""
+        first = own[0]
+        evidence = f"{len(names)} channels{f' of {body}' if body else ''} have the same fault; {first.evidence}"
+        found.append(Finding(cause=cause, channels=names, of=body, evidence=evidence, mend=first.mend))
+    return tuple(found)

@@ -1,26 +1,31 @@
 """Gross faults of channels, force or rig.json: the one change after which the linear model fits the record."""
 
-import dataclasses
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from msgspec.structs import replace
-from scipy.optimize import minimize_scalar
+from jaxtyping import Float
 
-from identify.checks.channels import channel_finding, force_finding, usual_factor
-from identify.checks.findings import Finding, named
-from identify.checks.prediction import LinearCheck, linear_check
+from identify.checks.channels import channel_finding, channel_gain, force_finding, relation
+from identify.checks.findings import Finding, merged
+from identify.checks.prediction import LinearCheck, Predicted, linear_check
+from identify.checks.rigs import rig_trials
 from identify.checks.spectra import Spectra
-from rig.model.beam import Beam
-from rig.model.description import Body, Rig, Station
+from identify.checks.trial import Trial
+from rig.model.description import Rig
 
 SOUND = 0.3
 """A larger misfit is no matter of tolerances."""
 CURED = 0.5
 """A change that leaves more of the misfit than this share, and no sound fit, explains nothing."""
-FACTOR = 3.0
+MUCH = 0.6
+GAIN = 0.1
+"""Of all gains that are fitted at once, those are named that are off by more."""
+LATE_S = 3e-4
+LEFT_OUT = 1.5
+"""What frees a channel has to leave so much less."""
+PARTS = 4
 
 
 @dataclass(frozen=True)
@@ -32,227 +37,147 @@ class Gross:
     sound: bool
 
 
-def gross(rig: Rig, spectra: Spectra, usable: list[int]) -> Gross:
-    """Single channels first, then the force, pairs of channels, bodies and rig.json: what leaves the least misfit."""
+def gross(
+    rig: Rig, spectra: Spectra, usable: list[int], fine: Callable[[], Spectra], doubted: bool = False
+) -> Gross:
+    """The change that leaves the least misfit: of a channel, the force, two channels that are swapped, all gains,
+    rig.json; or several channels left out. `fine` gives the spectra on all lines.
+
+    Of a record that fits well, but is doubted, only a change that fits much better is told.
+    """
     check = linear_check(rig, spectra, usable)
-    if len(usable) <= check.contacts:
-        return Gross((), usable, True)
     misfit = check.predicted(usable).misfit
-    if misfit < SOUND:
+    force = _force(check, usable)
+    wrong = [f for f in (force.findings() if force else ()) if f.cause in ("force", "filtered")]
+    if misfit < SOUND and (wrong or not doubted):
+        return Gross(tuple(wrong), usable, not wrong)
+    trials = [
+        *([force] if force else []),
+        *_channels(rig, spectra, usable, fine),
+        *_swaps(rig, spectra, usable),
+        *_gains(rig, spectra, usable),
+        *rig_trials(rig, spectra, usable),
+    ]
+    best = min(trials, key=lambda t: t.misfit * t.allowance)
+    if misfit < SOUND and best.misfit * best.allowance > MUCH * misfit:
         return Gross((), usable, True)
-    trials = [*_channels(rig, spectra, usable), *_force(check, usable), *_swaps(rig, spectra, usable)]
-    if min((t.misfit for t in trials), default=np.inf) > SOUND:
-        trials += [*_bodies(rig, spectra, usable), *_rigs(rig, spectra, usable)]
-    best = min(trials, key=lambda t: t.misfit)
-    if best.misfit < SOUND:
-        return Gross((best.finding(),), best.kept, best.sensors_alone)
-    found = _several(rig, spectra, usable)
-    if found is not None:
-        return found
-    if best.misfit < CURED * misfit:
-        return Gross((best.finding(),), best.kept, False)
-    return Gross((_nothing(misfit),), usable, False)
-
-
-@dataclass(frozen=True)
-class _Trial:
-    """A change and what it leaves; sensors_alone: that the rest of the record and rig.json are right as they are."""
-
-    misfit: float
-    kept: list[int]
-    finding: Callable[[], Finding]
-    sensors_alone: bool = True
+    if best.misfit >= SOUND:
+        found = _several(rig, spectra, usable, fine)
+        if found is not None:
+            return found
+        if best.misfit >= CURED * misfit:
+            return Gross((_nothing(misfit),), usable, False)
+    return Gross(best.findings(), best.kept, best.sensors_alone and best.misfit < SOUND)
 
 
 def _nothing(misfit: float) -> Finding:
     return Finding(
         cause="model",
         evidence="the sensors do not move as the linear bodies of rig.json do under the force and any contact forces "
-        f"(off by {100 * 0.03 * np.sqrt(misfit):.2g} % of the motion)",
+        f"(off by {min(3 * np.sqrt(misfit), 100):.2g} % of the motion)",
         mend="check geometry, ends, stations and units in rig.json, and that the record is of this rig",
     )
 
 
-def _channels(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[_Trial]:
+def _channels(rig: Rig, spectra: Spectra, usable: list[int], fine: Callable[[], Spectra]) -> Iterator[Trial]:
     for channel in usable:
         kept = [i for i in usable if i != channel]
         check = linear_check(rig, spectra, kept)
         found = check.predicted(kept)
         if np.isfinite(found.misfit):
-            yield _Trial(found.misfit, kept, lambda c=channel, k=check, f=found: _of_channel(k, c, f.acceleration))
+            yield Trial(
+                found.misfit,
+                kept,
+                lambda c=channel, k=check, f=found, rest=kept: (
+                    channel_finding(rig, k, c, f, lambda: _over_time(rig, fine(), c, rest)),
+                ),
+                allowance=LEFT_OUT,
+            )
 
 
-def _of_channel(check: LinearCheck, channel: int, predicted: np.ndarray) -> Finding:
-    return channel_finding(check.spectra, channel, predicted, 1 / check.scale[channel])
+def _over_time(rig: Rig, spectra: Spectra, channel: int, kept: list[int]) -> Float[np.ndarray, " parts"] | None:
+    """The delays of a channel against what the others predict, in each part of the record; None where it is lost."""
+    check = linear_check(rig, spectra, kept)
+    expected = check.predicted(kept).acceleration[channel]
+    both = spectra.in_time(np.stack([spectra.acceleration[channel], expected]) / check.scale[channel])
+    delays = []
+    for measured, predicted in (p for p in np.array_split(both, PARTS, axis=1)):
+        window = np.hanning(measured.size)
+        lines = np.fft.rfft(measured * window), np.fft.rfft(predicted * window)
+        omega = 2 * np.pi * np.fft.rfftfreq(measured.size, 1 / spectra.per_s)
+        found = relation(omega[1:], lines[0][1:], lines[1][1:], np.ones(omega.size - 1))
+        if found.coherence < 0.8:
+            return None
+        delays.append(found.delay_s)
+    return np.array(delays) if np.ptp(delays) > LATE_S else None
 
 
-def _force(check: LinearCheck, usable: list[int]) -> Iterator[_Trial]:
+def _force(check: LinearCheck, usable: list[int]) -> Trial | None:
     found = check.predicted(usable, force=False)
-    if np.isfinite(found.misfit):
-        size = np.abs(check.accelerance[0][usable])
-        weight = np.sqrt(np.mean((size / check.scale[usable]) ** 2, axis=0))
-        yield _Trial(found.misfit, usable, lambda: force_finding(check.spectra, found.force, weight), False)
+    if not np.isfinite(found.misfit):
+        return None
+    size = np.abs(check.accelerance[0][usable])
+    weight = np.sqrt(np.mean((size / check.scale[usable]) ** 2, axis=0))
+    return Trial(found.misfit, usable, lambda: (force_finding(check.spectra, found.force, weight),), False, LEFT_OUT)
 
 
-def _swaps(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[_Trial]:
+def _swaps(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]:
     for one, other in combinations(usable, 2):
         rows = spectra.acceleration.copy()
         rows[[one, other]] = rows[[other, one]]
         names = tuple(spectra.sensors[i].name for i in (one, other))
-        swapped = linear_check(rig, spectra.with_rows(rows), usable).predicted(usable).misfit
-        yield _Trial(
-            swapped,
+        yield Trial(
+            linear_check(rig, spectra.with_rows(rows), usable).predicted(usable).misfit,
             [i for i in usable if i not in (one, other)],
-            lambda names=names: Finding(
-                cause="swapped",
-                channels=names,
-                evidence=f"{names[0]} and {names[1]} fit the model if they change places",
-                mend="swap their cables, or their columns in the import map",
+            lambda names=names: (
+                Finding(
+                    cause="swapped",
+                    channels=names,
+                    evidence=f"{names[0]} and {names[1]} fit the model if they change places",
+                    mend="swap their cables, or their columns in the import map",
+                ),
             ),
         )
 
 
-def _bodies(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[_Trial]:
-    """All channels of a body by one factor or delay: as if it had an instrument of its own."""
-    for body in rig.bodies:
-        own = [i for i in usable if spectra.sensors[i].station.body == body.name]
-        rest = [i for i in usable if i not in own]
-        if not own or not rest:
-            continue
-        for what, factors in (("sign", (-1.0,)), ("unit", (9.80665, 1 / 9.80665, 1e3, 1e-3, 1e6, 1e-6, 100.0, 0.01))):
-            for factor in factors:
-                rows = spectra.acceleration.copy()
-                rows[own] /= factor
-                trial = linear_check(rig, spectra.with_rows(rows), usable).predicted(usable).misfit
-                yield _Trial(trial, rest, lambda f=factor, w=what, o=own, b=body.name: _of_body(spectra, o, b, w, f))
+def _gains(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]:
+    """All channels' gains by linear least squares: the factors of the channels that bring the projected residual down.
 
-
-def _of_body(spectra: Spectra, own: list[int], body: str, what: str, factor: float) -> Finding:
-    names = tuple(spectra.sensors[i].name for i in own)
-    if what == "sign":
-        return Finding(
-            cause="polarity",
-            channels=names,
-            of=body,
-            evidence=f"all channels of {body} have the opposite sign of what the model and the others predict",
-            mend="turn them with scale = -1 in the import map",
+    Polarities, units and gains of several channels at once. Two rounds, the second in the scale of the first.
+    """
+    rows, gains = spectra.acceleration, np.ones(len(spectra.sensors))
+    for _ in range(3):
+        check = linear_check(rig, spectra.with_rows(rows), usable)
+        by_force = (check.accelerance[0] * spectra.force / check.scale)[usable]
+        basis = np.linalg.qr((check.accelerance[1:][:, usable] / check.scale[usable]).transpose(2, 1, 0))[0]
+        columns = np.zeros((spectra.omega.size, len(usable), len(usable)), dtype=complex)
+        index = np.arange(len(usable))
+        columns[:, index, index] = (rows / check.scale)[usable].T
+        columns -= basis @ (basis.conj().transpose(0, 2, 1) @ columns)
+        target = by_force.T - np.einsum("lsi,lti,lt->ls", basis, basis.conj(), by_force.T)
+        normal = np.einsum("lsi,lsk->ik", columns.conj(), columns).real
+        wanted = np.einsum("lsi,ls->i", columns.conj(), target).real
+        factors = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(len(usable)), wanted)
+        if not np.all(np.isfinite(factors)) or np.any(np.abs(factors) < 1e-9):
+            return
+        rows = rows.copy()
+        rows[usable] *= factors[:, None]
+        gains[usable] /= factors
+    left = linear_check(rig, spectra.with_rows(rows), usable).predicted(usable).misfit
+    off = [i for i in usable if abs(gains[i] - 1) > GAIN]
+    if off:
+        yield Trial(
+            left,
+            [i for i in usable if i not in off],
+            lambda: merged([channel_gain(spectra.sensors[i].name, float(gains[i])) for i in off], rig),
+            allowance=LEFT_OUT**2,
         )
-    return Finding(
-        cause="units",
-        channels=names,
-        of=body,
-        evidence=f"all channels of {body} deliver {factor:.4g} times what the model and the others predict",
-        mend=f"correct their unit in the import map; it looks like {usual_factor(factor)}",
-    )
 
 
-def _rigs(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[_Trial]:
-    def misfit(other: Rig, own: Spectra = spectra) -> float:
-        return linear_check(other, own, usable).predicted(usable).misfit
-
-    def scaled(make: Callable[[float], Rig]) -> tuple[float, float]:
-        grid = np.linspace(-np.log(FACTOR), np.log(FACTOR), 13)
-        sizes = [misfit(make(float(np.exp(x)))) for x in grid]
-        k = int(np.argmin(sizes))
-        bounds = (grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)])
-        found = minimize_scalar(
-            lambda x: misfit(make(float(np.exp(x)))), bounds=bounds, method="bounded", options={"xatol": 1e-3}
-        )
-        return float(np.exp(found.x)), float(found.fun)
-
-    for body in rig.bodies:
-        for other, sentence in _other_ends(body):
-            yield _Trial(
-                misfit(_with_body(rig, other)),
-                usable,
-                lambda b=body, s=sentence: Finding(
-                    cause="ends", of=b.name, evidence=f"{b.name} moves as a beam that is {s}", mend="correct its ends"
-                ),
-                False,
-            )
-        if body.length_m:
-            mirrored = _mirrored(spectra, body)
-            yield _Trial(
-                misfit(rig, mirrored),
-                usable,
-                lambda b=body: Finding(
-                    cause="mirrored",
-                    of=b.name,
-                    channels=tuple(s.name for s in spectra.sensors if s.station.body == b.name),
-                    evidence=f"the channels of {b.name} fit if their positions count from its other end",
-                    mend="correct the positions in rig.json",
-                ),
-                False,
-            )
-        mass, left = scaled(lambda x, b=body: _with_body(rig, b.scale_mass(x)))
-        yield _Trial(left, usable, lambda b=body, x=mass: _mass(b.name, x), False)
-        dense, left = scaled(lambda x, b=body: _with_body(rig, b.scale_mass(x).scale_frequencies(x**-0.5)))
-        yield _Trial(left, usable, lambda b=body, x=dense: _density(b.name, x), False)
-        stiff, left = scaled(lambda x, b=body: _with_body(rig, b.scale_frequencies(x)))
-        yield _Trial(left, usable, lambda b=body, x=stiff: _frequency(b.name, x), False)
-    fast, left = scaled(lambda x: replace(rig, bodies=tuple(b.scale_frequencies(x) for b in rig.bodies)))
-    yield _Trial(left, usable, lambda: _clock(fast), False)
-
-
-def _with_body(rig: Rig, body: Body) -> Rig:
-    return replace(rig, bodies=tuple(body if b.name == body.name else b for b in rig.bodies))
-
-
-def _other_ends(body: Body) -> Iterator[tuple[Body, str]]:
-    if isinstance(body, Beam):
-        for ends, said in (("free-free", "free at both ends"), ("clamped-free", "clamped at its left end")):
-            if body.ends != ends:
-                yield replace(body, ends=ends), said
-
-
-def _mirrored(spectra: Spectra, body: Body) -> Spectra:
-    def turned(station: Station) -> Station:
-        return replace(station, position_m=body.length_m - station.position_m)
-
-    sensors = tuple(replace(s, station=turned(s.station)) if s.station.body == body.name else s for s in spectra.sensors)
-    return dataclasses.replace(spectra, sensors=sensors)
-
-
-def _mass(body: str, factor: float) -> Finding:
-    return Finding(
-        cause="mass",
-        of=body,
-        evidence=f"{body} moves as if its mass were {factor:.4g} times what rig.json says",
-        mend="weigh it and correct rig.json, or check the force's unit",
-    )
-
-
-def _density(body: str, factor: float) -> Finding:
-    return Finding(
-        cause="mass",
-        of=body,
-        evidence=f"{body} moves as if its density were {factor:.4g} times what rig.json says",
-        mend="weigh it and correct its density in rig.json",
-    )
-
-
-def _frequency(body: str, factor: float) -> Finding:
-    return Finding(
-        cause="frequency",
-        of=body,
-        evidence=f"{body} vibrates at {factor:.4g} times the frequencies of rig.json",
-        mend="correct its stiffness, thickness or length in rig.json by a modal test",
-    )
-
-
-def _clock(factor: float) -> Finding:
-    return Finding(
-        cause="clock",
-        evidence=f"all bodies vibrate at {factor:.5g} times the frequencies of rig.json",
-        mend=f"check the sampling rate: the clock seems to be {100 * abs(1 - 1 / factor):.2g} % "
-        f"{'fast' if factor < 1 else 'slow'}",
-    )
-
-
-def _several(rig: Rig, spectra: Spectra, usable: list[int]) -> Gross | None:
-    """Channel after channel is left out, the worst first, while more than contacts and one are left."""
+def _several(rig: Rig, spectra: Spectra, usable: list[int], fine: Callable[[], Spectra]) -> Gross | None:
+    """Channel after channel is left out, the worst first, while three more than the contacts are left."""
     kept, left_out = list(usable), list[int]()
-    while len(kept) > len(rig.contacts) + 2:
+    while len(kept) > len(rig.contacts) + 3 and len(left_out) < len(usable) / 2:
         trials = []
         for channel in kept:
             rest = [i for i in kept if i != channel]
@@ -261,6 +186,10 @@ def _several(rig: Rig, spectra: Spectra, usable: list[int]) -> Gross | None:
         kept, left_out = [i for i in kept if i != worst], [*left_out, worst]
         if misfit < SOUND:
             check = linear_check(rig, spectra, kept)
-            predicted = check.predicted(kept).acceleration
-            return Gross(tuple(_of_channel(check, c, predicted) for c in sorted(left_out)), kept, True)
+            predicted = check.predicted(kept)
+            found = [
+                channel_finding(rig, check, c, predicted, lambda c=c: _over_time(rig, fine(), c, kept))
+                for c in sorted(left_out)
+            ]
+            return Gross(merged(found, rig), kept, True)
     return None

@@ -9,21 +9,27 @@ each line's squared error, over the degrees of freedom, is in units of a rough s
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Bool, Complex, Float
+from scipy.ndimage import uniform_filter1d
 
-from identify.checks.spectra import Spectra
-from identify.structure.response import across, response_of
-from rig.model.description import Rig
+from identify.checks.spectra import SMOOTHED, Spectra
+from identify.structure.response import across, response_of, times
+from rig.model.description import Rig, Station
 
 ROUGH = 0.03
 """A sound model may be wrong by this share of what its body does at a line: far more than tolerances make."""
+
+
+DRIVEN = 0.05
+"""The force drives the lines on which it has this share of its largest level."""
 
 
 @dataclass(frozen=True)
 class Predicted:
     """What some kept channels, and the model, say of all.
 
-    misfit is the median over the lines of the mean square of the error of the kept ones; nan where they tell nothing.
+    misfit is the median over the lines of the mean square of the error of the kept ones, or that over the lines which
+    the force drives where it is larger; nan where they tell nothing.
     """
 
     misfit: float
@@ -39,6 +45,7 @@ class LinearCheck:
     spectra: Spectra
     accelerance: Complex[np.ndarray, "inputs sensors lines"]
     scale: Float[np.ndarray, "sensors lines"]
+    driven: Bool[np.ndarray, " lines"]
 
     @property
     def contacts(self) -> int:
@@ -58,7 +65,9 @@ class LinearCheck:
         inputs = np.linalg.solve(normal + ridge, adjoint @ weighted.T[..., None])[..., 0].T
         left = weighted - np.einsum("lsi,il->sl", columns, inputs)
         freedom = len(kept) - len(unknown)
-        misfit = float(np.median(np.sum(np.abs(left) ** 2, axis=0))) / freedom if freedom > 0 else np.nan
+        per_line = np.sum(np.abs(left) ** 2, axis=0)
+        worst = max(float(np.median(x)) for x in (per_line, per_line[self.driven]))
+        misfit = worst / freedom if freedom > 0 else np.nan
         return Predicted(
             misfit,
             known + np.einsum("isl,il->sl", unknown, inputs),
@@ -78,7 +87,26 @@ def linear_check(rig: Rig, spectra: Spectra, kept: list[int] | None = None) -> L
         scale[own] = ROUGH * np.median(spectra.level[told], axis=0)
     scale = np.hypot(scale, spectra.noise)
     scale = np.maximum(scale, 1e-9 * float(scale.max()) or 1.0)
-    return LinearCheck(spectra, accelerances(rig, spectra), scale)
+    return LinearCheck(spectra, accelerances(rig, spectra), scale, driven_by(spectra))
+
+
+def by_forces(
+    rig: Rig, predicted: Predicted, omega: Float[np.ndarray, " lines"], stations: list[Station]
+) -> Complex[np.ndarray, "stations lines"]:
+    """The accelerations at any stations by the force and the contact forces that were found."""
+    forces = np.concatenate([predicted.force[None], predicted.contacts])
+    found = np.zeros((len(stations), omega.size), dtype=complex)
+    for body in rig.bodies:
+        r = response_of(rig, body, omega)
+        pushed = np.concatenate([r.shapes([rig.force_at]), -across(rig, r)])
+        found += times(r.shapes(stations), r.accelerance * times(pushed.T, forces))
+    return found
+
+
+def driven_by(spectra: Spectra) -> Bool[np.ndarray, " lines"]:
+    """The lines on which the force has a share of its largest level."""
+    level = np.sqrt(uniform_filter1d(np.abs(spectra.force) ** 2, SMOOTHED))
+    return np.asarray(level > DRIVEN * float(level.max()))
 
 
 def accelerances(rig: Rig, spectra: Spectra) -> Complex[np.ndarray, "inputs sensors lines"]:

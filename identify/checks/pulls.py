@@ -25,7 +25,8 @@ COUNTED_HZ = 20.0
 """So many samples a second count as independent against the tolerances, as errors of a model last."""
 BROKEN, FAR = 5.0, 4.0
 """A parameter is off if the record asks for it by so many standard deviations, and for so many tolerances."""
-MOST = 4
+MOST, NEXT = 4, 0.25
+"""No more are named, and none that is asked for by less than this share of the first."""
 FLOOR = 0.003
 """No model is believed to fit better than to this share of what a body does at a line."""
 Columns = Complex[np.ndarray, "some sensors lines"]
@@ -97,7 +98,7 @@ def broken(
             pulls, z, size = _scores(left, own, whole, free, weights)
         ranked = sorted(range(len(candidates)), key=lambda k: -abs(z[k]))
         best = next((k for k in ranked if k not in free and _matters(candidates[k], size.of[k], tolerances)), None)
-        if best is None or abs(z[best]) < BROKEN or len(found) == MOST:
+        if best is None or abs(z[best]) < max(BROKEN, NEXT * abs(found[0].pull) if found else 0.0) or len(found) == MOST:
             break
         found.append(Broken(candidates[best], float(size.of[best]), float(z[best])))
         free.append(best)

@@ -49,14 +49,18 @@ class Spectra:
         """Each sensor's root mean square over neighbouring lines."""
         return np.sqrt(uniform_filter1d(np.abs(self.acceleration) ** 2, SMOOTHED, axis=1))
 
+    @property
+    def per_s(self) -> float:
+        """Samples a second of `in_time`."""
+        return 2 * (int(self.lines[-1]) + 1) * self.sample_rate_hz / self.length
+
     def in_time(self, rows: Complex[np.ndarray, "*some lines"]) -> Float[np.ndarray, "*some times"]:
         """Over the time that is taken, where the lines follow one another; mean squares are those of the lines."""
         high = int(self.lines[-1]) + 1
         whole = np.zeros((*rows.shape[:-1], high + 1), np.complex64)
         whole[..., self.lines] = rows
         found = irfft(whole, 2 * high) * np.sqrt(2 * high**2 / self.lines.size)
-        per_s = 2 * high * self.sample_rate_hz / self.length
-        begin, end = (round(at * per_s) for at in self.taken_s)
+        begin, end = (round(at * self.per_s) for at in self.taken_s)
         return np.asarray(found[..., begin:end])
 
     def with_rows(self, acceleration: Complex[np.ndarray, "sensors lines"]) -> "Spectra":

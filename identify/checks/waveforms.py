@@ -22,6 +22,9 @@ HUM_SHARE = 2e-3
 SLOW_HZ, SLOW = 0.25, 0.05
 OFFSET = 0.05
 MOVING = 0.3
+JUMP = 12.0
+IMPACT, APART, MOST_SPIKES = 8.0, 2.0, 60
+NOISY = 0.05
 
 Row = Float[np.ndarray, " samples"]
 
@@ -67,44 +70,88 @@ def quantised(name: str, row: Row) -> Finding | None:
     )
 
 
-def held(name: str, row: Row) -> Finding | None:
-    """Runs of equal samples beside which the channel moves: lost samples that were filled."""
+def held(name: str, row: Row, force: Row) -> Finding | None:
+    """Runs of equal samples in a channel that else moves: samples that were lost and filled."""
     same = np.diff(row) == 0
     edges = np.flatnonzero(np.diff(np.r_[0, same.astype(np.int8), 0]))
-    runs = edges[1::2] - edges[::2]
-    moves = float(np.mean(same)) < 0.5
-    extreme = np.array([row[k] in (row.max(), row.min()) for k in edges[::2]], dtype=bool)
-    extreme |= (edges[::2] == 0) | (row[edges[::2]] == 0)
-    long = runs[(runs >= HELD) & ~extreme]
-    if not (moves and long.size and np.mean(runs) > 0 and np.mean(same) < 0.3):
+    begins, ends = edges[::2], edges[1::2]
+    if not begins.size or np.mean(same) > 0.3:
         return None
-    first = int(edges[::2][(runs >= HELD) & ~extreme][0])
+    from_s = int(np.argmax(np.abs(force) > 0.05 * np.abs(force).max()))
+    long = (ends - begins >= HELD) & (begins > from_s) & ~np.isin(row[begins], (row.max(), row.min()))
+    if name == "force":
+        long &= row[begins] != 0
+    if not long.any():
+        return None
+    most = int(np.max((ends - begins)[long])) + 1
     return Finding(
         cause="held samples",
         channels=(name,),
-        evidence=f"{name} repeats one value {int(long.max()) + 1} times in a row, in {long.size} places, first at sample "
-        f"{first}: samples were lost there",
+        evidence=f"{name} repeats one value {most} times in a row, in {int(long.sum())} places, first at sample "
+        f"{int(begins[long][0])}: samples were lost there",
         mend="record again, or leave that part of the record out",
     )
 
 
-def spikes(name: str, row: Row) -> Finding | None:
-    """Single samples that their neighbours do not explain, beside neighbours that fit."""
-    if row.size < 1000:
-        return None
+def off_neighbours(row: Row) -> Row:
+    """How far each sample is off what its two neighbours on both sides say, over what is usual around it."""
     off = np.abs(row[2:-2] - (4 * (row[1:-3] + row[3:-1]) - row[:-4] - row[4:]) / 6)
-    usual = np.maximum(_moving_mean(off, 201), 0.02 * off.mean())
-    found = np.flatnonzero(off > SPIKE * usual)
-    if not found.size:
-        return None
-    alone = [k for k in found if off[k] > 1.4 * max(off[max(k - 1, 0)], off[min(k + 1, off.size - 1)])]
-    if not alone:
+    return np.asarray(np.r_[0, 0, off / np.maximum(_moving_mean(off, 201), 0.02 * off.mean() + 1e-300), 0, 0])
+
+
+def spikes(name: str, off: Row, others: list[Row]) -> Finding | None:
+    """Single samples that their neighbours do not explain, beside neighbours that fit; not at the record's ends.
+
+    What other channels show too is an impact. Of the only channel, spikes stand out from all impacts.
+    """
+    end = off.size // 50
+    found = [int(k) + end for k in np.flatnonzero(off[end:-end] > SPIKE)]
+    found = [k for k in found if off[k] > 1.4 * max(off[k - 1], off[k + 1])]
+    if others:
+        found = [k for k in found if max(float(o[k - 3 : k + 4].max()) for o in others) < IMPACT]
+    elif found:
+        peaks = np.sort(off[end:-end][1:-1][(off[end:-end][1:-1] > np.maximum(off[end:-end][:-2], off[end:-end][2:]))])
+        least = min(off[k] for k in found)
+        below = peaks[peaks < least]
+        found = found if below.size and least > APART * below[-1] else []
+    if not 0 < len(found) <= MOST_SPIKES:
         return None
     return Finding(
         cause="spikes",
         channels=(name,),
-        evidence=f"{name} jumps for single samples in {len(alone)} places, first at sample {alone[0] + 2}",
+        evidence=f"{name} jumps for single samples in {len(found)} places, first at sample {found[0]}",
         mend="check cables and connectors, and record again",
+    )
+
+
+def jumps(names: list[str], offs: list[Row], rate_hz: float) -> Finding | None:
+    """All channels jump at one sample: the record was cut there."""
+    if len(offs) < 2:
+        return None
+    least = np.sort(np.array(offs), axis=0)[len(offs) // 3]
+    end = least.size // 50
+    at = end + int(np.argmax(least[end:-end]))
+    if least[at] < JUMP:
+        return None
+    return Finding(
+        cause="jump",
+        channels=tuple(names),
+        evidence=f"all channels jump at {at / rate_hz:.3f} s",
+        mend="samples were lost there, or records were joined: use the part before it",
+    )
+
+
+def noise(name: str, rate_hz: float, row: Row, force: Row) -> Finding | None:
+    """In the quiet start."""
+    quiet = quiet_samples(force, rate_hz)
+    share = float(row[:quiet].std() / row.std()) if quiet else 0.0
+    if share < NOISY:
+        return None
+    return Finding(
+        cause="noise",
+        channels=(name,),
+        evidence=f"{name} shows {100 * share:.2g} % of its root mean square before the force begins",
+        mend="find the noise or the motion (cable, amplifier, range), or let the rig come to rest first",
     )
 
 

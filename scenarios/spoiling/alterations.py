@@ -53,7 +53,7 @@ def _of_one_channel(rig: Rig, rng: np.random.Generator) -> Iterator[Alteration]:
     yield one("one channel drifts", lambda r: r + 0.5 * r.std() * np.linspace(0, 1, r.size) ** 2, "drift", "offset")
     yield one("one channel with spikes", _spiked, "spikes", group="cables")
     yield one("one channel with one large spike", _one_spike, "spikes", group="cables")
-    yield one("one channel drops out for a second", lambda r: _gone(r, rate), "held samples", "dropout", group="cables")
+    yield one("one channel drops out for a second", lambda r: _gone(r, rate), "held samples", group="cables")
     yield one("one channel holds samples", lambda r: _held(r, rate), "held samples", group="cables")
     yield one("hum on one channel", lambda r: r + _tone(r, 50.0, rate, 0.1), "hum", group="cables")
     yield one("60 Hz hum on one channel", lambda r: r + _tone(r, 60.0, rate, 0.05), "hum", group="cables")
@@ -61,7 +61,7 @@ def _of_one_channel(rig: Rig, rng: np.random.Generator) -> Iterator[Alteration]:
     yield one("one channel high-passed at 5 Hz", lambda r: sosfilt(butter(1, 5, "high", fs=rate, output="sos"), r), "filtered", group="instruments")
     yield one("one channel integrated", lambda r: _integrated(r, rate), "derivative", "units", group="processing")
     yield one("one channel slips 20 samples", lambda r: np.r_[r[: r.size // 2], r[r.size // 2 + 20 :], r[-20:]], "slipped samples", group="clock")
-    yield one("one channel wraps over", _wrapped, "spikes", "clipped", "unrelated", "jumps", group="processing")
+    yield one("one channel wraps over", _wrapped, "spikes", "clipped", "unrelated", group="processing")
     yield one("one channel rectified", np.abs, "offset", "unrelated", group="processing")
     if len(names) > 1:
         first, second = _neighbours(rig, rng)
@@ -112,22 +112,24 @@ def _of_the_force(rig: Rig, rng: np.random.Generator) -> Iterator[Alteration]:
 def _of_clocks(rig: Rig, rng: np.random.Generator) -> Iterator[Alteration]:
     names, rate = (*(s.name for s in rig.sensors), "force"), rig.sample_rate_hz
     for share, said in ((0.01, "1 % fast"), (-0.02, "2 % slow"), (0.005, "0.5 % fast")):
-        yield Alteration(f"clock {said}", mapped(names, lambda r, s=share: _stretched(r, 1 + s)), frozenset({"clock"}), group="clock")
-    yield Alteration("samples lost in all channels", mapped(names, lambda r: np.r_[r[: r.size // 2], r[r.size // 2 + int(0.05 * rate) :]]), frozenset({"lost samples", "jumps"}), group="clock")
+        yield Alteration(f"clock {said}", mapped(names, lambda r, s=share: _stretched(r, 1 + s)), frozenset({"clock", "frequency"} if len(rig.bodies) == 1 else {"clock"}), group="clock")
+    yield Alteration("samples lost in all channels", mapped(names, lambda r: np.r_[r[: r.size // 2], r[r.size // 2 + int(0.05 * rate) :]]), frozenset({"jump"}), group="clock")
     yield Alteration("the first seconds cut off", mapped(names, lambda r: r[int(4 * rate) :]), frozenset({"not at rest"}), group="processing")
 
 
 def _of_description(rig: Rig, rng: np.random.Generator) -> Iterator[Alteration]:
     body = rig.bodies[int(rng.integers(len(rig.bodies)))]
 
+    alone = len(rig.bodies) == 1  # then its mass and the force, its frequencies and the clock are told apart by nothing
+
     def put(make):
         return with_rig(lambda r: replace(r, bodies=tuple(make(b) if b.name == body.name else b for b in r.bodies)))
 
-    about = (body.name,)
-    yield Alteration("mass 10 % off", put(lambda b: b.scale_mass(1.1)), frozenset({"mass"}), of=about, group="rig.json")
-    yield Alteration("density 10 % off", put(lambda b: b.scale_mass(1.1).scale_frequencies(1.1**-0.5)), frozenset({"mass"}), of=about, group="rig.json")
-    yield Alteration("frequencies 5 % off", put(lambda b: b.scale_frequencies(1.05)), frozenset({"frequency"}), of=about, group="rig.json")
-    yield Alteration("frequencies 15 % off", put(lambda b: b.scale_frequencies(14 / 12)), frozenset({"frequency"}), of=about, group="rig.json")
+    about, channels = (body.name,), ("force",) if alone else ()
+    yield Alteration("mass 10 % off", put(lambda b: b.scale_mass(1.1)), frozenset({"mass", "gain"} if alone else {"mass"}), channels, about, group="rig.json")
+    yield Alteration("density 10 % off", put(lambda b: b.scale_mass(1.1).scale_frequencies(1.1**-0.5)), frozenset({"mass", "gain"} if alone else {"mass"}), channels, about, group="rig.json")
+    yield Alteration("frequencies 5 % off", put(lambda b: b.scale_frequencies(1.05)), frozenset({"frequency", "clock"} if alone else {"frequency"}), of=() if alone else about, group="rig.json")
+    yield Alteration("frequencies 15 % off", put(lambda b: b.scale_frequencies(14 / 12)), frozenset({"frequency", "clock"} if alone else {"frequency"}), of=() if alone else about, group="rig.json")
     yield Alteration("damping four times", put(lambda b: b.scale_damping(4.0)), frozenset({"damping"}), of=about, group="rig.json")
     if not body.is_mass:
         yield from _of_places(rig, body, rng)
@@ -156,7 +158,7 @@ def _of_places(rig: Rig, body: Body, rng: np.random.Generator) -> Iterator[Alter
     at = rig.force_at
     if at.body == body.name:
         other = min((s.station for s in own if s.station != at), key=lambda p: abs(p.position_m - at.position_m))
-        yield Alteration("the force at the next station", with_rig(lambda r: replace(r, force_at=other)), frozenset({"force", "model"}), group="rig.json")
+        yield Alteration("the force at the next station", with_rig(lambda r: replace(r, force_at=other)), frozenset({"force place"}), group="rig.json")
 
 
 def _of_processing(rig: Rig, rng: np.random.Generator) -> Iterator[Alteration]:
@@ -167,7 +169,7 @@ def _of_processing(rig: Rig, rng: np.random.Generator) -> Iterator[Alteration]:
     yield Alteration("all sensors smoothed over 5 ms", mapped(names, lambda r: np.convolve(r, np.ones(int(0.005 * rate)) / int(0.005 * rate), "same")), frozenset({"filtered", "force"}), (*names, "force"), group=group)
     if len(names) > 1:
         yield Alteration("each channel over its own rms", mapped(names, lambda r: r / r.std()), frozenset({"units", "gain", "model"}), names, group=group)
-    yield Alteration("time reversed", mapped((*names, "force"), lambda r: r[::-1].copy()), frozenset({"not at rest", "model", "reversed"}), group=group)
+    yield Alteration("time reversed", mapped((*names, "force"), lambda r: r[::-1].copy()), frozenset({"not at rest", "model"}), group=group)
 
 
 def _neighbours(rig: Rig, rng: np.random.Generator) -> tuple[str, str]:
