@@ -299,7 +299,7 @@ def force_finding(
     own = relation(omega, measured, implied, weight)
     gains, left, middle = bandwise(omega, measured, implied, weight)
     size = np.abs(gains)
-    if left < 0.3 and 1 - own.coherence > 4 * left and size.max() > 1.2 * size.min():
+    if left < 0.3 and 1 - own.coherence > 2.5 * left and size.max() > 1.25 * size.min():
         falls = size[-1] < size[0]
         return Finding(
             cause="filtered",

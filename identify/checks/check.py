@@ -5,12 +5,13 @@ from functools import cache
 import numpy as np
 
 from identify.checks import waveforms
+from identify.checks.continuity import breaks
 from identify.checks.findings import Finding, merged
 from identify.checks.gross import gross
 from identify.checks.masses import mass_findings
 from identify.checks.prediction import linear_check
 from identify.checks.pulls import broken, broken_finding
-from identify.checks.spectra import Spectra, spectra_of
+from identify.checks.spectra import Spectra, quiet_samples, spectra_of
 from identify.signals.kinematics import Use, kinematics
 from rig.errors import RigError
 from rig.model.tolerances import LABORATORY, Tolerances
@@ -20,6 +21,8 @@ HIDE = ("dead", "clipped", "quantised", "held samples", "spikes", "hum", "noise"
 """Of a channel's waveform only the first of these is told."""
 SPOILS = ("dead", "copy", "clipped", "held samples", "spikes", "quantised", "offset", "drift")
 """A channel with such a fault is left out of what follows."""
+FIRST_S = {"acceleration": 0.02, "velocity": 0.05, "displacement": 0.1}
+"""In which motion at rest has not begun yet."""
 MOST_REST = 0.5
 """A record begins in motion if more than this share of its channels do."""
 
@@ -33,10 +36,9 @@ def check_recording(
     """
     believed = tolerances or recording.rig.tolerances or LABORATORY
     found = _waveforms(recording, use)
-    spoilt = {c for f in found if f.cause in SPOILS for c in _left_out(f)}
-    whole = any(f.cause in ("jump", "not at rest") for f in found)
-    if "force" not in spoilt and not whole:
-        found += _against_model(recording, use, believed, spoilt)
+    found += _against_model(recording, use, believed, found)
+    if any(f.cause == "force" for f in found):
+        found = [f for f in found if f.cause != "noise"]
     told = {c for f in found if f.cause not in HIDE for c in f.channels if len(f.channels) == 1}
     found = [f for f in found if f.cause not in ("noise", "drift", "offset") or not set(f.channels) <= told]
     return merged(found, recording.rig)
@@ -47,7 +49,11 @@ def _left_out(found: Finding) -> tuple[str, ...]:
     return found.channels[1:] if found.cause == "copy" and "force" not in found.channels else found.channels
 
 
-def _against_model(recording: Recording, use: Use, believed: Tolerances, spoilt: set[str]) -> list[Finding]:
+def _against_model(recording: Recording, use: Use, believed: Tolerances, shown: list[Finding]) -> list[Finding]:
+    """After what the waveforms show."""
+    spoilt = {c for f in shown if f.cause in SPOILS for c in _left_out(f)}
+    if "force" in spoilt or any(f.cause == "not at rest" for f in shown):
+        return []
     rig = recording.rig
     sensors = tuple(s for s in rig.sensors if s.measures.translates and use in ("auto", s.quantity))
 
@@ -61,11 +67,14 @@ def _against_model(recording: Recording, use: Use, believed: Tolerances, spoilt:
         return []
     usable = [i for i, s in enumerate(sensors) if s.name not in spoilt]
     if len(usable) <= len(rig.contacts) + 1:
-        if len(usable) == len(sensors) and all(b.is_mass for b in rig.bodies):
+        if not shown and all(b.is_mass for b in rig.bodies):
             return mass_findings(rig, kinematics(recording, use), believed)
         return []
+    broke = breaks(rig, fine(), usable)
+    if any(f.cause == "jump" for f in broke):
+        return broke
     coarse = gross(rig, spectra, usable, fine)
-    found = list(coarse.findings)
+    found = list(coarse.findings) or broke
     if coarse.sound and len(coarse.kept) > len(rig.contacts) + 1:
         off, _ = broken(rig, linear_check(rig, fine(), coarse.kept), coarse.kept, believed)
         instead = gross(rig, spectra, coarse.kept, fine, doubted=True) if off and not found else None
@@ -99,7 +108,10 @@ def _waveforms(recording: Recording, use: Use) -> list[Finding]:
                 checks += [waveforms.hum(name, rate, row, force), waveforms.noise(name, rate, row, force)]
             if group == "acceleration":
                 checks += [waveforms.drift(name, rate, row), waveforms.offset(name, row)]
-                moving.append(waveforms.not_at_rest(name, rate, row))
+            elif group != "force" and (quiet := quiet_samples(force, rate)):
+                checks.append(waveforms.offset(name, row[:quiet], float(row.std())))
+            if group in FIRST_S:
+                moving.append(waveforms.not_at_rest(name, rate, row, FIRST_S[group]))
             found += [f for f in checks if f is not None][:1]
     told = {c for f in found for c in f.channels}
     for i, name in enumerate(names):
@@ -109,6 +121,4 @@ def _waveforms(recording: Recording, use: Use) -> list[Finding]:
             found.append(spiked)
     if moving and np.mean([f is not None for f in moving]) > MOST_REST:
         found = [f for f in moving if f is not None]
-    elif (jump := waveforms.jumps(names, offs, rate)) is not None:
-        found = [*(f for f in found if f.cause != "spikes"), jump]
     return [*found, *waveforms.copies(names, rows)]

@@ -15,6 +15,7 @@ Cause = Literal[
     "held samples",
     "spikes",
     "jump",
+    "glitch",
     "noise",
     "hum",
     "offset",

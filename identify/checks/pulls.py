@@ -82,7 +82,7 @@ def broken(
         return [], np.zeros(0)
     columns = np.stack([_whole(c, measured.shape) for c in changes])
     candidates, added = _candidates(changes, columns, bodies, sensors, by_force, omega, tolerances)
-    project = _Projector(check, kept)
+    project = Projector(check, kept)
     left = project(measured - by_force)
     own, beside = project.of(columns), project.of(added)
     whole = np.concatenate([own, beside])
@@ -137,7 +137,7 @@ def _matters(candidate: Candidate, size: float, tolerances: Tolerances) -> bool:
     return abs(size) > FAR * (candidate.unit if candidate.kind in ("density", "common delay") else 1.0)
 
 
-class _Projector:
+class Projector:
     """Over the scale, with the contact forces projected out, as real numbers; scaled so that a sound record has one."""
 
     def __init__(self, check: LinearCheck, kept: list[int]) -> None:

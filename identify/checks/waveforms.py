@@ -22,7 +22,6 @@ HUM_SHARE = 2e-3
 SLOW_HZ, SLOW = 0.25, 0.05
 OFFSET = 0.05
 MOVING = 0.3
-JUMP = 12.0
 IMPACT, APART, MOST_SPIKES = 8.0, 2.0, 60
 NOISY = 0.05
 
@@ -124,23 +123,6 @@ def spikes(name: str, off: Row, others: list[Row]) -> Finding | None:
     )
 
 
-def jumps(names: list[str], offs: list[Row], rate_hz: float) -> Finding | None:
-    """All channels jump at one sample: the record was cut there."""
-    if len(offs) < 2:
-        return None
-    least = np.sort(np.array(offs), axis=0)[len(offs) // 3]
-    end = least.size // 50
-    at = end + int(np.argmax(least[end:-end]))
-    if least[at] < JUMP:
-        return None
-    return Finding(
-        cause="jump",
-        channels=tuple(names),
-        evidence=f"all channels jump at {at / rate_hz:.3f} s",
-        mend="samples were lost there, or records were joined: use the part before it",
-    )
-
-
 def noise(name: str, rate_hz: float, row: Row, force: Row) -> Finding | None:
     """In the quiet start."""
     quiet = quiet_samples(force, rate_hz)
@@ -196,9 +178,9 @@ def hum(name: str, rate_hz: float, row: Row, force: Row) -> Finding | None:
     )
 
 
-def offset(name: str, row: Row) -> Finding | None:
-    """For quantities whose mean over a record is zero."""
-    mean, rms = float(row.mean()), float(row.std())
+def offset(name: str, row: Row, usual: float | None = None) -> Finding | None:
+    """Of samples whose mean is zero: those of an acceleration, or of any motion before the force begins."""
+    mean, rms = (float(row.mean()), float(row.std())) if usual is None else (float(row.mean()), usual)
     if abs(mean) < OFFSET * rms:
         return None
     return Finding(
@@ -225,10 +207,10 @@ def drift(name: str, rate_hz: float, row: Row) -> Finding | None:
     )
 
 
-def not_at_rest(name: str, rate_hz: float, row: Row) -> Finding | None:
-    """It moves at the record's first samples."""
-    first = row[: max(8, round(0.02 * rate_hz))]
-    if np.sqrt(np.mean((first - row.mean()) ** 2)) < MOVING * row.std():
+def not_at_rest(name: str, rate_hz: float, row: Row, first_s: float) -> Finding | None:
+    """It moves by a part of its usual within the record's first moments."""
+    first = row[: max(8, round(first_s * rate_hz))]
+    if first.std() < MOVING * row.std():
         return None
     return Finding(
         cause="not at rest",

@@ -29,6 +29,8 @@ def _of_one_channel(rig: Rig, rng: np.random.Generator) -> Iterator[Alteration]:
 
     def one(title, change, *causes, group="instruments"):
         name = str(rng.choice(names))
+        if len(names) == 1 and {"unrelated", "gain"} & set(causes):  # nothing tells it from the force
+            causes = (*causes, "force", "noise", "not at rest")
         return Alteration(title, mapped((name,), change), frozenset(causes), (name,), group=group)
 
     def noisy(row: Row, share: float) -> Row:
@@ -60,9 +62,9 @@ def _of_one_channel(rig: Rig, rng: np.random.Generator) -> Iterator[Alteration]:
     yield one("one channel low-passed at 60 Hz", lambda r: sosfilt(butter(2, 60, fs=rate, output="sos"), r), "filtered", "delay", group="processing")
     yield one("one channel high-passed at 5 Hz", lambda r: sosfilt(butter(1, 5, "high", fs=rate, output="sos"), r), "filtered", group="instruments")
     yield one("one channel integrated", lambda r: _integrated(r, rate), "derivative", "units", group="processing")
-    yield one("one channel slips 20 samples", lambda r: np.r_[r[: r.size // 2], r[r.size // 2 + 20 :], r[-20:]], "slipped samples", group="clock")
+    yield one("one channel slips 20 samples", lambda r: np.r_[r[: r.size // 2], r[r.size // 2 + 20 :], r[-20:]], "slipped samples", "glitch", *(["force"] if len(names) == 1 else []), group="clock")
     yield one("one channel wraps over", _wrapped, "spikes", "clipped", "unrelated", group="processing")
-    yield one("one channel rectified", np.abs, "offset", "unrelated", group="processing")
+    yield one("one channel rectified", np.abs, "offset", "unrelated", "drift", group="processing")
     if len(names) > 1:
         first, second = _neighbours(rig, rng)
         yield Alteration("a copy of its neighbour", lambda r: with_rows(r, {first: r[second].values}), frozenset({"copy", "station"}), (first, second))
