@@ -86,7 +86,11 @@ class Explanation:
 
 
 def channel_finding(
-    rig: Rig, check: LinearCheck, channel: int, predicted: Predicted, over_time: Callable[[], Float[np.ndarray, " parts"] | None]
+    rig: Rig,
+    check: LinearCheck,
+    channel: int,
+    predicted: Predicted,
+    over_time: Callable[[], Float[np.ndarray, " parts"] | None],
 ) -> Finding:
     """The likeliest reason why a channel is not what all others predict.
 

@@ -1,5 +1,7 @@
 """All checks of a recording, in the order in which one hides the other."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 
 import numpy as np
@@ -32,8 +34,11 @@ def check_recording(
 ) -> tuple[Finding, ...]:
     """What of the channels, the clock or rig.json cannot be right; empty of a sound recording.
 
-    First each channel's samples by themselves, then all channels against the linear model of rig.json.
+    First each channel's samples by themselves, then all channels against the linear model of rig.json. A segment of a
+    longer record, which does not begin at rest, is not checked.
     """
+    if recording.start_s > 0:
+        return ()
     believed = tolerances or recording.rig.tolerances or LABORATORY
     found = _waveforms(recording, use)
     found += _against_model(recording, use, believed, found)
@@ -42,6 +47,17 @@ def check_recording(
     told = {c for f in found if f.cause not in HIDE for c in f.channels if len(f.channels) == 1}
     found = [f for f in found if f.cause not in ("noise", "drift", "offset") or not set(f.channels) <= told]
     return merged(found, recording.rig)
+
+
+@contextmanager
+def naming(findings: tuple[Finding, ...]) -> Iterator[None]:
+    """Puts the first finding behind the sentence of a RigError: it may be the reason."""
+    try:
+        yield
+    except RigError as error:
+        if not findings:
+            raise
+        raise RigError(f"{error} (the check of the record found: {findings[0].sentence})") from error
 
 
 def _left_out(found: Finding) -> tuple[str, ...]:

@@ -37,9 +37,7 @@ class Gross:
     sound: bool
 
 
-def gross(
-    rig: Rig, spectra: Spectra, usable: list[int], fine: Callable[[], Spectra], doubted: bool = False
-) -> Gross:
+def gross(rig: Rig, spectra: Spectra, usable: list[int], fine: Callable[[], Spectra], doubted: bool = False) -> Gross:
     """The change that leaves the least misfit: of a channel, the force, two channels that are swapped, all gains,
     rig.json; or several channels left out. `fine` gives the spectra on all lines.
 

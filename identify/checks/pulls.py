@@ -23,7 +23,7 @@ from rig.model.tolerances import Tolerances
 
 COUNTED_HZ = 20.0
 """So many samples a second count as independent against the tolerances, as errors of a model last."""
-BROKEN, FAR = 5.0, 4.0
+BROKEN, CLOCK, FAR = 5.0, 2.7, 4.0
 """A parameter is off if the record asks for it by so many standard deviations, and for so many tolerances."""
 MOST, NEXT = 4, 0.25
 """No more are named, and none that is asked for by less than this share of the first."""
@@ -97,8 +97,13 @@ def broken(
             weights = 1 / np.sqrt(1 + per_line / max(4 * float(np.median(per_line)), 1.0))
             pulls, z, size = _scores(left, own, whole, free, weights)
         ranked = sorted(range(len(candidates)), key=lambda k: -abs(z[k]))
-        best = next((k for k in ranked if k not in free and _matters(candidates[k], size.of[k], tolerances)), None)
-        if best is None or abs(z[best]) < max(BROKEN, NEXT * abs(found[0].pull) if found else 0.0) or len(found) == MOST:
+        least = NEXT * abs(found[0].pull) if found else 0.0
+
+        def asked(k: int, z: np.ndarray = z, size: _Sizes = size, least: float = least) -> bool:
+            return abs(z[k]) > max(_broken(candidates[k]), least) and _matters(candidates[k], size.of[k], tolerances)
+
+        best = next((k for k in ranked if k not in free and asked(k)), None)
+        if best is None or len(found) == MOST:
             break
         found.append(Broken(candidates[best], float(size.of[best]), float(z[best])))
         free.append(best)
@@ -130,10 +135,15 @@ def _scores(
     return best[: len(own)], asked / np.sqrt(room), _Sizes(asked / room, best[len(own) :])
 
 
+def _broken(candidate: Candidate) -> float:
+    """A clock is one question, each of the many tolerances another."""
+    return CLOCK if candidate.kind == "clock" else BROKEN
+
+
 def _matters(candidate: Candidate, size: float, tolerances: Tolerances) -> bool:
     """Whether so much is beyond the tolerance."""
     if candidate.kind == "clock":
-        return abs(size) > 2 * tolerances.frequency
+        return abs(size) > 1.5 * tolerances.frequency
     return abs(size) > FAR * (candidate.unit if candidate.kind in ("density", "common delay") else 1.0)
 
 

@@ -167,8 +167,6 @@ def _clock(factor: float) -> Finding:
     )
 
 
-
-
 CHANGES: dict[Callable[[str, float], Finding], Callable[[Body, float], Body]] = {
     _mass: lambda body, x: body.scale_mass(x),
     _density: lambda body, x: body.scale_mass(x).scale_frequencies(x**-0.5),

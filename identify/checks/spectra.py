@@ -94,9 +94,7 @@ def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], most: int | No
         deviation = np.array([s.noise_density * np.sqrt(rate / 2) for s in sensors])
     per_line = np.sqrt(force.size) * deviation[:, None] * np.abs([chain(s, omega) for s in sensors])
     taken_s = (begun / rate, max(force.size / rate - CUT_S, 0.5 * force.size / rate))
-    return Spectra(
-        sensors, omega, found, rfft(force * ending, length)[lines], per_line, lines, length, taken_s, rate
-    )
+    return Spectra(sensors, omega, found, rfft(force * ending, length)[lines], per_line, lines, length, taken_s, rate)
 
 
 def chain(sensor: Sensor, omega: Float[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:

@@ -52,7 +52,9 @@ def with_rig(change: Callable[[Rig], Rig]) -> Change:
         believed = {s.name: s.station for s in rig.sensors}
         signals = {
             group: Signals(
-                _placed(s, tuple(believed.get(n, p) for n, p in zip(s.channels.names, s.channels.stations, strict=True))),
+                _placed(
+                    s, tuple(believed.get(n, p) for n, p in zip(s.channels.names, s.channels.stations, strict=True))
+                ),
                 s.start_s,
                 s.values,
             )

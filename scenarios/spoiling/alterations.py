@@ -46,7 +46,9 @@ def _of_one_channel(rig: Rig, rng: np.random.Generator) -> Iterator[Alteration]:
     yield one("one channel 1 ms late", lambda r: delayed(r, 1e-3, rate), "delay")
     yield one("one channel 0.2 ms early", lambda r: delayed(r, -2e-4, rate), "delay")
     yield one("one channel 20 ms late", lambda r: delayed(r, 2e-2, rate), "delay")
-    yield one("one channel clipped at half its peak", lambda r: np.clip(r, -0.5 * abs(r).max(), 0.5 * abs(r).max()), "clipped")
+    yield one(
+        "one channel clipped at half its peak", lambda r: np.clip(r, -0.5 * abs(r).max(), 0.5 * abs(r).max()), "clipped"
+    )
     yield one("one channel clipped on one side", lambda r: np.minimum(r, 0.4 * r.max()), "clipped")
     yield one("one channel in coarse steps", lambda r: np.round(r / (0.1 * r.std())) * 0.1 * r.std(), "quantised")
     yield one("one channel with 20 % noise", lambda r: noisy(r, 0.2), "unrelated", "noise")
@@ -59,21 +61,61 @@ def _of_one_channel(rig: Rig, rng: np.random.Generator) -> Iterator[Alteration]:
     yield one("one channel holds samples", lambda r: _held(r, rate), "held samples", group="cables")
     yield one("hum on one channel", lambda r: r + _tone(r, 50.0, rate, 0.1), "hum", group="cables")
     yield one("60 Hz hum on one channel", lambda r: r + _tone(r, 60.0, rate, 0.05), "hum", group="cables")
-    yield one("one channel low-passed at 60 Hz", lambda r: sosfilt(butter(2, 60, fs=rate, output="sos"), r), "filtered", "delay", group="processing")
-    yield one("one channel high-passed at 5 Hz", lambda r: sosfilt(butter(1, 5, "high", fs=rate, output="sos"), r), "filtered", group="instruments")
+    yield one(
+        "one channel low-passed at 60 Hz",
+        lambda r: sosfilt(butter(2, 60, fs=rate, output="sos"), r),
+        "filtered",
+        "delay",
+        group="processing",
+    )
+    yield one(
+        "one channel high-passed at 5 Hz",
+        lambda r: sosfilt(butter(1, 5, "high", fs=rate, output="sos"), r),
+        "filtered",
+        group="instruments",
+    )
     yield one("one channel integrated", lambda r: _integrated(r, rate), "derivative", "units", group="processing")
-    yield one("one channel slips 20 samples", lambda r: np.r_[r[: r.size // 2], r[r.size // 2 + 20 :], r[-20:]], "slipped samples", "glitch", *(["force"] if len(names) == 1 else []), group="clock")
+    yield one(
+        "one channel slips 20 samples",
+        lambda r: np.r_[r[: r.size // 2], r[r.size // 2 + 20 :], r[-20:]],
+        "slipped samples",
+        "glitch",
+        *(["force"] if len(names) == 1 else []),
+        group="clock",
+    )
     yield one("one channel wraps over", _wrapped, "spikes", "clipped", "unrelated", group="processing")
     yield one("one channel rectified", np.abs, "offset", "unrelated", "drift", group="processing")
     if len(names) > 1:
         first, second = _neighbours(rig, rng)
-        yield Alteration("a copy of its neighbour", lambda r: with_rows(r, {first: r[second].values}), frozenset({"copy", "station"}), (first, second))
+        yield Alteration(
+            "a copy of its neighbour",
+            lambda r: with_rows(r, {first: r[second].values}),
+            frozenset({"copy", "station"}),
+            (first, second),
+        )
         a, b = _neighbours(rig, rng)
-        yield Alteration("a scaled copy with noise", lambda r: with_rows(r, {a: noisy(1.02 * r[b].values, 1e-3)}), frozenset({"copy", "station"}), (a, b))
+        yield Alteration(
+            "a scaled copy with noise",
+            lambda r: with_rows(r, {a: noisy(1.02 * r[b].values, 1e-3)}),
+            frozenset({"copy", "station"}),
+            (a, b),
+        )
         c, d = _neighbours(rig, rng)
-        yield Alteration("two neighbours swapped", lambda r: with_rows(r, {c: r[d].values, d: r[c].values}), frozenset({"swapped"}), (c, d), group="cables")
+        yield Alteration(
+            "two neighbours swapped",
+            lambda r: with_rows(r, {c: r[d].values, d: r[c].values}),
+            frozenset({"swapped"}),
+            (c, d),
+            group="cables",
+        )
         e, f = (str(x) for x in rng.choice(names, 2, replace=False))
-        yield Alteration("two channels swapped", lambda r: with_rows(r, {e: r[f].values, f: r[e].values}), frozenset({"swapped"}), (e, f), group="cables")
+        yield Alteration(
+            "two channels swapped",
+            lambda r: with_rows(r, {e: r[f].values, f: r[e].values}),
+            frozenset({"swapped"}),
+            (e, f),
+            group="cables",
+        )
         g, h = (str(x) for x in rng.choice(names, 2, replace=False))
         if len(names) > 4:
             yield Alteration("two polarities turned", mapped((g, h), lambda r: -r), frozenset({"polarity"}), (g, h))
@@ -86,14 +128,35 @@ def _of_several(rig: Rig, rng: np.random.Generator) -> Iterator[Alteration]:
     yield Alteration("all sensors x 1000", mapped(names, lambda r: 1e3 * r), frozenset({"units"}))
     yield Alteration("all sensors 5 % too large", mapped(names, lambda r: 1.05 * r), everything)
     yield Alteration("all polarities turned", mapped(names, lambda r: -r), frozenset({"polarity"}))
-    yield Alteration("hum of 10 % in phase", mapped(names, lambda r: r + _tone(r, 50.0, rate, 0.1)), frozenset({"hum"}), names, group="cables")
+    yield Alteration(
+        "hum of 10 % in phase",
+        mapped(names, lambda r: r + _tone(r, 50.0, rate, 0.1)),
+        frozenset({"hum"}),
+        names,
+        group="cables",
+    )
     if len(rig.bodies) > 1:
         body = str(rng.choice([b.name for b in rig.bodies]))
         own = tuple(s.name for s in rig.sensors if s.station.body == body)
         yield Alteration("one body's sensors in g", mapped(own, lambda r: r / G), frozenset({"units"}), own, (body,))
-        yield Alteration("one body's polarities turned", mapped(own, lambda r: -r), frozenset({"polarity"}), own, (body,))
-        yield Alteration("one body's sensors 1 ms late", mapped(own, lambda r: delayed(r, 1e-3, rate)), frozenset({"delay"}), (*own, "force"), (body,), group="clock")
-        yield Alteration("one body's sensors 5 % too large", mapped(own, lambda r: 1.05 * r), frozenset({"gain", "mass"}), own, (body,))
+        yield Alteration(
+            "one body's polarities turned", mapped(own, lambda r: -r), frozenset({"polarity"}), own, (body,)
+        )
+        yield Alteration(
+            "one body's sensors 1 ms late",
+            mapped(own, lambda r: delayed(r, 1e-3, rate)),
+            frozenset({"delay"}),
+            (*own, "force"),
+            (body,),
+            group="clock",
+        )
+        yield Alteration(
+            "one body's sensors 5 % too large",
+            mapped(own, lambda r: 1.05 * r),
+            frozenset({"gain", "mass"}),
+            own,
+            (body,),
+        )
 
 
 def _of_the_force(rig: Rig, rng: np.random.Generator) -> Iterator[Alteration]:
@@ -103,20 +166,60 @@ def _of_the_force(rig: Rig, rng: np.random.Generator) -> Iterator[Alteration]:
     yield Alteration("force in kN", mapped(force, lambda r: 1e-3 * r), frozenset({"units"}))
     yield Alteration("force in pounds", mapped(force, lambda r: r / 4.4482216), frozenset({"units"}))
     yield Alteration("force 10 % too large", mapped(force, lambda r: 1.1 * r), frozenset({"gain", "mass"}))
-    yield Alteration("force 1 ms late", mapped(force, lambda r: delayed(r, 1e-3, rate)), frozenset({"delay"}), force, group="clock")
+    yield Alteration(
+        "force 1 ms late", mapped(force, lambda r: delayed(r, 1e-3, rate)), frozenset({"delay"}), force, group="clock"
+    )
     other = str(rng.choice(names))
-    yield Alteration("force taken from another channel", lambda r: with_rows(r, {"force": r[other].values}), frozenset({"force", "copy"}), ("force", other), group="cables")
-    yield Alteration("force of another record", mapped(force, lambda r: np.r_[np.zeros(r.size // 20), r[r.size // 20 :][::-1]]), frozenset({"force"}), force, group="processing")
-    yield Alteration("force clipped", mapped(force, lambda r: np.clip(r, -1.2 * r.std(), 1.2 * r.std())), frozenset({"clipped"}), force)
-    yield Alteration("force low-passed", mapped(force, lambda r: sosfilt(butter(2, 40, fs=rate, output="sos"), r)), frozenset({"filtered", "delay", "force"}), force, group="processing")
+    yield Alteration(
+        "force taken from another channel",
+        lambda r: with_rows(r, {"force": r[other].values}),
+        frozenset({"force", "copy"}),
+        ("force", other),
+        group="cables",
+    )
+    yield Alteration(
+        "force of another record",
+        mapped(force, lambda r: np.r_[np.zeros(r.size // 20), r[r.size // 20 :][::-1]]),
+        frozenset({"force"}),
+        force,
+        group="processing",
+    )
+    yield Alteration(
+        "force clipped",
+        mapped(force, lambda r: np.clip(r, -1.2 * r.std(), 1.2 * r.std())),
+        frozenset({"clipped"}),
+        force,
+    )
+    yield Alteration(
+        "force low-passed",
+        mapped(force, lambda r: sosfilt(butter(2, 40, fs=rate, output="sos"), r)),
+        frozenset({"filtered", "delay", "force"}),
+        force,
+        group="processing",
+    )
 
 
 def _of_clocks(rig: Rig, rng: np.random.Generator) -> Iterator[Alteration]:
     names, rate = (*(s.name for s in rig.sensors), "force"), rig.sample_rate_hz
     for share, said in ((0.01, "1 % fast"), (-0.02, "2 % slow"), (0.005, "0.5 % fast")):
-        yield Alteration(f"clock {said}", mapped(names, lambda r, s=share: _stretched(r, 1 + s)), frozenset({"clock", "frequency"} if len(rig.bodies) == 1 else {"clock"}), group="clock")
-    yield Alteration("samples lost in all channels", mapped(names, lambda r: np.r_[r[: r.size // 2], r[r.size // 2 + int(0.05 * rate) :]]), frozenset({"jump"}), group="clock")
-    yield Alteration("the first seconds cut off", mapped(names, lambda r: r[int(4 * rate) :]), frozenset({"not at rest"}), group="processing")
+        yield Alteration(
+            f"clock {said}",
+            mapped(names, lambda r, s=share: _stretched(r, 1 + s)),
+            frozenset({"clock", "frequency"} if len(rig.bodies) == 1 else {"clock"}),
+            group="clock",
+        )
+    yield Alteration(
+        "samples lost in all channels",
+        mapped(names, lambda r: np.r_[r[: r.size // 2], r[r.size // 2 + int(0.05 * rate) :]]),
+        frozenset({"jump"}),
+        group="clock",
+    )
+    yield Alteration(
+        "the first seconds cut off",
+        mapped(names, lambda r: r[int(4 * rate) :]),
+        frozenset({"not at rest"}),
+        group="processing",
+    )
 
 
 def _of_description(rig: Rig, rng: np.random.Generator) -> Iterator[Alteration]:
@@ -128,18 +231,52 @@ def _of_description(rig: Rig, rng: np.random.Generator) -> Iterator[Alteration]:
         return with_rig(lambda r: replace(r, bodies=tuple(make(b) if b.name == body.name else b for b in r.bodies)))
 
     about, channels = (body.name,), ("force",) if alone else ()
-    yield Alteration("mass 10 % off", put(lambda b: b.scale_mass(1.1)), frozenset({"mass", "gain"} if alone else {"mass"}), channels, about, group="rig.json")
-    yield Alteration("density 10 % off", put(lambda b: b.scale_mass(1.1).scale_frequencies(1.1**-0.5)), frozenset({"mass", "gain"} if alone else {"mass"}), channels, about, group="rig.json")
-    yield Alteration("frequencies 5 % off", put(lambda b: b.scale_frequencies(1.05)), frozenset({"frequency", "clock"} if alone else {"frequency"}), of=() if alone else about, group="rig.json")
-    yield Alteration("frequencies 15 % off", put(lambda b: b.scale_frequencies(14 / 12)), frozenset({"frequency", "clock"} if alone else {"frequency"}), of=() if alone else about, group="rig.json")
-    yield Alteration("damping four times", put(lambda b: b.scale_damping(4.0)), frozenset({"damping"}), of=about, group="rig.json")
+    yield Alteration(
+        "mass 10 % off",
+        put(lambda b: b.scale_mass(1.1)),
+        frozenset({"mass", "gain"} if alone else {"mass"}),
+        channels,
+        about,
+        group="rig.json",
+    )
+    yield Alteration(
+        "density 10 % off",
+        put(lambda b: b.scale_mass(1.1).scale_frequencies(1.1**-0.5)),
+        frozenset({"mass", "gain"} if alone else {"mass"}),
+        channels,
+        about,
+        group="rig.json",
+    )
+    yield Alteration(
+        "frequencies 5 % off",
+        put(lambda b: b.scale_frequencies(1.05)),
+        frozenset({"frequency", "clock"} if alone else {"frequency"}),
+        of=() if alone else about,
+        group="rig.json",
+    )
+    yield Alteration(
+        "frequencies 15 % off",
+        put(lambda b: b.scale_frequencies(14 / 12)),
+        frozenset({"frequency", "clock"} if alone else {"frequency"}),
+        of=() if alone else about,
+        group="rig.json",
+    )
+    yield Alteration(
+        "damping four times", put(lambda b: b.scale_damping(4.0)), frozenset({"damping"}), of=about, group="rig.json"
+    )
     if not body.is_mass:
         yield from _of_places(rig, body, rng)
     clamped = [b for b in rig.bodies if isinstance(b, Beam)]
     for beam in clamped:
         ends = "free-free" if beam.clamped else "clamped-free"
-        turned = with_rig(lambda r, b=beam, e=ends: replace(r, bodies=tuple(replace(x, ends=e) if x.name == b.name else x for x in r.bodies)))
-        yield Alteration(f"{beam.name} described as {ends}", turned, frozenset({"ends", "model"}), of=(beam.name,), group="rig.json")
+        turned = with_rig(
+            lambda r, b=beam, e=ends: replace(
+                r, bodies=tuple(replace(x, ends=e) if x.name == b.name else x for x in r.bodies)
+            )
+        )
+        yield Alteration(
+            f"{beam.name} described as {ends}", turned, frozenset({"ends", "model"}), of=(beam.name,), group="rig.json"
+        )
 
 
 def _of_places(rig: Rig, body: Body, rng: np.random.Generator) -> Iterator[Alteration]:
@@ -149,35 +286,94 @@ def _of_places(rig: Rig, body: Body, rng: np.random.Generator) -> Iterator[Alter
     moved = free[int(rng.integers(len(free)))]
     if isinstance(body, Beam):
         for by_m in (0.05, 0.01):
+
             def change(s, by=by_m):
                 x = s.station.position_m
-                return replace(s, station=Station(body.name, x - by if x >= by else x + by)) if s.name == moved.name else s
-            yield Alteration(f"one station {1e3 * by_m:g} mm off", with_sensors(change), frozenset({"station"}), (moved.name,), group="rig.json")
-    turned = with_sensors(lambda s: replace(s, station=Station(body.name, body.length_m - s.station.position_m)) if s.station.body == body.name else s)
+                return (
+                    replace(s, station=Station(body.name, x - by if x >= by else x + by)) if s.name == moved.name else s
+                )
+
+            yield Alteration(
+                f"one station {1e3 * by_m:g} mm off",
+                with_sensors(change),
+                frozenset({"station"}),
+                (moved.name,),
+                group="rig.json",
+            )
+    turned = with_sensors(
+        lambda s: (
+            replace(s, station=Station(body.name, body.length_m - s.station.position_m))
+            if s.station.body == body.name
+            else s
+        )
+    )
     places = sorted(s.station.position_m for s in own)
     if not np.allclose(places, sorted(body.length_m - p for p in places)) or not at_contacts:
-        yield Alteration("stations count from the other end", turned, frozenset({"mirrored", "model"}), tuple(s.name for s in own), of=(body.name,), group="rig.json")
+        yield Alteration(
+            "stations count from the other end",
+            turned,
+            frozenset({"mirrored", "model"}),
+            tuple(s.name for s in own),
+            of=(body.name,),
+            group="rig.json",
+        )
     at = rig.force_at
     if at.body == body.name:
         other = min((s.station for s in own if s.station != at), key=lambda p: abs(p.position_m - at.position_m))
-        yield Alteration("the force at the next station", with_rig(lambda r: replace(r, force_at=other)), frozenset({"force place"}), group="rig.json")
+        yield Alteration(
+            "the force at the next station",
+            with_rig(lambda r: replace(r, force_at=other)),
+            frozenset({"force place"}),
+            group="rig.json",
+        )
 
 
 def _of_processing(rig: Rig, rng: np.random.Generator) -> Iterator[Alteration]:
     names, rate = tuple(s.name for s in rig.sensors), rig.sample_rate_hz
     group = "processing"
-    yield Alteration("all sensors low-passed at 60 Hz", mapped(names, lambda r: sosfilt(butter(2, 60, fs=rate, output="sos"), r)), frozenset({"filtered", "delay", "force"}), (*names, "force"), group=group)
-    yield Alteration("all low-passed without phase at 60 Hz", mapped(names, lambda r: sosfiltfilt(cheby1(2, 0.5, 60, fs=rate, output="sos"), r)), frozenset({"filtered", "force"}), (*names, "force"), group=group)
-    yield Alteration("all sensors smoothed over 5 ms", mapped(names, lambda r: np.convolve(r, np.ones(int(0.005 * rate)) / int(0.005 * rate), "same")), frozenset({"filtered", "force"}), (*names, "force"), group=group)
+    yield Alteration(
+        "all sensors low-passed at 60 Hz",
+        mapped(names, lambda r: sosfilt(butter(2, 60, fs=rate, output="sos"), r)),
+        frozenset({"filtered", "delay", "force"}),
+        (*names, "force"),
+        group=group,
+    )
+    yield Alteration(
+        "all low-passed without phase at 60 Hz",
+        mapped(names, lambda r: sosfiltfilt(cheby1(2, 0.5, 60, fs=rate, output="sos"), r)),
+        frozenset({"filtered", "force"}),
+        (*names, "force"),
+        group=group,
+    )
+    yield Alteration(
+        "all sensors smoothed over 5 ms",
+        mapped(names, lambda r: np.convolve(r, np.ones(int(0.005 * rate)) / int(0.005 * rate), "same")),
+        frozenset({"filtered", "force"}),
+        (*names, "force"),
+        group=group,
+    )
     if len(names) > 1:
-        yield Alteration("each channel over its own rms", mapped(names, lambda r: r / r.std()), frozenset({"units", "gain", "model"}), names, group=group)
-    yield Alteration("time reversed", mapped((*names, "force"), lambda r: r[::-1].copy()), frozenset({"not at rest", "model"}), group=group)
+        yield Alteration(
+            "each channel over its own rms",
+            mapped(names, lambda r: r / r.std()),
+            frozenset({"units", "gain", "model"}),
+            names,
+            group=group,
+        )
+    yield Alteration(
+        "time reversed",
+        mapped((*names, "force"), lambda r: r[::-1].copy()),
+        frozenset({"not at rest", "model"}),
+        group=group,
+    )
 
 
 def _neighbours(rig: Rig, rng: np.random.Generator) -> tuple[str, str]:
     own = list(rig.sensors)
     first = own[int(rng.integers(len(own)))]
-    same = [s for s in own if s.station.body == first.station.body and s is not first] or [s for s in own if s is not first]
+    same = [s for s in own if s.station.body == first.station.body and s is not first] or [
+        s for s in own if s is not first
+    ]
     return first.name, min(same, key=lambda s: abs(s.station.position_m - first.station.position_m)).name
 
 
