@@ -44,9 +44,14 @@ def check_recording(
     found += _against_model(recording, use, believed, found)
     if any(f.cause == "force" for f in found):
         found = [f for f in found if f.cause != "noise"]
-    told = {c for f in found if f.cause not in HIDE for c in f.channels if len(f.channels) == 1}
-    found = [f for f in found if f.cause not in ("noise", "drift", "offset") or not set(f.channels) <= told]
+    told = {"force", *(c for f in found if f.cause not in HIDE for c in f.channels if len(f.channels) == 1)}
+    found = [f for f in found if f.cause not in ("noise", "drift", "offset", "force") or not _told(f, told)]
     return merged(found, recording.rig)
+
+
+def _told(found: Finding, told: set[str]) -> bool:
+    """Whether a better reason is known for what one channel's waveform shows."""
+    return found.channels != ("force",) and set(found.channels) <= told
 
 
 @contextmanager

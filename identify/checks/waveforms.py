@@ -23,6 +23,7 @@ SLOW_HZ, SLOW = 0.25, 0.05
 OFFSET = 0.05
 MOVING = 0.3
 IMPACT, APART, MOST_SPIKES = 8.0, 2.0, 60
+ALIKE = 1.5
 NOISY = 0.05
 
 Row = Float[np.ndarray, " samples"]
@@ -104,15 +105,15 @@ def spikes(name: str, off: Row, others: list[Row]) -> Finding | None:
     What other channels show too is an impact. Of the only channel, spikes stand out from all impacts.
     """
     end = off.size // 50
-    found = [int(k) + end for k in np.flatnonzero(off[end:-end] > SPIKE)]
-    found = [k for k in found if off[k] > 1.4 * max(off[k - 1], off[k + 1])]
+    inner = off[end:-end]
+    found = [int(k) + end for k in np.flatnonzero(inner > SPIKE) if _alone(off, int(k) + end)]
     if others:
         found = [k for k in found if max(float(o[k - 3 : k + 4].max()) for o in others) < IMPACT]
     elif found:
-        peaks = np.sort(off[end:-end][1:-1][(off[end:-end][1:-1] > np.maximum(off[end:-end][:-2], off[end:-end][2:]))])
-        least = min(off[k] for k in found)
-        below = peaks[peaks < least]
-        found = found if below.size and least > APART * below[-1] else []
+        peaks = np.sort(inner[1:-1][(inner[1:-1] > inner[:-2]) & (inner[1:-1] > inner[2:])])[::-1][: MOST_SPIKES + 1]
+        apart = peaks[:-1] / np.maximum(peaks[1:], 1e-300)
+        last = int(np.argmax(apart))
+        found = [k for k in found if off[k] >= peaks[last]] if apart[last] > APART else []
     if not 0 < len(found) <= MOST_SPIKES:
         return None
     return Finding(
@@ -123,12 +124,27 @@ def spikes(name: str, off: Row, others: list[Row]) -> Finding | None:
     )
 
 
+def _alone(off: Row, k: int) -> bool:
+    """As one sample does: two thirds of its own deviation show at the samples beside it, a sixth at the next."""
+    beside, next_ones = off[[k - 1, k + 1]], off[[k - 2, k + 2]]
+    return bool(off[k] > 1.3 * beside.max() and beside.min() > 0.45 * off[k] and next_ones.max() < 0.35 * off[k])
+
+
 def noise(name: str, rate_hz: float, row: Row, force: Row) -> Finding | None:
     """In the quiet start."""
     quiet = quiet_samples(force, rate_hz)
     share = float(row[:quiet].std() / row.std()) if quiet else 0.0
     if share < NOISY:
         return None
+    fast, usual = (float(np.diff(part).std() / part.std()) for part in (row[:quiet], row[quiet:]))
+    if fast < ALIKE * usual:
+        return Finding(
+            cause="force",
+            channels=("force", name),
+            evidence=f"{name} moves as it does later, with {100 * share:.2g} % of its root mean square, before the force "
+            "begins",
+            mend="check that the force is of this record and on its clock, or let the rig come to rest first",
+        )
     return Finding(
         cause="noise",
         channels=(name,),
