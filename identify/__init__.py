@@ -6,9 +6,10 @@
     print(found)
     found.save("results")
 
-`check` says what is wrong with a recording. `contact` finds clearance, stiffness and damping of every contact, `law` the contact law as a formula, `gap` how the
-machine differs from its description. Each takes recordings or the names of their files, and returns a result with
-`to_dict()`, `table()`, `figure(name)` and `save(folder)`.
+`check` says what is wrong with a recording, `contact` finds clearance, stiffness and damping of every contact, `law`
+the contact law as a formula, `gap` how the machine differs from its description. Each takes recordings or the names of
+their files, and returns a result with `to_dict()` and `table()`, all but `check` also with `figure(name)` and
+`save(folder)`.
 """
 
 from importlib.metadata import version

@@ -7,72 +7,13 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from identify.checks.findings import Finding
-from identify.checks.prediction import LinearCheck, Predicted, by_forces, driven_by
+from identify.checks.prediction import LinearCheck, Predicted, by_forces
+from identify.checks.relations import FOLLOWS, Relation, bandwise, relation, usual_factor
 from identify.checks.spectra import Spectra
 from rig.model.description import Rig, Station
 
-FACTORS = {
-    "g instead of m/s^2, or the reverse": 9.80665,
-    "thousandths (mm, kN, mV)": 1e3,
-    "millionths": 1e6,
-    "inches": 1 / 0.0254,
-    "feet": 1 / 0.3048,
-    "pounds": 4.4482216,
-    "centimetres or Gal": 100.0,
-    "root mean square for peak": float(np.sqrt(2)),
-}
-"""Usual mistakes of units; each may be made in either direction."""
-NEAR = 0.03
-"""A factor within this share of a usual one is taken for it."""
-FOLLOWS = 0.5
-"""A channel with a lower coherence with what the others predict does not follow the motion."""
-LATEST_S = 0.1
-BANDS, PLACES = 10, 41
+PLACES = 41
 SAYS = "the linear model and all other channels"
-
-
-@dataclass(frozen=True)
-class Relation:
-    """measured = gain predicted e^(-i omega delay), with what share of the measured power it explains."""
-
-    gain: float
-    delay_s: float
-    coherence: float
-
-
-def relation(
-    omega: Float[np.ndarray, " lines"],
-    measured: Complex[np.ndarray, " lines"],
-    predicted: Complex[np.ndarray, " lines"],
-    weight: Float[np.ndarray, " lines"],
-    latest_s: float = LATEST_S,
-) -> Relation:
-    """By the delay of highest coherence; the gain has the sign that makes it positive at that delay."""
-    cross = predicted.conj() * measured * weight**2
-    power = float(np.sum((np.abs(predicted) * weight) ** 2))
-    own = float(np.sum((np.abs(measured) * weight) ** 2))
-    if not (power > 0 and own > 0):
-        return Relation(0.0, 0.0, 0.0)
-    step_s = 0.25 * np.pi / float(omega[-1])
-    late = step_s * np.arange(-int(latest_s / step_s), int(latest_s / step_s) + 1)
-    sums = np.concatenate([(np.exp(1j * part[:, None] * omega) @ cross).real for part in np.array_split(late, 8)])
-    best = int(np.argmax(np.abs(sums)))
-    delay = late[best]
-    for _ in range(4):  # of the real part's slope
-        turned = np.exp(1j * delay * omega) * cross
-        slope, bend = float(np.sum((1j * omega * turned).real)), float(np.sum((-(omega**2) * turned).real))
-        if bend:
-            delay -= float(np.clip(slope / bend, -step_s, step_s))
-    total = float(np.sum((np.exp(1j * delay * omega) * cross).real))
-    return Relation(total / power, float(delay), total**2 / (power * own))
-
-
-def usual_factor(gain: float) -> str | None:
-    """Which mistake of units makes a channel deliver so many times too much."""
-    for name, factor in FACTORS.items():
-        if any(abs(abs(gain) * f - 1) < NEAR for f in (factor, 1 / factor)):
-            return name
-    return None
 
 
 @dataclass(frozen=True)
@@ -264,25 +205,6 @@ def _filtered(
     )
 
 
-def bandwise(
-    omega: Float[np.ndarray, " lines"],
-    measured: Complex[np.ndarray, " lines"],
-    expected: Complex[np.ndarray, " lines"],
-    weight: Float[np.ndarray, " lines"],
-) -> tuple[Complex[np.ndarray, " bands"], float, Float[np.ndarray, " bands"]]:
-    """The complex gain in each band, what share of the power they leave, and the bands' middles."""
-    edges = np.searchsorted(omega, np.geomspace(omega[0], omega[-1], BANDS + 1)[1:-1])
-    bands = [p for p in np.split(np.arange(omega.size), edges) if p.size > 5]
-    gains, left = [], 0.0
-    for p in bands:
-        of, by = measured[p] * weight[p], expected[p] * weight[p]
-        gain = np.vdot(by, of) / max(float(np.vdot(by, by).real), 1e-300)
-        gains.append(gain)
-        left += float(np.sum(np.abs(of - gain * by) ** 2))
-    whole = float(np.sum(np.abs(measured * weight) ** 2)) or 1.0
-    return np.array(gains), left / whole, np.array([omega[p[p.size // 2]] for p in bands])
-
-
 def _slipped(name: str, delays: Float[np.ndarray, " parts"]) -> Finding:
     more = float(delays[-1] - delays[0])
     return Finding(
@@ -291,61 +213,4 @@ def _slipped(name: str, delays: Float[np.ndarray, " parts"]) -> Finding:
         evidence=f"{name} is {1e3 * abs(more):.3g} ms {'later' if more > 0 else 'earlier'} against the others at the "
         "record's end than at its begin",
         mend="it lost or doubled samples, or has a clock of its own: synchronise it and record again",
-    )
-
-
-def force_finding(
-    spectra: Spectra, implied: Complex[np.ndarray, " lines"], weight: Float[np.ndarray, " lines"]
-) -> Finding:
-    """What is wrong with the measured force, by the force that all sensors imply."""
-    driven = driven_by(spectra)
-    omega, measured, implied, weight = (x[driven] for x in (spectra.omega, spectra.force, implied, weight))
-    own = relation(omega, measured, implied, weight)
-    gains, left, middle = bandwise(omega, measured, implied, weight)
-    size = np.abs(gains)
-    if left < 0.3 and 1 - own.coherence > 2.5 * left and size.max() > 1.25 * size.min():
-        falls = size[-1] < size[0]
-        return Finding(
-            cause="filtered",
-            channels=("force",),
-            evidence=f"the force is {size[0]:.3g} times what all sensors imply at {middle[0] / (2 * np.pi):.3g} Hz and "
-            f"{size[-1]:.3g} times at {middle[-1] / (2 * np.pi):.3g} Hz: {'it' if falls else 'all sensors'} went through "
-            "a low-pass",
-            mend="undo the filter, or put the force and the sensors through the same",
-        )
-    if own.coherence < FOLLOWS:
-        return Finding(
-            cause="force",
-            channels=("force",),
-            evidence=f"the force channel explains {100 * max(own.coherence, 0):.2g} % of the force that moves the rig "
-            "by all sensors",
-            mend="check that it is the channel of the load cell, and of this record",
-        )
-    if own.gain < 0:
-        return Finding(
-            cause="polarity",
-            channels=("force",),
-            evidence=f"the force has the opposite sign of what all sensors imply (gain {own.gain:.4g})",
-            mend="turn the force with scale = -1 in the import map, or all sensors",
-        )
-    units = usual_factor(own.gain)
-    if units:
-        return Finding(
-            cause="units",
-            evidence=f"all sensors deliver {1 / own.gain:.4g} times what the force and the masses of rig.json make",
-            mend=f"correct the unit of the sensors or of the force in the import map; it looks like {units}",
-        )
-    if abs(own.delay_s) > 1e-4:
-        return Finding(
-            cause="delay",
-            channels=("force",),
-            evidence=f"the force comes {1e3 * abs(own.delay_s):.3g} ms {'late' if own.delay_s > 0 else 'early'} against "
-            "all sensors",
-            mend="synchronise the force's clock with the sensors', or shift its column",
-        )
-    return Finding(
-        cause="gain",
-        channels=("force",),
-        evidence=f"the force is {own.gain:.4g} times what all sensors and the masses of rig.json imply",
-        mend="calibrate the load cell, or check all masses of rig.json",
     )

@@ -7,12 +7,13 @@ from functools import cache
 import numpy as np
 
 from identify.checks import waveforms
+from identify.checks.broken import broken_finding
 from identify.checks.continuity import breaks
 from identify.checks.findings import Finding, merged
 from identify.checks.gross import gross
 from identify.checks.masses import mass_findings
 from identify.checks.prediction import linear_check
-from identify.checks.pulls import broken, broken_finding
+from identify.checks.pulls import broken
 from identify.checks.spectra import Spectra, quiet_samples, spectra_of
 from identify.signals.kinematics import Use, kinematics
 from rig.errors import RigError

@@ -2,14 +2,17 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float
 
-from identify.checks.channels import channel_finding, channel_gain, force_finding, relation
+from identify.checks.channels import channel_finding, channel_gain
 from identify.checks.findings import Finding, merged
+from identify.checks.force import force_finding
 from identify.checks.prediction import LinearCheck, Predicted, linear_check
+from identify.checks.relations import relation
 from identify.checks.rigs import rig_trials
 from identify.checks.spectra import Spectra
 from identify.checks.trial import Trial
@@ -84,13 +87,14 @@ def _channels(rig: Rig, spectra: Spectra, usable: list[int], fine: Callable[[], 
         found = check.predicted(kept)
         if np.isfinite(found.misfit):
             yield Trial(
-                found.misfit,
-                kept,
-                lambda c=channel, k=check, f=found, rest=kept: (
-                    channel_finding(rig, k, c, f, lambda: _over_time(rig, fine(), c, rest)),
-                ),
-                allowance=LEFT_OUT,
+                found.misfit, kept, partial(_of_channel, rig, check, found, channel, kept, fine), allowance=LEFT_OUT
             )
+
+
+def _of_channel(
+    rig: Rig, check: LinearCheck, found: Predicted, channel: int, kept: list[int], fine: Callable[[], Spectra]
+) -> tuple[Finding, ...]:
+    return (channel_finding(rig, check, channel, found, lambda: _over_time(rig, fine(), channel, kept)),)
 
 
 def _over_time(rig: Rig, spectra: Spectra, channel: int, kept: list[int]) -> Float[np.ndarray, " parts"] | None:
@@ -123,19 +127,23 @@ def _swaps(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]:
     for one, other in combinations(usable, 2):
         rows = spectra.acceleration.copy()
         rows[[one, other]] = rows[[other, one]]
-        names = tuple(spectra.sensors[i].name for i in (one, other))
+        names = spectra.sensors[one].name, spectra.sensors[other].name
         yield Trial(
             linear_check(rig, spectra.with_rows(rows), usable).predicted(usable).misfit,
             [i for i in usable if i not in (one, other)],
-            lambda names=names: (
-                Finding(
-                    cause="swapped",
-                    channels=names,
-                    evidence=f"{names[0]} and {names[1]} fit the model if they change places",
-                    mend="swap their cables, or their columns in the import map",
-                ),
-            ),
+            partial(_swapped, names),
         )
+
+
+def _swapped(names: tuple[str, str]) -> tuple[Finding, ...]:
+    return (
+        Finding(
+            cause="swapped",
+            channels=names,
+            evidence=f"{names[0]} and {names[1]} fit the model if they change places",
+            mend="swap their cables, or their columns in the import map",
+        ),
+    )
 
 
 def _gains(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]:
@@ -185,9 +193,6 @@ def _several(rig: Rig, spectra: Spectra, usable: list[int], fine: Callable[[], S
         if misfit < SOUND:
             check = linear_check(rig, spectra, kept)
             predicted = check.predicted(kept)
-            found = [
-                channel_finding(rig, check, c, predicted, lambda c=c: _over_time(rig, fine(), c, kept))
-                for c in sorted(left_out)
-            ]
+            found = [f for c in sorted(left_out) for f in _of_channel(rig, check, predicted, c, kept, fine)]
             return Gross(merged(found, rig), kept, True)
     return None

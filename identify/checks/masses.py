@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from identify.checks.channels import usual_factor
 from identify.checks.findings import Finding
+from identify.checks.relations import usual_factor
 from identify.signals.kinematics import Kinematics
 from identify.signals.spectra import decimated, force_band
 from rig.model.description import Body, Rig
@@ -158,8 +158,8 @@ def _compared(body: Body, sensor: tuple[str, ...], fit: MassFit, tolerances: Tol
                 Finding(
                     cause="damping",
                     of=body.name,
-                    evidence=f"while its contacts are open, {body.name} is damped {share:.3g} times as much as rig.json "
-                    "says",
+                    evidence=f"while its contacts are open, {body.name} is damped {share:.3g} times as much as "
+                    "rig.json says",
                     mend="take its damping from a decay or a modal test",
                 )
             )

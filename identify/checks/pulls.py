@@ -1,4 +1,4 @@
-"""Which tolerance of rig.json is broken: nuisance parameters fitted to the linear residual, and the one that pulls most.
+"""Which tolerance of rig.json is broken: the nuisance parameters of the linear residual, and the one that pulls most.
 
 With the residual r of the linear model (contact forces projected out), columns X of one standard deviation of each
 nuisance parameter and a prior of one,
@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Complex, Float
 
-from identify.checks.findings import Finding
+from identify.checks.candidates import Candidate, candidates_of
 from identify.checks.prediction import ROUGH, LinearCheck, Predicted
-from identify.structure.nuisance import BodyMotion, Change, Nuisance, Observed, changes_of
+from identify.structure.nuisance import BodyMotion, Change, Observed, changes_of
 from identify.structure.response import Response, across, response_of, times
 from rig.model.description import Rig
 from rig.model.tolerances import Tolerances
@@ -36,18 +36,9 @@ Columns = Complex[np.ndarray, "some sensors lines"]
 class Broken:
     """What a candidate is, by how many tolerances (or in its own unit) it is off, and how strongly it is asked for."""
 
-    what: "Candidate"
+    what: Candidate
     size: float
     pull: float
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A nuisance parameter, or a common error of several: kind, what it is of, one of its units in relative or SI."""
-
-    kind: str
-    of: str
-    unit: float
 
 
 def broken(
@@ -81,7 +72,7 @@ def broken(
     if not changes:
         return [], np.zeros(0)
     columns = np.stack([_whole(c, measured.shape) for c in changes])
-    candidates, added = _candidates(changes, columns, bodies, sensors, by_force, omega, tolerances)
+    candidates, added = candidates_of(changes, bodies, sensors, by_force, omega, tolerances)
     project = Projector(check, kept)
     left = project(measured - by_force)
     own, beside = project.of(columns), project.of(added)
@@ -98,13 +89,16 @@ def broken(
             pulls, z, size = _scores(left, own, whole, free, weights)
         ranked = sorted(range(len(candidates)), key=lambda k: -abs(z[k]))
         least = NEXT * abs(found[0].pull) if found else 0.0
-
-        def asked(k: int, z: np.ndarray = z, size: _Sizes = size, least: float = least) -> bool:
-            return abs(z[k]) > max(_broken(candidates[k]), least) and _matters(candidates[k], size.of[k], tolerances)
-
-        best = next((k for k in ranked if k not in free and asked(k)), None)
-        if best is None or len(found) == MOST:
+        asked = [
+            k
+            for k in ranked
+            if k not in free
+            and abs(z[k]) > max(_broken(candidates[k]), least)
+            and _matters(candidates[k], float(size.of[k]), tolerances)
+        ]
+        if not asked or len(found) == MOST:
             break
+        best = asked[0]
         found.append(Broken(candidates[best], float(size.of[best]), float(z[best])))
         free.append(best)
     return found, pulls
@@ -142,9 +136,7 @@ def _broken(candidate: Candidate) -> float:
 
 def _matters(candidate: Candidate, size: float, tolerances: Tolerances) -> bool:
     """Whether so much is beyond the tolerance."""
-    if candidate.kind == "clock":
-        return abs(size) > 1.5 * tolerances.frequency
-    return abs(size) > FAR * (candidate.unit if candidate.kind in ("density", "common delay") else 1.0)
+    return abs(size) > (1.5 * tolerances.frequency if candidate.kind == "clock" else FAR)
 
 
 class Projector:
@@ -185,105 +177,3 @@ def _body(rig: Rig, response: Response, check: LinearCheck, kept: list[int], mod
     told = sum(check.spectra.sensors[i].station.body == response.body.name for i in kept)
     elastic = np.arange(response.body.rigid_modes, min(told, response.count))
     return BodyMotion(response, response.accelerance * times(pushed.T, forces), elastic)
-
-
-def _candidates(
-    changes: list[Change],
-    columns: Columns,
-    bodies: tuple[BodyMotion, ...],
-    sensors: tuple,
-    by_force: Complex[np.ndarray, "sensors lines"],
-    omega: Float[np.ndarray, " lines"],
-    tolerances: Tolerances,
-) -> tuple[list[Candidate], Columns]:
-    """All nuisance parameters; then a clock that is off, a density, and delays and gains that several share."""
-    found = [_named(c.parameter, tolerances) for c in changes]
-    added = []
-    clock = np.zeros_like(by_force)
-    for body in bodies:
-        r = body.response
-        rows = [i for i, s in enumerate(sensors) if s.station.body == r.body.name]
-        shapes = r.shapes([sensors[i].station for i in rows])
-        tuned = times(shapes, r.sensitivities["frequency"] * body.acceleration)
-        clock[rows] += tuned
-        heavier = np.zeros_like(by_force)
-        heavier[rows] = -tolerances.mass * (times(shapes, body.acceleration) + 0.5 * tuned)
-        if r.body.length_m and tolerances.mass:
-            added.append((Candidate("density", r.body.name, 1.0), heavier))
-    added.append((Candidate("clock", "", 1.0), clock))
-    if tolerances.delay_s:
-        late = -1j * omega * tolerances.delay_s * -by_force
-        added.append((Candidate("force delay", "force", tolerances.delay_s), late))
-    return [*found, *(a for a, _ in added)], np.concatenate([columns, np.stack([c for _, c in added])])[len(columns) :]
-
-
-def _named(parameter: Nuisance, tolerances: Tolerances) -> Candidate:
-    own = tolerances.of_sensor(parameter.of)
-    unit = {
-        "gain": own.gain,
-        "position": own.position_m,
-        "delay": own.delay_s,
-        "high-pass": own.high_pass_hz,
-        "force gain": tolerances.force_gain,
-        "mass": tolerances.mass,
-        "frequency": tolerances.frequency,
-        "damping": tolerances.damping,
-    }[parameter.kind]
-    of = parameter.of + ("" if parameter.mode is None else f" {parameter.mode}")
-    return Candidate(parameter.kind, of, unit)
-
-
-def broken_finding(found: Broken) -> Finding:
-    """In words."""
-    what, size = found.what, found.size * found.what.unit
-    asked = f"({abs(found.size):.0f} tolerances)"
-    if what.kind == "clock":
-        return Finding(
-            cause="clock",
-            evidence=f"all modes of all bodies lie {100 * size:+.2g} % off the frequencies of rig.json",
-            mend="check the sampling rate: a clock that is off shifts all frequencies alike",
-        )
-    if what.kind in ("force gain",):
-        return Finding(
-            cause="gain",
-            channels=("force",),
-            evidence=f"the force is {100 * size:+.2g} % off what all sensors imply {asked}",
-            mend="calibrate the load cell, or check all masses of rig.json",
-        )
-    if what.kind == "force delay":
-        return Finding(
-            cause="delay",
-            channels=("force",),
-            evidence=f"the force comes {1e3 * abs(size):.2g} ms {'late' if size > 0 else 'early'} against all sensors",
-            mend="synchronise the force's clock with the sensors'",
-        )
-    if what.kind in ("mass", "density"):
-        return Finding(
-            cause="mass",
-            of=what.of,
-            evidence=f"{what.of} moves as if its {what.kind} were {100 * size * (1 if what.kind == 'mass' else 0.003):+.2g} % off rig.json {asked}",
-            mend="weigh it and correct rig.json",
-        )
-    if what.kind in ("frequency", "damping"):
-        return Finding(
-            cause="frequency" if what.kind == "frequency" else "damping",
-            of=what.of,
-            evidence=f"the {what.kind} of {what.of} is {100 * size:+.2g} % off rig.json {asked}",
-            mend="fit rig.json to a modal test, or widen its tolerance if it is known no better",
-        )
-    sizes = {
-        "gain": f"delivers {100 * size:+.2g} % more or less than the others and the model say",
-        "position": f"moves as if it stood {1e3 * size:+.3g} mm from its station",
-        "delay": f"comes {1e3 * abs(size):.2g} ms {'late' if size > 0 else 'early'} against the others",
-        "high-pass": f"is high-passed at about {abs(size):.2g} Hz",
-    }
-    mends = {
-        "gain": "calibrate it again",
-        "position": "measure its place and correct rig.json",
-        "delay": f"set delay_s = {size:.2g} in rig.json, or synchronise its clock",
-        "high-pass": "take the coupling off, or widen high_pass_hz of its tolerance",
-    }
-    cause = {"gain": "gain", "position": "station", "delay": "delay", "high-pass": "filtered"}[what.kind]
-    return Finding(
-        cause=cause, channels=(what.of,), evidence=f"{what.of} {sizes[what.kind]} {asked}", mend=mends[what.kind]
-    )

@@ -45,7 +45,7 @@ def rig_trials(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]
         if body.length_m:
             yield trial(misfit(rig, _mirrored(spectra, body)), partial(_turned, body.name, spectra))
         for say, change in CHANGES.items():
-            factor, left = scaled(lambda x, b=body, c=change: _with_body(rig, c(b, x)))
+            factor, left = scaled(partial(_changed, rig, body, change))
             yield trial(left, partial(say, body.name, factor))
     fast, left = scaled(lambda x: replace(rig, bodies=tuple(b.scale_frequencies(x) for b in rig.bodies)), 1.2)
     yield trial(left, partial(_clock, fast))
@@ -66,6 +66,10 @@ def _places(body: Body, now: Station) -> list[Station]:
         return []
     every = np.linspace(0, body.length_m, PLACES)
     return [Station(body.name, float(x)) for x in every if abs(x - now.position_m) > 0.01 * body.length_m]
+
+
+def _changed(rig: Rig, body: Body, change: Callable[[Body, float], Body], by: float) -> Rig:
+    return _with_body(rig, change(body, by))
 
 
 def _with_body(rig: Rig, body: Body) -> Rig:

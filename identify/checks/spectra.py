@@ -11,7 +11,7 @@ from scipy.ndimage import uniform_filter1d
 from identify.signals.kinematics import TAPER_S, taper
 from identify.signals.spectra import force_band
 from rig.errors import RigError
-from rig.model.description import Rig, Sensor
+from rig.model.description import Sensor
 from rig.model.sensing import PASSBAND
 from rig.recording import Recording
 
@@ -86,13 +86,13 @@ def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], most: int | No
     found = rfft(rows * ending, length)[:, lines]
     begun = quiet_samples(force, rate)
     quiet = rows[:, :begun]
-    for row, sensor in zip(found, sensors, strict=True):
-        row *= chain(sensor, omega)
+    chains = np.stack([chain(s, omega) for s in sensors])
+    found *= chains
     if quiet.shape[1]:
         deviation = quiet.std(axis=1)
     else:
         deviation = np.array([s.noise_density * np.sqrt(rate / 2) for s in sensors])
-    per_line = np.sqrt(force.size) * deviation[:, None] * np.abs([chain(s, omega) for s in sensors])
+    per_line = np.sqrt(force.size) * deviation[:, None] * np.abs(chains)
     taken_s = (begun / rate, max(force.size / rate - CUT_S, 0.5 * force.size / rate))
     return Spectra(sensors, omega, found, rfft(force * ending, length)[lines], per_line, lines, length, taken_s, rate)
 

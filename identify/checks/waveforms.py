@@ -141,8 +141,8 @@ def noise(name: str, rate_hz: float, row: Row, force: Row) -> Finding | None:
         return Finding(
             cause="force",
             channels=("force", name),
-            evidence=f"{name} moves as it does later, with {100 * share:.2g} % of its root mean square, before the force "
-            "begins",
+            evidence=f"{name} moves as it does later, with {100 * share:.2g} % of its root mean square, before "
+            "the force begins",
             mend="check that the force is of this record and on its clock, or let the rig come to rest first",
         )
     return Finding(
@@ -188,8 +188,8 @@ def hum(name: str, rate_hz: float, row: Row, force: Row) -> Finding | None:
     return Finding(
         cause="hum",
         channels=(name,),
-        evidence=f"{name} holds a tone of {hz:.3g} Hz, {100 * height / float(row.std() * np.sqrt(2)):.2g} % of its size, "
-        "that the force does not make: mains hum",
+        evidence=f"{name} holds a tone of {hz:.3g} Hz, {100 * height / float(row.std() * np.sqrt(2)):.2g} % of its "
+        "size, that the force does not make: mains hum",
         mend="ground the cables at one end, keep them away from mains cables, and record again",
     )
 

@@ -93,7 +93,7 @@ class TransformationResult(msgspec.Struct, frozen=True):
 
 
 class ContactReport(msgspec.Struct, frozen=True, kw_only=True):
-    """contact.json. Where findings say what is wrong with the record, rig.json or the fit, no value is to be relied on."""
+    """contact.json. No value is to be relied on where findings say what is wrong with record, rig.json or fit."""
 
     rig: str
     contacts: tuple[ContactEstimate, ...]

@@ -1,5 +1,6 @@
 """One way to spoil a recording, with what a check has to say of it."""
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -8,9 +9,11 @@ from jaxtyping import Float
 from msgspec.structs import replace
 
 from identify.checks.findings import Cause
-from rig.model.description import Rig, Sensor
+from rig.model.description import Rig, Sensor, Station
 from rig.recording import Recording, Signals
+from rig.recording.channels import Channels
 
+G = 9.80665
 Row = Float[np.ndarray, " samples"]
 Change = Callable[[Recording], Recording]
 
@@ -65,10 +68,8 @@ def with_rig(change: Callable[[Rig], Rig]) -> Change:
     return changed
 
 
-def _placed(signals: Signals, stations: tuple) -> object:
-    from dataclasses import replace as other
-
-    return other(signals.channels, stations=stations)
+def _placed(signals: Signals, stations: tuple[Station | None, ...]) -> Channels:
+    return dataclasses.replace(signals.channels, stations=stations)
 
 
 def with_sensors(change: Callable[[Sensor], Sensor]) -> Change:
