@@ -78,6 +78,8 @@ def _against_model(recording: Recording, use: Use, believed: Tolerances, shown: 
         return []
     rig = recording.rig
     sensors = tuple(s for s in rig.sensors if s.measures.translates and use in ("auto", s.quantity))
+    if not sensors:
+        return []
 
     @cache
     def fine() -> Spectra:

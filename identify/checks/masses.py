@@ -22,7 +22,8 @@ OPEN = 0.4
 """The middle of a gap: relative displacements below this quantile."""
 SHORTEST = 8
 TO_FORCE = 3.0
-FAR = 4.0
+FAR, LEAST = 4.0, 2e-3
+"""So many standard deviations of tolerances and errors are too many; no tolerance is believed to be less."""
 LEAST_EXPLAINED = 0.98
 LATEST_S = 0.02
 
@@ -133,7 +134,7 @@ def _compared(body: Body, sensor: tuple[str, ...], fit: MassFit, tolerances: Tol
             )
         )
     ratio = mass / float(getattr(body, "mass_kg", np.nan))
-    allowed = FAR * float(np.hypot.reduce([tolerances.mass, tolerances.gain, tolerances.force_gain]))
+    allowed = FAR * float(np.hypot.reduce([tolerances.mass, tolerances.gain, tolerances.force_gain, LEAST]))
     if abs(ratio - 1) > allowed + FAR * fit.errors[0] / abs(mass):
         found.append(_size(body, sensor, ratio))
     natural_hz = float(body.frequencies_hz(1)[0])
@@ -141,7 +142,7 @@ def _compared(body: Body, sensor: tuple[str, ...], fit: MassFit, tolerances: Tol
     if natural_hz:
         shown = float(np.sqrt(max(square, 0.0))) / (2 * np.pi)
         error = 0.5 * float(np.hypot(fit.errors[2] / abs(stiffness), fit.errors[0] / abs(mass)))
-        if abs(shown / natural_hz - 1) > FAR * np.sqrt(2) * tolerances.frequency + FAR * error:
+        if abs(shown / natural_hz - 1) > FAR * float(np.hypot(np.sqrt(2) * tolerances.frequency, LEAST)) + FAR * error:
             found.append(
                 Finding(
                     cause="frequency",
@@ -153,7 +154,7 @@ def _compared(body: Body, sensor: tuple[str, ...], fit: MassFit, tolerances: Tol
             )
         believed = 2 * float(body.damping_ratios(1)[0]) * 2 * np.pi * natural_hz
         share, wide = damping / mass / believed if believed else 1.0, fit.errors[1] / abs(mass) / (believed or np.inf)
-        if not found and abs(share - 1) > FAR * np.sqrt(2) * tolerances.damping + FAR * wide:
+        if not found and abs(share - 1) > FAR * float(np.hypot(np.sqrt(2) * tolerances.damping, 10 * LEAST)) + FAR * wide:
             found.append(
                 Finding(
                     cause="damping",
