@@ -154,7 +154,10 @@ def _compared(body: Body, sensor: tuple[str, ...], fit: MassFit, tolerances: Tol
             )
         believed = 2 * float(body.damping_ratios(1)[0]) * 2 * np.pi * natural_hz
         share, wide = damping / mass / believed if believed else 1.0, fit.errors[1] / abs(mass) / (believed or np.inf)
-        if not found and abs(share - 1) > FAR * float(np.hypot(np.sqrt(2) * tolerances.damping, 10 * LEAST)) + FAR * wide:
+        if (
+            not found
+            and abs(share - 1) > FAR * float(np.hypot(np.sqrt(2) * tolerances.damping, 10 * LEAST)) + FAR * wide
+        ):
             found.append(
                 Finding(
                     cause="damping",
