@@ -17,6 +17,7 @@ from identify.checks.pulls import broken
 from identify.checks.spectra import Spectra, quiet_samples, spectra_of
 from identify.signals.kinematics import Use, kinematics
 from rig.errors import RigError
+from rig.model.description import Sensor
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 
@@ -73,27 +74,33 @@ def _left_out(found: Finding) -> tuple[str, ...]:
 
 def _against_model(recording: Recording, use: Use, believed: Tolerances, shown: list[Finding]) -> list[Finding]:
     """After what the waveforms show."""
-    spoilt = {c for f in shown if f.cause in SPOILS for c in _left_out(f)}
-    if "force" in spoilt or any(f.cause == "not at rest" for f in shown):
-        return []
     rig = recording.rig
+    spoilt = {c for f in shown if f.cause in SPOILS for c in _left_out(f)}
     sensors = tuple(s for s in rig.sensors if s.measures.translates and use in ("auto", s.quantity))
-    if not sensors:
+    if not sensors or "force" in spoilt or any(f.cause == "not at rest" for f in shown):
         return []
+    usable = [i for i, s in enumerate(sensors) if s.name not in spoilt]
+    try:
+        if len(usable) > len(rig.contacts) + 1:
+            return _of_channels(recording, sensors, usable, believed)
+        if not shown and all(b.is_mass for b in rig.bodies):
+            return mass_findings(rig, kinematics(recording, use), believed)
+    except RigError:  # a record that allows no comparison is refused by what needs it
+        pass
+    return []
+
+
+def _of_channels(
+    recording: Recording, sensors: tuple[Sensor, ...], usable: list[int], believed: Tolerances
+) -> list[Finding]:
+    """All channels against each other; first over time, then gross faults, then tolerances."""
+    rig = recording.rig
 
     @cache
     def fine() -> Spectra:
         return spectra_of(recording, sensors, None)
 
-    try:
-        spectra = spectra_of(recording, sensors)
-    except RigError:
-        return []
-    usable = [i for i, s in enumerate(sensors) if s.name not in spoilt]
-    if len(usable) <= len(rig.contacts) + 1:
-        if not shown and all(b.is_mass for b in rig.bodies):
-            return mass_findings(rig, kinematics(recording, use), believed)
-        return []
+    spectra = spectra_of(recording, sensors)
     broke = breaks(rig, fine(), usable)
     if any(f.cause == "jump" for f in broke):
         return broke
