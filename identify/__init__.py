@@ -6,14 +6,15 @@
     print(found)
     found.save("results")
 
-`contact` finds clearance, stiffness and damping of every contact, `law` the contact law as a formula, `gap` how the
-machine differs from its description. Each takes recordings or the names of their files, and returns a result with
-`to_dict()`, `table()`, `figure(name)` and `save(folder)`.
+`check` says what is wrong with a recording, `contact` finds clearance, stiffness and damping of every contact, `law`
+the contact law as a formula, `gap` how the machine differs from its description. Each takes recordings or the names of
+their files, and returns a result with `to_dict()` and `table()`, all but `check` also with `figure(name)` and
+`save(folder)`.
 """
 
 from importlib.metadata import version
 
-from identify.api import ContactResult, GapResult, LawResult, Picture, contact, gap, law
+from identify.api import CheckResult, ContactResult, GapResult, LawResult, Picture, check, contact, gap, law
 
-__all__ = ["ContactResult", "GapResult", "LawResult", "Picture", "contact", "gap", "law"]
+__all__ = ["CheckResult", "ContactResult", "GapResult", "LawResult", "Picture", "check", "contact", "gap", "law"]
 __version__ = version("rig-identify")

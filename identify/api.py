@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 from threadpoolctl import threadpool_limits
 
+from identify.checks import Finding, check_recording
 from identify.contacts import Identification, identify_contact
 from identify.contacts.results import ContactReport, Estimate, Unanswered
 from identify.gaps.decision.answer import diagnose
@@ -42,6 +43,31 @@ class Picture:
 
     def _repr_png_(self) -> bytes:
         return self.png
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """What of a recording or of its rig.json cannot be right: a finding each, with channel, evidence and mend."""
+
+    findings: tuple[Finding, ...]
+    title: str
+
+    @property
+    def sound(self) -> bool:
+        return not self.findings
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"sound": self.sound, "findings": [_told(f) for f in self.findings]}
+
+    def table(self) -> list[Row]:
+        """A row a finding."""
+        return [
+            {"cause": f.cause, "channels": ", ".join(f.channels), "evidence": f.evidence, "mend": f.mend}
+            for f in self.findings
+        ]
+
+    def __str__(self) -> str:
+        return "\n".join(f.sentence for f in self.findings) or "nothing wrong was found"
 
 
 @dataclass(frozen=True)
@@ -92,7 +118,8 @@ class ContactResult:
             f"stiffness {interval(c.stiffness_n_per_m.value, c.stiffness_n_per_m.standard_error, 'N/m')}"
             for c in self.report.contacts
         ]
-        return "\n".join([*lines, *_silent(self.report.unanswered)])
+        doubts = [f"not to be relied on: {f.sentence}" for f in self.report.findings]
+        return "\n".join([*doubts, *lines, *_silent(self.report.unanswered)])
 
 
 @dataclass(frozen=True)
@@ -142,11 +169,15 @@ class LawResult:
 
 @dataclass(frozen=True)
 class GapResult:
-    """How the machine differs from its description. `report` has what gap.json has, `corrected` is the mended rig."""
+    """How the machine differs from its description. `report` has what gap.json has, `corrected` is the mended rig.
+
+    findings are those of the check of every recording, of which some may be the effect that is diagnosed.
+    """
 
     report: Gap = field(repr=False)
     corrected: Rig = field(repr=False)
     title: str
+    findings: tuple[Finding, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """As in gap.json."""
@@ -177,6 +208,21 @@ class GapResult:
 
     def __str__(self) -> str:
         return self.report.sentence
+
+
+def check(recording: Source, *, use: Use = "auto", tolerances: Tolerances | str | None = None) -> CheckResult:
+    """Whether the channels fit each other, the force and rig.json (`identify.checks.check_recording` says how).
+
+    Raises RigError if the recording cannot be read.
+    """
+    given = _recording(recording)
+    with threadpool_limits(1):
+        findings = check_recording(given, use, _believed(tolerances))
+    return CheckResult(findings, _title([recording], given))
+
+
+def _told(finding: Finding) -> dict[str, Any]:
+    return {**msgspec.to_builtins(finding), "sentence": finding.sentence}
 
 
 def contact(
@@ -268,7 +314,8 @@ def gap(
             matters or Matters(),
             next_experiment,
         )
-    return GapResult(found, corrected, _title(every, first))
+        findings = [f for one in given.values() for f in check_recording(one, tolerances=_believed(tolerances))]
+    return GapResult(found, corrected, _title(every, first), tuple(dict.fromkeys(findings)))
 
 
 def _identity(source: Source) -> Path | int:

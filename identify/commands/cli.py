@@ -1,7 +1,7 @@
 """The command `identify`."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -12,13 +12,14 @@ from rich.markup import escape
 from rich.table import Table
 
 import identify
+from identify.checks import Finding
 from identify.commands.gap import gap
 from identify.contacts.pooled import LARGE_BYTES, SEGMENT_S, identify_long
 from identify.contacts.results import ContactReport, Estimate, Segments
 from identify.laws.results import LawReport
 from identify.signals.kinematics import Use
 from identify.signals.spectra import POWERS, Averaging
-from rig.commands.command_line import Force, Json, progress_bar, refuse_existing, run
+from rig.commands.command_line import Force, Json, progress_bar, refuse_existing, run, working
 from rig.files import write_bytes, write_json
 from rig.model.tolerances import tolerances_named
 
@@ -34,6 +35,47 @@ app.command()(gap)
 @app.callback()
 def _group() -> None:
     """Finds clearances and contact stiffnesses in recordings made by `rig record` or by a laboratory."""
+
+
+@app.command()
+def check(
+    file: Annotated[Path, typer.Argument(help="The recording, an .mcap file.")],
+    use: Annotated[str, typer.Option(help=f"Which sensors: {', '.join(get_args(Use))}.")] = "auto",
+    tolerances: Annotated[
+        str | None,
+        typer.Option(
+            help="How exactly rig.json is believed: laboratory, exact, or a TOML file; else as it says itself."
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Whether a recording's channels fit each other, the force and rig.json; exits with 1 if they do not.
+
+    Units, polarity, swapped or dead channels, delays, the clock, clipping, hum, lost samples, masses and modes: one
+    sentence for each finding, with what to do. `identify contact`, `law` and `gap` check so by themselves.
+
+    Example: identify check barrel_cradle.mcap
+    """
+    if use not in get_args(Use):
+        raise typer.BadParameter(f"{use!r} is none of {', '.join(get_args(Use))}", param_hint="--use")
+    with working(f"checking {file.name}"):
+        found = identify.check(file, use=msgspec.convert(use, Use), tolerances=tolerances)
+    if as_json:
+        sys.stdout.buffer.write(msgspec.json.encode(found.to_dict()) + b"\n")
+    else:
+        print(f"{file}: {'nothing wrong was found' if found.sound else f'{len(found.findings)} findings'}")
+        for finding in found.findings:
+            print(f"  {finding.sentence}")
+    if not found.sound:
+        raise typer.Exit(1)
+
+
+def print_findings(findings: Sequence[Finding], console: Console) -> None:
+    """First of all, where there are any."""
+    if findings:
+        console.print("[bold red]Not to be relied on:[/bold red]", highlight=False)
+    for finding in findings:
+        console.print(f"  {escape(finding.sentence)}", highlight=False, soft_wrap=True)
 
 
 @app.command()
@@ -150,7 +192,8 @@ def law(
 
 
 def print_laws(report: LawReport, console: Console) -> None:
-    """A sentence for every contact, then what was found and how it compares."""
+    """A sentence for every contact, then what was found and how it compares; before them what speaks against it."""
+    print_findings(report.findings, console)
     for found in report.laws:
         console.print(
             f"[bold]{escape(found.contact)}[/bold]: {escape(found.verdict)}.", highlight=False, soft_wrap=True
@@ -174,7 +217,8 @@ def print_laws(report: LawReport, console: Console) -> None:
 
 
 def print_report(report: ContactReport, console: Console) -> None:
-    """The answer as tables: contacts, then NIFO by modal equation."""
+    """The answer as tables: contacts, then NIFO by modal equation; before them what speaks against it."""
+    print_findings(report.findings, console)
     table = Table(title=f"Contacts of {report.rig}, modal equation {report.main_equation} (value ± standard error)")
     for heading in ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m"):
         table.add_column(heading, justify="left" if heading == "contact" else "right")

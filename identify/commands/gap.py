@@ -7,6 +7,7 @@ from typing import Annotated
 import msgspec
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 from identify.api import gap as diagnosed
 from identify.gaps.results import Matters
@@ -90,4 +91,9 @@ def gap(
     else:
         from identify.gaps.page.screen import shown
 
-        Console().print(shown(found.report))
+        console = Console()
+        console.print(shown(found.report))
+        if found.findings:
+            console.print("[bold]the check of the recordings says:[/bold]", highlight=False)
+        for finding in found.findings:
+            console.print(f"  {escape(finding.sentence)}", highlight=False, soft_wrap=True)

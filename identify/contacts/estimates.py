@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from identify.contacts.forces import RING_S, ContactForces, separated_forces
 from identify.contacts.joint import Joint, fit_joint
+from identify.contacts.quality import widened
 from identify.contacts.start import STIFFNESS, ContactRecord
 from identify.signals.drift import KNOT_S, Drift
 from identify.signals.kinematics import Kinematics, Use, acceleration_noise, kinematics
@@ -65,7 +66,10 @@ def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Con
         fewer = round(RING_S * motion.sample_rate_hz / factor)
         motion, separated = motion.part(slice(fewer * factor, None)), separated.after(fewer)
     observed = _observed(rig, motion, noise, separated, tolerances)
-    estimates = _estimates(observed, separated.slow_n_per_m)
+    parameters = separated.nuisances.parameters
+    estimates = tuple(
+        widened(e, parameters) if isinstance(e, Joint) else e for e in _estimates(observed, separated.slow_n_per_m)
+    )
     return Contacts(rig, motion, separated, tuple(observed), estimates)
 
 

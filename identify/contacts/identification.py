@@ -6,9 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from identify.checks import check_recording, naming
 from identify.contacts.estimates import ContactFit, find_contacts
 from identify.contacts.forces import ContactForces
 from identify.contacts.joint import Joint, law_force_n
+from identify.contacts.quality import fit_findings
 from identify.contacts.results import ContactReport
 from identify.contacts.start import ContactRecord
 from identify.contacts.summary import contact_report
@@ -69,13 +71,21 @@ def identify_contact(
     equation, which the figures show, is the one whose stiffness varies least over frequency, unless it is named
     ("barrel 3").
 
-    Raises RigError if the record does not allow it: too short, too few stations, no force.
+    Before all that the record is checked (`identify.checks`): what is wrong with it or with rig.json stands in the
+    report's findings, beside what does not fit in the joint estimates.
+
+    Raises RigError if the record does not allow it: too short, too few stations, no force; with the first finding.
     """
     averaging = averaging or Averaging()
     names = [f"{recording.rig.force_at.body} {i}" for i in range(1, EQUATIONS + 1)]
     if equation not in (None, *names):
         raise RigError(f"no modal equation {equation!r} with a measured force; there are {', '.join(names)}")
-    found = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY)
+    findings = check_recording(recording, use, tolerances)
+    progress(0.1)
+    with naming(findings):
+        found = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY)
+    names = [c.name for c in recording.rig.contacts]
+    findings += tuple(fit_findings(names, found.estimates, found.separated.nuisances.parameters))
     progress(0.5)
     rig, motion, estimates = found.rig, found.motion, found.estimates
     low, high = force_band(motion.force_n, motion.sample_rate_hz)
@@ -109,6 +119,7 @@ def identify_contact(
             ],
             weak=weak,
             spectra=spectra,
+            findings=findings,
         ),
         rig=rig,
         motion=cleaned,

@@ -36,7 +36,9 @@ class Joint:
     of_tolerances and of_drift are the parts of the covariance that come from what rig.json may have wrong and from the
     slow motion that accelerometers miss; the rest is the record's own scatter. sides_known says whether lower and upper
     are told apart, touched which of them the record tells. drift_m and drift_m_per_s are what was added to the relative
-    displacement and velocity. pulls are the nuisance parameters in their standard deviations.
+    displacement and velocity. pulls are the nuisance parameters in their standard deviations. unexplained is the share
+    of the contact force's root mean square that the fit leaves, halves by how many standard errors the clearance and
+    the stiffness of the record's halves differ.
     """
 
     values: Law
@@ -48,6 +50,8 @@ class Joint:
     drift_m: Float[np.ndarray, " samples"]
     drift_m_per_s: Float[np.ndarray, " samples"]
     pulls: Float[np.ndarray, " nuisances"]
+    unexplained: float = 0.0
+    halves: tuple[float, float] = (0.0, 0.0)
 
     @property
     def clearance(self) -> Law:
@@ -144,8 +148,9 @@ def fit_joint(seen: ContactRecord) -> Joint:
     influence = fitted * weights[:, None] ** 2  # of residuals on parameters
     left = PARTS - free  # parts are few: Student's t, so that 1.96 standard errors cover 95 %
     few = np.sqrt(PARTS / left) * t.ppf(0.975, left) / norm.ppf(0.975)
+    by_parts = part_scores(influence, state.residual)
     of_rows = (
-        few * part_scores(influence, state.residual),
+        few * by_parts,
         seen.sample_ratio * inverse[pulls],
         curve.curvature @ inverse[: curve.knots],
     )
@@ -161,7 +166,18 @@ def fit_joint(seen: ContactRecord) -> Joint:
         drift_m=drift_m,
         drift_m_per_s=drift_m_per_s,
         pulls=state.pulls,
+        unexplained=float(np.std(state.residual) / np.std(seen.force_n)),
+        halves=_halves(by_parts @ to_law.T, (_clearance(touched), STIFFNESS)),
     )
+
+
+def _halves(by_parts: Float[np.ndarray, "parts 4"], of: tuple[Law, Law]) -> tuple[float, float]:
+    """What the parts of the first half do to estimates less what those of the second do, over their scatter."""
+    told = by_parts @ np.stack(of, axis=1)
+    scatter = np.maximum(np.sqrt(np.sum(told**2, axis=0)), 1e-300)
+    first, second = told[: len(told) // 2].sum(axis=0), told[len(told) // 2 :].sum(axis=0)
+    clearance, stiffness = (first - second) / scatter
+    return float(clearance), float(stiffness)
 
 
 @dataclass(frozen=True)

@@ -65,6 +65,7 @@ def together(reports: Sequence[ContactReport]) -> ContactReport:
     merged = _merged([msgspec.to_builtins(r) for r in reports])
     answered = {c["name"] for c in merged["contacts"]}
     merged["unanswered"] = [u for u in merged["unanswered"] if u["name"] not in answered]
+    merged["findings"] = list(dict.fromkeys(f for r in reports for f in r.findings))
     merged["main_equation"] = max((r.main_equation for r in reports), key=[r.main_equation for r in reports].count)
     return msgspec.convert(merged, ContactReport)
 

@@ -53,10 +53,19 @@ def write_page(
     page.write(
         path,
         title=title,
-        colour="green" if told == count else "yellow" if told else "red",
-        verdict="identified" if told == count else f"{told} of {count} contacts identified",
+        colour="red" if report.findings or not told else "green" if told == count else "yellow",
+        verdict="not to be relied on"
+        if report.findings
+        else "identified"
+        if told == count
+        else f"{told} of {count} contacts identified",
         sentence=_sentence(found),
         sections=[
+            *(
+                [("What speaks against it", page.listed(f.sentence for f in report.findings))]
+                if report.findings
+                else []
+            ),
             ("What was found", _values(found, laws, laws_name)),
             *([("What was refused", _refused(found))] if report.unanswered else []),
             ("What would make it surer", page.listed(surer(found))),

@@ -2,6 +2,8 @@
 
 import msgspec
 
+from identify.checks.findings import Finding
+
 
 class Estimate(msgspec.Struct, frozen=True):
     """A value with the standard error of its estimate, both in the unit that the field's name says."""
@@ -91,7 +93,7 @@ class TransformationResult(msgspec.Struct, frozen=True):
 
 
 class ContactReport(msgspec.Struct, frozen=True, kw_only=True):
-    """contact.json."""
+    """contact.json. No value is to be relied on where findings say what is wrong with record, rig.json or fit."""
 
     rig: str
     contacts: tuple[ContactEstimate, ...]
@@ -103,6 +105,7 @@ class ContactReport(msgspec.Struct, frozen=True, kw_only=True):
     transformation: tuple[TransformationResult, ...]
     trusted_hz: tuple[float, float]
     channels_used: tuple[str, ...]
+    findings: tuple[Finding, ...] = ()
 
 
 class Segment(msgspec.Struct, frozen=True):

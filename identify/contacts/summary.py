@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from identify.checks.findings import Finding
 from identify.contacts import results
 from identify.contacts.estimates import ContactFit
 from identify.contacts.joint import Joint
@@ -22,6 +23,7 @@ def contact_report(
     histogram: list[Stops | None],
     weak: Nifo,
     spectra: list[Nifo],
+    findings: tuple[Finding, ...] = (),
 ) -> results.ContactReport:
     """The report; `weak` belongs to the main equation, `surfaces` and `spectra` to all."""
     named = [(c.name, a) for c, a in zip(rig.contacts, estimates, strict=True)]
@@ -39,6 +41,7 @@ def contact_report(
         transformation=tuple(_transformation_result(t) for t in transformations),
         trusted_hz=motion.trusted_hz,
         channels_used=("force", *motion.channels),
+        findings=findings,
     )
 
 

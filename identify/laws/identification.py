@@ -7,8 +7,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import resample
 
+from identify.checks import check_recording, naming
 from identify.contacts.estimates import Contacts, find_contacts
 from identify.contacts.joint import Joint
+from identify.contacts.quality import fit_findings
 from identify.contacts.results import Estimate, Unanswered
 from identify.contacts.start import ContactRecord
 from identify.laws.piecewise import FINEST, PiecewiseLinear, Sampled, polynomial, sampled, slope_jumps, straight_pieces
@@ -82,7 +84,10 @@ def identify_law(
     if contact is not None and contact not in names:
         raise RigError(f"no contact {contact!r} in the recording; there are {', '.join(names)}")
     pyoperon()  # whose lack had better be known before the work
-    contacts = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY)
+    findings = check_recording(recording, use, tolerances)
+    with naming(findings):
+        contacts = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY)
+    findings += tuple(fit_findings(names, contacts.estimates, contacts.separated.nuisances.parameters))
     progress(0.1)
     chosen = [j for j, name in enumerate(names) if contact in (None, name)]
     found: list[FoundLaw] = []
@@ -95,7 +100,13 @@ def identify_law(
             found.append(_law(contacts, j, seconds / len(chosen), seed))
         progress(0.1 + 0.9 * (done + 1) / len(chosen))
     return Laws(
-        LawReport(rig=recording.rig.name, laws=tuple(f.result for f in found), unanswered=tuple(silent)), tuple(found)
+        LawReport(
+            rig=recording.rig.name,
+            laws=tuple(f.result for f in found),
+            unanswered=tuple(silent),
+            findings=findings,
+        ),
+        tuple(found),
     )
 
 

@@ -2,6 +2,7 @@
 
 import msgspec
 
+from identify.checks.findings import Finding
 from identify.contacts.results import Estimate, Unanswered
 
 
@@ -44,3 +45,4 @@ class LawReport(msgspec.Struct, frozen=True, kw_only=True):
     rig: str
     laws: tuple[ContactLaw, ...]
     unanswered: tuple[Unanswered, ...]
+    findings: tuple[Finding, ...] = ()

@@ -1,0 +1,67 @@
+"""What may be off at once: every nuisance parameter, and common errors that several parameters share."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from identify.structure.nuisance import BodyMotion, Change, Nuisance
+from identify.structure.response import times
+from rig.model.description import Sensor
+from rig.model.tolerances import Tolerances
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A nuisance parameter, or a common error of several. One unit of its column is so much, relative or in SI."""
+
+    kind: str
+    of: str
+    unit: float
+
+
+def candidates_of(
+    changes: list[Change],
+    bodies: tuple[BodyMotion, ...],
+    sensors: tuple[Sensor, ...],
+    by_force: Complex[np.ndarray, "sensors lines"],
+    omega: Float[np.ndarray, " lines"],
+    tolerances: Tolerances,
+) -> tuple[list[Candidate], Complex[np.ndarray, "added sensors lines"]]:
+    """All nuisance parameters; then, with columns of their own, densities, a clock that is off and a force that comes
+    late."""
+    found = [_of(c.parameter, tolerances) for c in changes]
+    added = []
+    clock = np.zeros_like(by_force)
+    for body in bodies:
+        r = body.response
+        rows = [i for i, s in enumerate(sensors) if s.station.body == r.body.name]
+        shapes = r.shapes([sensors[i].station for i in rows])
+        tuned = times(shapes, r.sensitivities["frequency"] * body.acceleration)
+        clock[rows] += tuned
+        if r.body.length_m and tolerances.mass:
+            heavier = np.zeros_like(by_force)
+            heavier[rows] = -tolerances.mass * (times(shapes, body.acceleration) + 0.5 * tuned)
+            added.append((Candidate("density", r.body.name, tolerances.mass), heavier))
+    added.append((Candidate("clock", "", 1.0), clock))
+    if tolerances.delay_s:
+        added.append(
+            (Candidate("force delay", "force", tolerances.delay_s), 1j * omega * tolerances.delay_s * by_force)
+        )
+    return [*found, *(a for a, _ in added)], np.stack([column for _, column in added])
+
+
+def _of(parameter: Nuisance, tolerances: Tolerances) -> Candidate:
+    own = tolerances.of_sensor(parameter.of)
+    unit = {
+        "gain": own.gain,
+        "position": own.position_m,
+        "delay": own.delay_s,
+        "high-pass": own.high_pass_hz,
+        "force gain": tolerances.force_gain,
+        "mass": tolerances.mass,
+        "frequency": tolerances.frequency,
+        "damping": tolerances.damping,
+    }[parameter.kind]
+    of = parameter.of + ("" if parameter.mode is None else f" {parameter.mode}")
+    return Candidate(parameter.kind, of, unit)

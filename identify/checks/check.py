@@ -1,0 +1,155 @@
+"""All checks of a recording, in the order in which one hides the other."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+
+import numpy as np
+
+from identify.checks import waveforms
+from identify.checks.broken import broken_finding
+from identify.checks.continuity import breaks
+from identify.checks.findings import Finding, merged
+from identify.checks.gross import gross
+from identify.checks.masses import mass_findings
+from identify.checks.prediction import linear_check
+from identify.checks.pulls import broken
+from identify.checks.spectra import Spectra, quiet_samples, spectra_of
+from identify.signals.kinematics import Use, kinematics
+from rig.errors import RigError
+from rig.model.description import Sensor
+from rig.model.tolerances import LABORATORY, Tolerances
+from rig.recording import Recording
+
+HIDE = ("dead", "clipped", "quantised", "held samples", "spikes", "hum", "noise", "drift", "offset", "not at rest")
+"""Of a channel's waveform only the first of these is told."""
+SPOILS = ("dead", "copy", "clipped", "held samples", "spikes", "quantised", "offset", "drift")
+"""A channel with such a fault is left out of what follows."""
+FIRST_S = {"acceleration": 0.02, "velocity": 0.05, "displacement": 0.1}
+"""In which motion at rest has not begun yet."""
+MOST_REST = 0.5
+"""A record begins in motion if more than this share of its channels do."""
+
+
+def check_recording(
+    recording: Recording, use: Use = "auto", tolerances: Tolerances | None = None
+) -> tuple[Finding, ...]:
+    """What of the channels, the clock or rig.json cannot be right; empty of a sound recording.
+
+    First each channel's samples by themselves, then all channels against the linear model of rig.json. A segment of a
+    longer record, which does not begin at rest, is not checked.
+    """
+    if recording.start_s > 0:
+        return ()
+    believed = tolerances or recording.rig.tolerances or LABORATORY
+    found = _waveforms(recording, use)
+    found += _against_model(recording, use, believed, found)
+    if any(f.cause == "force" for f in found):
+        found = [f for f in found if f.cause != "noise"]
+    told = {"force", *(c for f in found if f.cause not in HIDE for c in f.channels if len(f.channels) == 1)}
+    found = [f for f in found if f.cause not in ("noise", "drift", "offset", "force") or not _told(f, told)]
+    return merged(found, recording.rig)
+
+
+def _told(found: Finding, told: set[str]) -> bool:
+    """Whether a better reason is known for what one channel's waveform shows."""
+    return found.channels != ("force",) and set(found.channels) <= told
+
+
+@contextmanager
+def naming(findings: tuple[Finding, ...]) -> Iterator[None]:
+    """Puts the first finding behind the sentence of a RigError: it may be the reason."""
+    try:
+        yield
+    except RigError as error:
+        if not findings:
+            raise
+        raise RigError(f"{error} (the check of the record found: {findings[0].sentence})") from error
+
+
+def _left_out(found: Finding) -> tuple[str, ...]:
+    """Of two channels that are the same one may be right, but for the force."""
+    return found.channels[1:] if found.cause == "copy" and "force" not in found.channels else found.channels
+
+
+def _against_model(recording: Recording, use: Use, believed: Tolerances, shown: list[Finding]) -> list[Finding]:
+    """After what the waveforms show."""
+    rig = recording.rig
+    spoilt = {c for f in shown if f.cause in SPOILS for c in _left_out(f)}
+    sensors = tuple(s for s in rig.sensors if s.measures.translates and use in ("auto", s.quantity))
+    if not sensors or "force" in spoilt or any(f.cause == "not at rest" for f in shown):
+        return []
+    usable = [i for i, s in enumerate(sensors) if s.name not in spoilt]
+    try:
+        if len(usable) > len(rig.contacts) + 1:
+            return _of_channels(recording, sensors, usable, believed)
+        if not shown and all(b.is_mass for b in rig.bodies):
+            return mass_findings(rig, kinematics(recording, use), believed)
+    except RigError:  # a record that allows no comparison is refused by what needs it
+        pass
+    return []
+
+
+def _of_channels(
+    recording: Recording, sensors: tuple[Sensor, ...], usable: list[int], believed: Tolerances
+) -> list[Finding]:
+    """All channels against each other; first over time, then gross faults, then tolerances."""
+    rig = recording.rig
+
+    @cache
+    def fine() -> Spectra:
+        return spectra_of(recording, sensors, None)
+
+    spectra = spectra_of(recording, sensors)
+    broke = breaks(rig, fine(), usable)
+    if any(f.cause == "jump" for f in broke):
+        return broke
+    coarse = gross(rig, spectra, usable, fine)
+    found = list(coarse.findings) or broke
+    if coarse.sound and len(coarse.kept) > len(rig.contacts) + 1:
+        off, _ = broken(rig, linear_check(rig, fine(), coarse.kept), coarse.kept, believed)
+        instead = gross(rig, spectra, coarse.kept, fine, doubted=True) if off and not found else None
+        found += instead.findings if instead and instead.findings else [broken_finding(b) for b in off]
+    return found
+
+
+def _waveforms(recording: Recording, use: Use) -> list[Finding]:
+    """Of every channel the first fault that its samples show; then what several channels show together."""
+    rig, rate, force = recording.rig, recording.rig.sample_rate_hz, recording.force_n
+    measured = {s.name for s in rig.sensors if use in ("auto", s.quantity)}
+    found: list[Finding] = []
+    names, rows, offs, moving = [], [], [], []
+    for group, signals in recording.signals.items():
+        for name, row in zip(signals.channels.names, signals.values, strict=True):
+            if group != "force" and name not in measured:
+                continue
+            if (one := waveforms.dead(name, row)) is not None:
+                found.append(one)
+                continue
+            off = waveforms.off_neighbours(row)
+            names.append(name)
+            rows.append(row)
+            offs.append(off)
+            checks = [
+                waveforms.clipped(name, row),
+                waveforms.quantised(name, row),
+                waveforms.held(name, row, force),
+            ]
+            if group != "force":
+                checks += [waveforms.hum(name, rate, row, force), waveforms.noise(name, rate, row, force)]
+            if group == "acceleration":
+                checks += [waveforms.drift(name, rate, row), waveforms.offset(name, row)]
+            elif group != "force" and (quiet := quiet_samples(force, rate)):
+                checks.append(waveforms.offset(name, row[:quiet], float(row.std())))
+            if group in FIRST_S:
+                moving.append(waveforms.not_at_rest(name, rate, row, FIRST_S[group]))
+            found += [f for f in checks if f is not None][:1]
+    told = {c for f in found for c in f.channels}
+    for i, name in enumerate(names):
+        others = [o for n, o in zip(names, offs, strict=True) if n not in (name, "force")]
+        spiked = waveforms.spikes(name, offs[i], others if name != "force" else offs[1:])
+        if spiked is not None and name not in told:
+            found.append(spiked)
+    if moving and np.mean([f is not None for f in moving]) > MOST_REST:
+        found = [f for f in moving if f is not None]
+    return [*found, *waveforms.copies(names, rows)]

@@ -1,0 +1,191 @@
+"""Single masses, of which no other channel tells: while its contacts are open, a mass on a spring obeys
+
+    m a + c v + k x = F
+
+with the measured force, or 0 where none acts. Fitted to the samples in the middle of the gaps, each passage with a
+constant of its own (slow motion that accelerometers miss), m, c and k are compared with rig.json.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from identify.checks.findings import Finding
+from identify.checks.relations import usual_factor
+from identify.signals.kinematics import Kinematics
+from identify.signals.spectra import decimated, force_band
+from rig.model.description import Body, Rig
+from rig.model.tolerances import Tolerances
+
+OPEN = 0.4
+"""The middle of a gap: relative displacements below this quantile."""
+SHORTEST = 8
+TO_FORCE = 3.0
+FAR, LEAST = 4.0, 2e-3
+"""So many standard deviations of tolerances and errors are too many; no tolerance is believed to be less."""
+LEAST_EXPLAINED = 0.98
+LATEST_S = 0.02
+
+
+@dataclass(frozen=True)
+class MassFit:
+    """What the open passages say: force per acceleration, damping and spring, with standard errors; the delay of the
+    force against the sensor at which they fit best, and the share of the force that is then explained."""
+
+    values: Float[np.ndarray, "3"]
+    errors: Float[np.ndarray, "3"]
+    delay_s: float
+    explained: float
+
+
+def mass_findings(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> list[Finding]:
+    """Of the mass on which the force acts."""
+    body = rig.body(rig.force_at.body)
+    row = motion.row(rig.force_at)
+    if not body.is_mass or row is None:
+        return []
+    fit = open_fit(rig, motion, row)
+    if fit is None:
+        return []
+    name = (motion.sensors[row].name,)
+    return list(_compared(body, name, fit, tolerances))
+
+
+def open_fit(rig: Rig, motion: Kinematics, row: int) -> MassFit | None:
+    """None where there are too few samples with open contacts."""
+    high_hz = force_band(motion.force_n, motion.sample_rate_hz)[1]
+    factor = max(1, int(motion.sample_rate_hz / 2 / (TO_FORCE * high_hz)))
+    rate = motion.sample_rate_hz / factor
+    rows = (motion.acceleration_m_per_s2[row], motion.velocity_m_per_s[row], motion.displacement_m[row])
+    signals = decimated(np.stack([motion.force_n, *rows]), factor)
+    begun = motion.excited_from // factor + 1
+    passages = _passages(_open(rig, motion, factor), begun)
+    if sum(p.stop - p.start for p in passages) < 50:
+        return None
+
+    def fitted(delay_s: float) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+        force = np.interp(np.arange(signals.shape[1]) + delay_s * rate, np.arange(signals.shape[1]), signals[0])
+        parts = [np.stack([force[p], *signals[1:, p]]) for p in passages]
+        centred = [p - p.mean(axis=1, keepdims=True) for p in parts]
+        every = np.concatenate(centred, axis=1)
+        sizes = every[1:].std(axis=1)
+        inverse = np.linalg.pinv((every[1:] / sizes[:, None]).T)
+        values = inverse @ every[0] / sizes
+        left = every[0] - values @ every[1:]
+        ends = np.cumsum([p.shape[1] for p in centred])[:-1]
+        scores = [i @ r for i, r in zip(np.split(inverse, ends, axis=1), np.split(left, ends), strict=True)]
+        errors = np.sqrt(np.sum(np.square(scores), axis=0)) / sizes
+        return 1 - float(np.mean(left**2) / np.mean(every[0] ** 2)), values, errors, left
+
+    delays = np.arange(-LATEST_S, LATEST_S + 1e-9, 0.5 / rate)
+    best = float(delays[int(np.argmax([fitted(d)[0] for d in delays]))])
+    near = best + np.linspace(-0.5, 0.5, 21) / rate
+    best = float(near[int(np.argmax([fitted(d)[0] for d in near]))])
+    at_once = fitted(0.0)
+    if fitted(best)[0] - at_once[0] < 0.2 * (1 - at_once[0]):
+        best = 0.0
+    explained, values, errors, _ = fitted(best)
+    return MassFit(values, errors, best, explained)
+
+
+def _open(rig: Rig, motion: Kinematics, factor: int) -> Bool[np.ndarray, " fewer"]:
+    """Where every contact of the force's body is in the middle of its gap."""
+    found = np.ones(-(-motion.force_n.size // factor), dtype=bool)
+    for contact in rig.contacts:
+        if rig.force_at.body not in (contact.at.body, contact.against.body if contact.against else None):
+            continue
+        sides = [motion.row(s) for s in (contact.at, contact.against) if s is not None]
+        if None in sides:
+            continue
+        eta = motion.displacement_m[sides[0]] - (motion.displacement_m[sides[1]] if len(sides) > 1 else 0.0)
+        size = np.abs(eta - np.median(eta))[::factor]
+        found &= size < np.quantile(size[motion.excited_from // factor :], OPEN)
+    return found
+
+
+def _passages(is_open: Bool[np.ndarray, " fewer"], begun: int) -> list[slice]:
+    edges = np.flatnonzero(np.diff(np.r_[0, is_open.astype(np.int8), 0]))
+    return [slice(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if a >= begun and b - a >= SHORTEST]
+
+
+def _compared(body: Body, sensor: tuple[str, ...], fit: MassFit, tolerances: Tolerances) -> list[Finding]:
+    """The first that is off: whether the force drives it at all, delay, size, frequency, damping."""
+    mass, damping, stiffness = fit.values
+    if fit.explained < 0.5:
+        return [
+            Finding(
+                cause="force",
+                channels=("force", *sensor),
+                evidence=f"while its contacts are open, {100 * max(fit.explained, 0):.2g} % of the force shows in "
+                f"{sensor[0]}",
+                mend="check that both channels are of this record, and the quantity of the sensor",
+            )
+        ]
+    found = []
+    if abs(fit.delay_s) > 1e-4:
+        found.append(
+            Finding(
+                cause="delay",
+                channels=("force", *sensor),
+                evidence=f"{sensor[0]} comes {1e3 * abs(fit.delay_s):.2g} ms "
+                f"{'late' if fit.delay_s < 0 else 'early'} against the force",
+                mend="synchronise the two, or set its delay_s in rig.json",
+            )
+        )
+    ratio = mass / float(getattr(body, "mass_kg", np.nan))
+    allowed = FAR * float(np.hypot.reduce([tolerances.mass, tolerances.gain, tolerances.force_gain, LEAST]))
+    if abs(ratio - 1) > allowed + FAR * fit.errors[0] / abs(mass):
+        found.append(_size(body, sensor, ratio))
+    natural_hz = float(body.frequencies_hz(1)[0])
+    square = stiffness / mass
+    if natural_hz:
+        shown = float(np.sqrt(max(square, 0.0))) / (2 * np.pi)
+        error = 0.5 * float(np.hypot(fit.errors[2] / abs(stiffness), fit.errors[0] / abs(mass)))
+        if abs(shown / natural_hz - 1) > FAR * float(np.hypot(np.sqrt(2) * tolerances.frequency, LEAST)) + FAR * error:
+            found.append(
+                Finding(
+                    cause="frequency",
+                    of=body.name,
+                    evidence=f"while its contacts are open, {body.name} moves as if its frequency were {shown:.4g} Hz, "
+                    f"not {natural_hz:g} Hz",
+                    mend="correct its spring or frequency in rig.json, or check the sampling rate",
+                )
+            )
+        believed = 2 * float(body.damping_ratios(1)[0]) * 2 * np.pi * natural_hz
+        share, wide = damping / mass / believed if believed else 1.0, fit.errors[1] / abs(mass) / (believed or np.inf)
+        if (
+            not found
+            and abs(share - 1) > FAR * float(np.hypot(np.sqrt(2) * tolerances.damping, 10 * LEAST)) + FAR * wide
+        ):
+            found.append(
+                Finding(
+                    cause="damping",
+                    of=body.name,
+                    evidence=f"while its contacts are open, {body.name} is damped {share:.3g} times as much as "
+                    "rig.json says",
+                    mend="take its damping from a decay or a modal test",
+                )
+            )
+    return found[:1] if found and found[0].cause in ("delay", "polarity", "units") else found
+
+
+def _size(body: Body, sensor: tuple[str, ...], ratio: float) -> Finding:
+    """The sensor delivers 1 / ratio times what the force and the mass make."""
+    evidence = f"{sensor[0]} delivers {1 / ratio:.4g} times what the force and the mass of {body.name} make"
+    channels = ("force", *sensor)
+    if ratio < 0 and 0.5 < -ratio < 2:
+        return Finding(
+            cause="polarity", channels=channels, evidence=evidence, mend="turn it, or the force, with scale = -1"
+        )
+    units = usual_factor(1 / ratio)
+    if units:
+        mend = f"correct the unit of the sensor or of the force in the import map, it looks like {units}"
+        return Finding(cause="units", channels=channels, evidence=evidence, mend=mend)
+    return Finding(
+        cause="gain",
+        channels=channels,
+        of=body.name,
+        evidence=evidence,
+        mend="weigh the mass, calibrate the sensor and the load cell",
+    )

@@ -1,0 +1,179 @@
+"""Which tolerance of rig.json is broken: the nuisance parameters of the linear residual, and the one that pulls most.
+
+With the residual r of the linear model (contact forces projected out), columns X of one standard deviation of each
+nuisance parameter and a prior of one,
+
+    M = I - X (X' X + I)^-1 X',   z = d' M r / sqrt(d' M d)
+
+is how strongly the record asks for more of a column d than the tolerances allow: a standard normal number, if they
+hold. The largest is freed, and the rest are asked again.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from identify.checks.candidates import Candidate, candidates_of
+from identify.checks.prediction import ROUGH, LinearCheck, Predicted
+from identify.structure.nuisance import BodyMotion, Change, Observed, changes_of
+from identify.structure.response import Response, across, response_of, times
+from rig.model.description import Rig
+from rig.model.tolerances import Tolerances
+
+COUNTED_HZ = 20.0
+"""So many samples a second count as independent against the tolerances, as errors of a model last."""
+BROKEN, CLOCK, FAR = 5.0, 2.7, 4.0
+"""A parameter is off if the record asks for it by so many standard deviations, and for so many tolerances."""
+MOST, NEXT = 4, 0.25
+"""No more are named, and none that is asked for by less than this share of the first."""
+FLOOR = 0.003
+"""No model is believed to fit better than to this share of what a body does at a line."""
+Columns = Complex[np.ndarray, "some sensors lines"]
+
+
+@dataclass(frozen=True)
+class Broken:
+    """What a candidate is, by how many tolerances (or in its own unit) it is off, and how strongly it is asked for."""
+
+    what: Candidate
+    size: float
+    pull: float
+
+
+def broken(
+    rig: Rig, check: LinearCheck, kept: list[int], tolerances: Tolerances
+) -> tuple[list[Broken], Float[np.ndarray, " nuisances"]]:
+    """Up to four parameters that break their tolerances, the strongest first; and the pulls of all others with those
+    free."""
+    if len(kept) <= check.contacts:
+        return [], np.zeros(0)
+    sensors = tuple(check.spectra.sensors[i] for i in kept)
+    omega, measured = check.spectra.omega, check.spectra.acceleration[kept]
+    responses = [response_of(rig, body, omega) for body in rig.bodies]
+    by_force = check.accelerance[0][kept] * check.spectra.force
+    modelled = check.predicted(kept)
+    bodies = tuple(_body(rig, r, check, kept, modelled) for r in responses)
+    changes = list(
+        changes_of(
+            Observed(
+                sensors=sensors,
+                displaced_by=sensors,
+                tolerances=tolerances,
+                omega=omega,
+                sensor_response=np.ones_like(measured),
+                explained=modelled.acceleration[kept],
+                by_force=by_force,
+                displaced=np.zeros_like(measured),
+                bodies=bodies,
+            )
+        )
+    )
+    if not changes:
+        return [], np.zeros(0)
+    columns = np.stack([_whole(c, measured.shape) for c in changes])
+    candidates, added = candidates_of(changes, bodies, sensors, by_force, omega, tolerances)
+    project = Projector(check, kept)
+    left = project(measured - by_force)
+    own, beside = project.of(columns), project.of(added)
+    whole = np.concatenate([own, beside])
+    found: list[Broken] = []
+    free: list[int] = []
+    weights = np.ones(left.shape[1])
+    for _ in range(MOST + 1):
+        pulls, z, size = _scores(left, own, whole, free, weights)
+        for _ in range(3):  # lines that nothing explains weigh little
+            unexplained = left - np.tensordot(pulls, own, axes=1) - _along(whole, free, size.free)
+            per_line = np.mean(unexplained**2, axis=0)
+            weights = 1 / np.sqrt(1 + per_line / max(4 * float(np.median(per_line)), 1.0))
+            pulls, z, size = _scores(left, own, whole, free, weights)
+        ranked = sorted(range(len(candidates)), key=lambda k: -abs(z[k]))
+        least = NEXT * abs(found[0].pull) if found else 0.0
+        asked = [
+            k
+            for k in ranked
+            if k not in free
+            and abs(z[k]) > max(_broken(candidates[k]), least)
+            and _matters(candidates[k], float(size.of[k]), tolerances)
+        ]
+        if not asked or len(found) == MOST:
+            break
+        best = asked[0]
+        found.append(Broken(candidates[best], float(size.of[best]), float(z[best])))
+        free.append(best)
+    return found, pulls
+
+
+def _along(whole: np.ndarray, free: list[int], values: np.ndarray) -> np.ndarray | float:
+    return np.tensordot(values, whole[free], axes=1) if free else 0.0
+
+
+@dataclass(frozen=True)
+class _Sizes:
+    of: Float[np.ndarray, " candidates"]
+    free: Float[np.ndarray, " some"]
+
+
+def _scores(
+    left: np.ndarray, own: np.ndarray, whole: np.ndarray, free: list[int], weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, _Sizes]:
+    """The pulls, each candidate's score and its size, with the free ones without a prior."""
+    wide = np.concatenate([own, whole[free]]) if free else own
+    flat, rows, target = ((x * weights).reshape(*x.shape[:-2], -1) for x in (wide, whole, left))
+    prior = np.r_[np.ones(len(own)), np.full(len(free), 1e-9)]
+    inverse = np.linalg.inv(flat @ flat.T + np.diag(prior))
+    across = rows @ flat.T
+    best = inverse @ (flat @ target)
+    asked = rows @ target - across @ best
+    room = np.maximum(np.sum(rows**2, axis=1) - np.einsum("ij,jk,ik->i", across, inverse, across), 1e-12)
+    return best[: len(own)], asked / np.sqrt(room), _Sizes(asked / room, best[len(own) :])
+
+
+def _broken(candidate: Candidate) -> float:
+    """A clock is one question, each of the many tolerances another."""
+    return CLOCK if candidate.kind == "clock" else BROKEN
+
+
+def _matters(candidate: Candidate, size: float, tolerances: Tolerances) -> bool:
+    """Whether so much is beyond the tolerance."""
+    return abs(size) > (1.5 * tolerances.frequency if candidate.kind == "clock" else FAR)
+
+
+class Projector:
+    """Over the scale, with the contact forces projected out, as real numbers; scaled so that a sound record has one."""
+
+    def __init__(self, check: LinearCheck, kept: list[int]) -> None:
+        noise = check.spectra.noise[kept]
+        level = np.sqrt(np.maximum(check.scale[kept] ** 2 - noise**2, 0)) / ROUGH
+        self._scale = np.hypot(FLOOR * level, noise)
+        self._scale = np.maximum(self._scale, 1e-9 * self._scale.max())
+        unknown = (check.accelerance[1:][:, kept] / self._scale).transpose(2, 1, 0)
+        self._basis = np.linalg.qr(unknown)[0] if unknown.shape[2] else None
+        self._spectra = check.spectra
+
+    def __call__(self, rows: Complex[np.ndarray, "sensors lines"]) -> Float[np.ndarray, "sensors times"]:
+        return np.asarray(self.of(rows[None])[0])
+
+    def of(self, columns: Columns) -> Float[np.ndarray, "some sensors times"]:
+        weighted = columns / self._scale
+        if self._basis is not None:
+            inputs = np.einsum("lsi,ksl->kil", self._basis.conj(), weighted, optimize=True)
+            weighted = weighted - np.einsum("lsi,kil->ksl", self._basis, inputs, optimize=True)
+        found = self._spectra.in_time(weighted)
+        begin, end = self._spectra.taken_s
+        return np.asarray(found * np.float32(np.sqrt(min(1.0, COUNTED_HZ * (end - begin) / found.shape[-1]))))
+
+
+def _whole(change: Change, shape: tuple[int, ...]) -> Complex[np.ndarray, "sensors lines"]:
+    found = np.zeros(shape, dtype=complex)
+    found[change.sensors] = change.delivered
+    return found
+
+
+def _body(rig: Rig, response: Response, check: LinearCheck, kept: list[int], modelled: Predicted) -> BodyMotion:
+    """Modal accelerations as the force and the contact forces make them; as many modes as sensors may be off."""
+    pushed = np.concatenate([response.shapes([rig.force_at]), -across(rig, response)])
+    forces = np.concatenate([modelled.force[None], modelled.contacts])
+    told = sum(check.spectra.sensors[i].station.body == response.body.name for i in kept)
+    elastic = np.arange(response.body.rigid_modes, min(told, response.count))
+    return BodyMotion(response, response.accelerance * times(pushed.T, forces), elastic)

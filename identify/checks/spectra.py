@@ -1,0 +1,118 @@
+"""What the sensors delivered and what the force did, on some lines of the record's spectrum."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Complex, Float, Int
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.ndimage import uniform_filter1d
+
+from identify.signals.kinematics import TAPER_S, taper
+from identify.signals.spectra import force_band
+from rig.errors import RigError
+from rig.model.description import Sensor
+from rig.model.sensing import PASSBAND
+from rig.recording import Recording
+
+LOWEST_HZ = 2.0
+"""Below, accelerometers are drift and AC coupling."""
+TO_FORCE = 2.0
+"""Lines up to this multiple of the force's highest frequency are compared."""
+RING_S, CUT_S = 4.0, 2.5
+"""Silence behind the record; what of its end is not compared, as the ringing is cut off there."""
+LINES = 1600
+SMOOTHED = 41
+"""Levels are means over so many lines."""
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """Sensors' spectra as accelerations: gain, delay and derivative of each chain are divided out.
+
+    noise is the standard deviation of a line of each sensor's noise, in the same unit. lines are their numbers in the
+    transform of `length` samples; taken_s is the time from the force's begin until the beams' ringing is cut off.
+    """
+
+    sensors: tuple[Sensor, ...]
+    omega: Float[np.ndarray, " lines"]
+    acceleration: Complex[np.ndarray, "sensors lines"]
+    force: Complex[np.ndarray, " lines"]
+    noise: Float[np.ndarray, "sensors lines"]
+    lines: Int[np.ndarray, " lines"]
+    length: int
+    taken_s: tuple[float, float]
+    sample_rate_hz: float
+
+    @cached_property
+    def level(self) -> Float[np.ndarray, "sensors lines"]:
+        """Each sensor's root mean square over neighbouring lines."""
+        return np.sqrt(uniform_filter1d(np.abs(self.acceleration) ** 2, SMOOTHED, axis=1))
+
+    @property
+    def per_s(self) -> float:
+        """Samples a second of `in_time`."""
+        return 2 * (int(self.lines[-1]) + 1) * self.sample_rate_hz / self.length
+
+    def in_time(self, rows: Complex[np.ndarray, "*some lines"]) -> Float[np.ndarray, "*some times"]:
+        """Over the time that is taken, where the lines follow one another; mean squares are those of the lines."""
+        high = int(self.lines[-1]) + 1
+        whole = np.zeros((*rows.shape[:-1], high + 1), np.complex64)
+        whole[..., self.lines] = rows
+        found = irfft(whole, 2 * high) * np.sqrt(2 * high**2 / self.lines.size)
+        begin, end = (round(at * self.per_s) for at in self.taken_s)
+        return np.asarray(found[..., begin:end])
+
+    def with_rows(self, acceleration: Complex[np.ndarray, "sensors lines"]) -> "Spectra":
+        return replace(self, acceleration=acceleration)
+
+
+def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], most: int | None = LINES) -> Spectra:
+    """On at most so many lines (None: all) from 2 Hz to twice the force's highest frequency.
+
+    Raises RigError if the force is zero or its band lies below.
+    """
+    rate = recording.rig.sample_rate_hz
+    force = recording.force_n
+    ending = taper(force.size, min(round(TAPER_S * rate), force.size // 4))
+    length = next_fast_len(force.size + round(RING_S * rate), real=True)
+    high_hz = min(TO_FORCE * force_band(force, rate)[1], PASSBAND * rate)
+    first, last = int(np.ceil(LOWEST_HZ * length / rate)), int(high_hz * length / rate)
+    if last - first < SMOOTHED:
+        raise RigError("the force's band is too low or too narrow")
+    lines = np.arange(first, last, 1 if most is None else max(1, (last - first) // most))
+    omega = 2 * np.pi * lines * rate / length
+    rows = np.stack([_row(recording, s) for s in sensors])
+    found = rfft(rows * ending, length)[:, lines]
+    begun = quiet_samples(force, rate)
+    quiet = rows[:, :begun]
+    chains = np.stack([chain(s, omega) for s in sensors])
+    found *= chains
+    if quiet.shape[1]:
+        deviation = quiet.std(axis=1)
+    else:
+        deviation = np.array([s.noise_density * np.sqrt(rate / 2) for s in sensors])
+    per_line = np.sqrt(force.size) * deviation[:, None] * np.abs(chains)
+    taken_s = (begun / rate, max(force.size / rate - CUT_S, 0.5 * force.size / rate))
+    return Spectra(sensors, omega, found, rfft(force * ending, length)[lines], per_line, lines, length, taken_s, rate)
+
+
+def chain(sensor: Sensor, omega: Float[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:
+    """From what a sensor delivers to the acceleration: (i omega)^(2 - order) e^(i omega delay) / gain."""
+    return np.asarray((1j * omega) ** (2 - sensor.measures.order) * np.exp(1j * omega * sensor.delay_s) / sensor.gain)
+
+
+def quiet_samples(force: Float[np.ndarray, " samples"], rate_hz: float) -> int:
+    """How many samples at the start are before the force, at least a quarter second; else zero."""
+    size = np.abs(force)
+    first = size[: max(1, round(0.25 * rate_hz))]
+    noise = 6 * 1.4826 * float(np.median(first))
+    if noise >= np.sqrt(np.mean(size**2)):
+        return 0
+    before = int(np.argmax(size > max(noise, 1e-3 * float(size.max())))) - round(0.05 * rate_hz)
+    return before if before > 0.25 * rate_hz else 0
+
+
+def _row(recording: Recording, sensor: Sensor) -> Float[np.ndarray, " samples"]:
+    signals = recording.signals[sensor.quantity]
+    return signals.values[signals.channels.names.index(sensor.name)]

@@ -1,0 +1,252 @@
+"""What a channel's samples show by themselves, without any model of the rig."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from identify.checks.findings import Finding, named
+from identify.checks.spectra import quiet_samples
+
+STUCK = 1e-3
+"""A channel that stands at its largest or smallest value for a larger share of the record is clipped."""
+COARSE = 0.01
+"""Steps of a larger share of a channel's root mean square are too coarse."""
+HELD = 8
+"""So many equal samples in a row are held."""
+SPIKE = 25.0
+"""A sample that is off what its neighbours say by more than so many times the usual is a spike."""
+HUMS = 3.0
+"""Mains hum of more than so many times the neighbouring lines, and a hundredth of the channel, counts."""
+HUM_SHARE = 2e-3
+SLOW_HZ, SLOW = 0.25, 0.05
+OFFSET = 0.05
+MOVING = 0.3
+IMPACT, APART, MOST_SPIKES = 8.0, 2.0, 60
+ALIKE = 1.5
+NOISY = 0.05
+
+Row = Float[np.ndarray, " samples"]
+
+
+def dead(name: str, row: Row) -> Finding | None:
+    if np.ptp(row) > 1e-9 * max(abs(float(row[0])), 1e-300) and np.ptp(row) > 0:
+        return None
+    return Finding(
+        cause="dead",
+        channels=(name,),
+        evidence=f"{name} stands at {row[0]:.4g} throughout",
+        mend="check its cable and amplifier, or take it out of rig.json",
+    )
+
+
+def clipped(name: str, row: Row) -> Finding | None:
+    """It stands at its largest or smallest value, not only where it is coarse."""
+    for side, value in (("largest", row.max()), ("smallest", row.min())):
+        share = float(np.mean(row == value))
+        if share > STUCK and share * row.size >= 4 and abs(value - row.mean()) > 1.0 * row.std():
+            return Finding(
+                cause="clipped",
+                channels=(name,),
+                evidence=f"{name} stands at its {side} value, {value:.4g}, for {100 * share:.2g} % of the record",
+                mend="take a larger measuring range or a weaker excitation, and record again",
+            )
+    return None
+
+
+def quantised(name: str, row: Row) -> Finding | None:
+    """The most common difference between neighbouring levels is large."""
+    levels = np.unique(row[:: max(1, row.size // 20_000)])
+    if levels.size > 2000 or levels.size < 3:
+        return None
+    step, rms = float(np.median(np.diff(levels))), float(row.std())
+    if step < COARSE * rms:
+        return None
+    return Finding(
+        cause="quantised",
+        channels=(name,),
+        evidence=f"{name} moves in steps of {step:.3g}, {100 * step / rms:.2g} % of its root mean square",
+        mend="take a smaller measuring range or more bits, and record again",
+    )
+
+
+def held(name: str, row: Row, force: Row) -> Finding | None:
+    """Runs of equal samples in a channel that else moves: samples that were lost and filled."""
+    same = np.diff(row) == 0
+    edges = np.flatnonzero(np.diff(np.r_[0, same.astype(np.int8), 0]))
+    begins, ends = edges[::2], edges[1::2]
+    if not begins.size or np.mean(same) > 0.3:
+        return None
+    from_s = int(np.argmax(np.abs(force) > 0.05 * np.abs(force).max()))
+    long = (ends - begins >= HELD) & (begins > from_s) & ~np.isin(row[begins], (row.max(), row.min()))
+    if name == "force":
+        long &= row[begins] != 0
+    if not long.any():
+        return None
+    most = int(np.max((ends - begins)[long])) + 1
+    return Finding(
+        cause="held samples",
+        channels=(name,),
+        evidence=f"{name} repeats one value {most} times in a row, in {int(long.sum())} places, first at sample "
+        f"{int(begins[long][0])}: samples were lost there",
+        mend="record again, or leave that part of the record out",
+    )
+
+
+def off_neighbours(row: Row) -> Row:
+    """How far each sample is off what its two neighbours on both sides say, over what is usual around it."""
+    off = np.abs(row[2:-2] - (4 * (row[1:-3] + row[3:-1]) - row[:-4] - row[4:]) / 6)
+    return np.asarray(np.r_[0, 0, off / np.maximum(_moving_mean(off, 201), 0.02 * off.mean() + 1e-300), 0, 0])
+
+
+def spikes(name: str, off: Row, others: list[Row]) -> Finding | None:
+    """Single samples that their neighbours do not explain, beside neighbours that fit; not at the record's ends.
+
+    What other channels show too is an impact. Of the only channel, spikes stand out from all impacts.
+    """
+    end = off.size // 50
+    inner = off[end:-end]
+    found = [int(k) + end for k in np.flatnonzero(inner > SPIKE) if _alone(off, int(k) + end)]
+    if others:
+        found = [k for k in found if max(float(o[k - 3 : k + 4].max()) for o in others) < IMPACT]
+    elif found:
+        peaks = np.sort(inner[1:-1][(inner[1:-1] > inner[:-2]) & (inner[1:-1] > inner[2:])])[::-1][: MOST_SPIKES + 1]
+        apart = peaks[:-1] / np.maximum(peaks[1:], 1e-300)
+        last = int(np.argmax(apart))
+        found = [k for k in found if off[k] >= peaks[last]] if apart[last] > APART else []
+    if not 0 < len(found) <= MOST_SPIKES:
+        return None
+    return Finding(
+        cause="spikes",
+        channels=(name,),
+        evidence=f"{name} jumps for single samples in {len(found)} places, first at sample {found[0]}",
+        mend="check cables and connectors, and record again",
+    )
+
+
+def _alone(off: Row, k: int) -> bool:
+    """As one sample does: two thirds of its own deviation show at the samples beside it, a sixth at the next."""
+    beside, next_ones = off[[k - 1, k + 1]], off[[k - 2, k + 2]]
+    return bool(off[k] > 1.3 * beside.max() and beside.min() > 0.45 * off[k] and next_ones.max() < 0.35 * off[k])
+
+
+def noise(name: str, rate_hz: float, row: Row, force: Row) -> Finding | None:
+    """In the quiet start."""
+    quiet = quiet_samples(force, rate_hz)
+    share = float(row[:quiet].std() / row.std()) if quiet else 0.0
+    if share < NOISY:
+        return None
+    fast, usual = (float(np.diff(part).std() / part.std()) for part in (row[:quiet], row[quiet:]))
+    if fast < ALIKE * usual:
+        return Finding(
+            cause="force",
+            channels=("force", name),
+            evidence=f"{name} moves as it does later, with {100 * share:.2g} % of its root mean square, before "
+            "the force begins",
+            mend="check that the force is of this record and on its clock, or let the rig come to rest first",
+        )
+    return Finding(
+        cause="noise",
+        channels=(name,),
+        evidence=f"{name} shows {100 * share:.2g} % of its root mean square before the force begins",
+        mend="find the noise or the motion (cable, amplifier, range), or let the rig come to rest first",
+    )
+
+
+def _moving_mean(values: Row, width: int) -> Row:
+    """Of both sides, without the middle."""
+    sums = np.cumsum(np.r_[0.0, values])
+    low = np.clip(np.arange(values.size) - width // 2, 0, values.size)
+    high = np.clip(np.arange(values.size) + width // 2 + 1, 0, values.size)
+    return np.asarray((sums[high] - sums[low] - values) / np.maximum(high - low - 1, 1))
+
+
+def mains(rate_hz: float, row: Row, force: Row) -> tuple[float, float] | None:
+    """Frequency and amplitude of a mains tone that stands out, in the quiet start if there is one; else None."""
+    quiet = quiet_samples(force, rate_hz)
+    part = row[:quiet] if quiet > 0.4 * rate_hz else row
+    own = part - part.mean()
+    size = np.abs(np.fft.rfft(own * np.hanning(own.size))) * 4 / own.size
+    hz = np.fft.rfftfreq(own.size, 1 / rate_hz)
+    width = hz[1]
+    for base in (50.0, 60.0):
+        near = np.abs(hz - base) <= max(0.15, 1.5 * width)
+        beside = (np.abs(hz - base) > max(0.6, 3 * width)) & (np.abs(hz - base) < max(3.0, 9 * width))
+        if not (near.any() and beside.any()):
+            continue
+        height, usual = float(size[near].max()), float(np.sqrt(np.mean(size[beside] ** 2)))
+        if height > 2 * HUMS * usual and height > HUM_SHARE * float(row.std()):
+            return float(hz[near][np.argmax(size[near])]), height
+    return None
+
+
+def hum(name: str, rate_hz: float, row: Row, force: Row) -> Finding | None:
+    found = mains(rate_hz, row, force)
+    if found is None:
+        return None
+    hz, height = found
+    return Finding(
+        cause="hum",
+        channels=(name,),
+        evidence=f"{name} holds a tone of {hz:.3g} Hz, {100 * height / float(row.std() * np.sqrt(2)):.2g} % of its "
+        "size, that the force does not make: mains hum",
+        mend="ground the cables at one end, keep them away from mains cables, and record again",
+    )
+
+
+def offset(name: str, row: Row, usual: float | None = None) -> Finding | None:
+    """Of samples whose mean is zero: those of an acceleration, or of any motion before the force begins."""
+    mean, rms = (float(row.mean()), float(row.std())) if usual is None else (float(row.mean()), usual)
+    if abs(mean) < OFFSET * rms:
+        return None
+    return Finding(
+        cause="offset",
+        channels=(name,),
+        evidence=f"{name} has a constant part of {mean:.3g}, {100 * abs(mean) / rms:.2g} % of its root mean square",
+        mend="take the mean off, or couple it AC",
+    )
+
+
+def drift(name: str, rate_hz: float, row: Row) -> Finding | None:
+    """Slow motion that an acceleration of a moving rig cannot have."""
+    length = row.size
+    size = np.abs(np.fft.rfft((row - row.mean()) * np.hanning(length))) ** 2
+    slow = int(SLOW_HZ * length / rate_hz) + 1
+    share = float(np.sqrt(np.sum(size[1:slow]) / np.sum(size)))
+    if share < SLOW:
+        return None
+    return Finding(
+        cause="drift",
+        channels=(name,),
+        evidence=f"{name} drifts: {100 * share:.2g} % of its root mean square lies below {SLOW_HZ:g} Hz",
+        mend="let the amplifier warm up, keep it from temperature changes, or high-pass it",
+    )
+
+
+def not_at_rest(name: str, rate_hz: float, row: Row, first_s: float) -> Finding | None:
+    """It moves by a part of its usual within the record's first moments."""
+    first = row[: max(8, round(first_s * rate_hz))]
+    if first.std() < MOVING * row.std():
+        return None
+    return Finding(
+        cause="not at rest",
+        channels=(name,),
+        evidence=f"{name} moves already at the record's first samples",
+        mend="begin the record with a second at rest, before the force; of a cut record, the beginning is missing",
+    )
+
+
+def copies(names: list[str], rows: list[Row]) -> Iterator[Finding]:
+    """Channels that are the same, but for a factor."""
+    thin = [r[:: max(1, r.size // 8192)] for r in rows]
+    units = [(t - t.mean()) / n if (n := float(np.linalg.norm(t - t.mean()))) > 0 else np.zeros_like(t) for t in thin]
+    alike = np.abs(np.array(units) @ np.array(units).T)
+    for i, one in enumerate(names):
+        for k in range(i):
+            if alike[i, k] > 1 - 1e-9:
+                yield Finding(
+                    cause="copy",
+                    channels=(names[k], one),
+                    evidence=f"{named((names[k], one))} hold the same samples",
+                    mend="check the channel map: one of them was recorded or imported twice",
+                )

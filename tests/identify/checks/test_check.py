@@ -1,0 +1,104 @@
+"""A sound recording has no finding; a spoilt one is named by cause and channel."""
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from identify.checks import check_recording, naming
+from rig.errors import RigError
+from rig.recording import Recording, Signals
+from scenarios.spoiling.alteration import delayed, mapped, with_rows, with_sensors
+from scenarios.spoiling.alterations import alterations
+from scenarios.spoilt import names_it
+
+NAMED = (
+    "one polarity turned",
+    "one channel in g",
+    "one channel 10 % too large",
+    "one channel 1 ms late",
+    "one channel slips 20 samples",
+    "one channel low-passed at 60 Hz",
+    "one channel integrated",
+    "two neighbours swapped",
+    "a copy of its neighbour",
+    "all sensors in g",
+    "all polarities turned",
+    "force 1 ms late",
+    "force of another record",
+    "clock 1 % fast",
+    "samples lost in all channels",
+    "the first seconds cut off",
+    "density 10 % off",
+    "damping four times",
+    "frequencies 15 % off",
+    "one station 50 mm off",
+    "beam described as free-free",
+)
+
+
+@pytest.mark.parametrize("rig", ["frame", "cantilever", "mass"])
+def test_a_sound_recording_has_no_finding(sound, rig):
+    assert check_recording(sound(rig)) == ()
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_an_alteration_is_named(sound, name):
+    recording = sound("cantilever")
+    (alteration,) = (a for a in alterations(recording.rig, np.random.default_rng(5)) if a.name == name)
+    found = check_recording(alteration.change(recording))
+    assert found
+    assert names_it(found[0], alteration), found[0]
+
+
+def test_a_gain_is_told_with_its_size(sound):
+    recording = sound("frame")
+    (found,) = check_recording(mapped(("frame_0300",), lambda r: 1.05 * r)(recording))
+    assert (found.cause, found.channels) == ("gain", ("frame_0300",))
+    told = float(found.evidence.split("delivers ")[1].split()[0])
+    assert min(abs(told - 1.05), abs(told - 5)) < 0.6  # as a factor, or in per cent
+
+
+def test_a_delay_is_told_with_its_size(sound):
+    recording = sound("frame")
+    late = mapped(("frame_0600",), lambda r: delayed(r, 3e-3, recording.rig.sample_rate_hz))(recording)
+    (found,) = check_recording(late)
+    assert (found.cause, found.channels) == ("delay", ("frame_0600",))
+    assert float(found.evidence.split("comes ")[1].split()[0]) == pytest.approx(3.0, rel=0.03)
+
+
+@pytest.mark.parametrize(("share", "cause"), [(-1.0, "polarity"), (1 / 9.80665, "units")])
+def test_a_single_mass_is_checked_by_its_open_passages(sound, share, cause):
+    found = check_recording(mapped(("mass_0000",), lambda r: share * r)(sound("mass")))
+    assert [f.cause for f in found] == [cause]
+
+
+def test_a_believed_frequency_of_a_single_mass_is_corrected(sound):
+    recording = sound("mass")
+    (body,) = recording.rig.bodies
+    believed = Recording(
+        replace(recording.rig, bodies=(body.scale_frequencies(14 / 12),)), recording.signals, recording.provenance
+    )
+    (found,) = check_recording(believed)
+    told = float(found.evidence.split("its frequency were ")[1].split()[0])
+    assert (found.cause, found.of) == ("frequency", "mass")
+    assert told == pytest.approx(12.0, rel=0.01)
+
+
+def test_a_segment_of_a_longer_record_is_not_checked(sound):
+    recording = sound("frame")
+    later = {n: Signals(s.channels, 40.0, -s.values) for n, s in recording.signals.items()}
+    assert check_recording(Recording(recording.rig, later, {})) == ()
+
+
+def test_an_error_names_the_first_finding(sound):
+    recording = sound("frame")
+    dead = check_recording(with_rows(recording, {"frame_0300": np.zeros(recording.samples)}))
+    named = r"no answer \(the check of the record found: frame_0300 stands at 0"
+    with pytest.raises(RigError, match=named), naming(dead):
+        raise RigError("no answer")
+
+
+def test_positions_that_count_from_the_other_end_are_named(sound):
+    recording = sound("cantilever")
+    turned = with_sensors(lambda s: replace(s, station=replace(s.station, position_m=1.0 - s.station.position_m)))
+    assert [f.cause for f in check_recording(turned(recording))] == ["mirrored"]

@@ -1,0 +1,89 @@
+"""Each check of a waveform on noise in a band: silent on it as it is, and by name on what was done to it."""
+
+import numpy as np
+import pytest
+from scipy.signal import butter, sosfiltfilt
+
+from identify.checks import waveforms
+
+RATE = 2000.0
+
+
+@pytest.fixture
+def row() -> np.ndarray:
+    """10 s at rest for a second, then motion from 2 to 200 Hz of one unit rms."""
+    rng = np.random.default_rng(1)
+    found = sosfiltfilt(butter(4, [2, 200], "band", fs=RATE, output="sos"), rng.standard_normal(20_000))
+    found[:2000] = 0
+    return found / found.std() + 1e-4 * rng.standard_normal(found.size)
+
+
+@pytest.fixture
+def force(row) -> np.ndarray:
+    found = np.random.default_rng(2).standard_normal(row.size)
+    found[:2000] = 0
+    return found
+
+
+def every(row, force, others=()):
+    """All findings of one channel."""
+    checks = (
+        waveforms.dead("x", row),
+        waveforms.clipped("x", row),
+        waveforms.quantised("x", row),
+        waveforms.held("x", row, force),
+        waveforms.spikes("x", waveforms.off_neighbours(row), [waveforms.off_neighbours(o) for o in others]),
+        waveforms.hum("x", RATE, row, force),
+        waveforms.noise("x", RATE, row, force),
+        waveforms.drift("x", RATE, row),
+        waveforms.offset("x", row),
+        waveforms.not_at_rest("x", RATE, row, 0.02),
+    )
+    return [f.cause for f in checks if f is not None]
+
+
+def changed(row, at, values):
+    found = row.copy()
+    found[at] = values
+    return found
+
+
+TIME_S = np.arange(20_000) / RATE
+SPOILT = {
+    "dead": lambda r: np.full_like(r, 0.2),
+    "clipped": lambda r: np.clip(r, -1.5, 1.5),
+    "quantised": lambda r: np.round(r / 0.2) * 0.2,
+    "held samples": lambda r: changed(r, slice(9000, 9030), r[9000]),
+    "spikes": lambda r: changed(r, 9000, 15.0),
+    "hum": lambda r: r + 0.05 * np.sin(2 * np.pi * 50 * TIME_S),
+    "noise": lambda r: r + 0.2 * np.random.default_rng(3).standard_normal(r.size),
+    "drift": lambda r: r + 0.5 * np.cos(2 * np.pi * 0.1 * TIME_S),
+    "offset": lambda r: r + 0.3,
+    "not at rest": lambda r: r[2500:],
+}
+
+
+def test_a_sound_waveform_has_no_finding(row, force):
+    assert every(row, force, [row[::-1]]) == []
+
+
+@pytest.mark.parametrize("cause", SPOILT)
+def test_a_spoilt_waveform_is_named(row, force, cause):
+    spoilt = SPOILT[cause](row)
+    assert cause in every(spoilt, force[-spoilt.size :], [row[-spoilt.size :]])
+
+
+def test_what_other_channels_show_too_is_an_impact(row, force):
+    struck = changed(row, 9000, 15.0)
+    assert "spikes" not in every(struck, force, [changed(row[::-1], 9000, 9.0)])
+
+
+def test_motion_before_the_force_is_told_from_noise(row, force):
+    early = np.roll(row, -1500)
+    assert waveforms.noise("x", RATE, early, force).cause == "force"
+
+
+def test_copies_are_found_whatever_their_scale(row):
+    other = row[::-1]
+    found = list(waveforms.copies(["a", "b", "c"], [row, other, -3 * row]))
+    assert [(f.cause, f.channels) for f in found] == [("copy", ("a", "c"))]
