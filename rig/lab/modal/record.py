@@ -6,19 +6,18 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Complex, Float
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.signal import csd, find_peaks, welch
+from scipy.signal import csd, welch
 
 from rig.errors import RigError
 from rig.lab.modal.fit import ModalFit, fit_modes
 from rig.lab.modal.refine import accelerances, refined_by_frfs, refined_by_output
 from rig.model.structure import Structure, structure_of
+from rig.recording.period import period_of
 
 EXCITED = 1e-3
 """Lines at which the force has less than this share of its largest power density are left out."""
 BLOCKS = 8
 """So many averages, overlapping by half, of a force that does not repeat."""
-REPEATS, LEAST_PERIOD = 0.999, 64
-"""A force repeats if it correlates so well with itself a period later; a period is at least one 64th of the record."""
 GONE = 100.0
 """The misfit counts once a free vibration has fallen by so much."""
 
@@ -134,21 +133,6 @@ def _outputs(
         return np.asarray(rfft(moved)[:, inside])
 
     return rfft(measured.responses[:, counted:])[:, inside], through, hz[near]
-
-
-def period_of(force_n: Float[np.ndarray, " samples"]) -> int | None:
-    """The samples after which a force repeats: the shortest lag of a peak of its correlation with itself."""
-    samples = force_n.size
-    length = next_fast_len(2 * samples, real=True)
-    spectrum = rfft(force_n - force_n.mean(), length)
-    products = irfft(np.abs(spectrum) ** 2, length)[: samples // 2 + 1]
-    energy = np.concatenate([[0.0], np.cumsum((force_n - force_n.mean()) ** 2)])
-    lags = np.arange(products.size)
-    both = np.sqrt(energy[samples - lags] * (energy[-1] - energy[lags]))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        peaks, _ = find_peaks(np.nan_to_num(products / both), height=REPEATS)
-    long = peaks[peaks >= samples / LEAST_PERIOD]
-    return int(long[0]) if long.size else None
 
 
 def _frfs(

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import StateSpace, lsim
 
 from rig.errors import RigError
-from rig.lab.modal.record import MeasuredResponse, fit_record, period_of
+from rig.lab.modal.record import MeasuredResponse, fit_record
 
 RATE_HZ, PERIOD = 200.0, 2048
 BAND_HZ = (2.0, 30.0)
@@ -73,14 +73,6 @@ def test_a_mode_stands_for_those_above_the_band():
     found = fit_record(measured, PLACES_M, 0, 1.0)
     assert found.misfit.max() < 2e-3
     assert found.misfit_of_frfs.max() > 0.05
-
-
-def test_a_force_that_does_not_repeat_has_no_period():
-    rng = np.random.default_rng(5)
-    assert period_of(rng.standard_normal(6000)) is None
-    assert period_of(band_limited(6000, rng)) is None
-    one = rng.standard_normal(700)
-    assert period_of(np.tile(one, 5) + 0.01 * rng.standard_normal(3500)) == 700
 
 
 def test_what_cannot_be_fitted_is_said():
