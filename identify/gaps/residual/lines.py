@@ -75,7 +75,7 @@ def _of_force(lines: Float[np.ndarray, " lines"], times: int, repeats: float) ->
 
 
 def _outstanding(rows: Rows, repeats: float) -> Float[np.ndarray, "rows lines"]:
-    """The power of a peak over `OUTSTANDING` times that beside; zero elsewhere, at the ends and at the force's lines."""
+    """The power of a peak over `OUTSTANDING` times that beside; zero elsewhere, at the ends, at the force's lines."""
     power = np.abs(np.fft.rfft(rows * hann(rows.shape[1]))) ** 2
     peaks = power == maximum_filter1d(power, 2 * BESIDE[0] - 1, axis=1)
     peaks[:, : BESIDE[1]] = peaks[:, -BESIDE[1] :] = False

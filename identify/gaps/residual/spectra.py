@@ -155,7 +155,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     quantity = max(moving, key=lambda s: s.measures.order).quantity
     sensors = sensors_of(rig, quantity)
     motion = kinematics(recording, quantity)
-    high_hz = min(REACH * force_band(recording.force_n, rate)[1], motion.trusted_hz[1])
+    high_hz = min(REACH * force_band(recording.force_n, rate)[1], motion.trusted_hz[1], tolerances.highest_hz or np.inf)
     factor = max(1, int(rate / (2 * high_hz)))
     samples = recording.samples
     length = factor * next_fast_len(-(-(samples + round(RING_S * rate)) // factor), real=True)

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.signal import csd, welch
+from scipy.stats import gamma
 
 from rig.errors import RigError
 from rig.lab.modal.fit import ModalFit, fit_modes
@@ -37,14 +38,15 @@ class FittedRecord:
     """A body, the misfit of its free run and the noise of the sensors.
 
     misfit is the rms error over the rms of each response, by modes on the FRFs alone and after the refinement.
-    noise_density is one-sided, in the response's unit per sqrt(Hz): the median over the lines that the force does not
-    excite.
+    unmodelled is the rms of that beyond the noise, over all sensors. noise_density is one-sided, in the response's unit
+    per sqrt(Hz), by the median over the lines that the force does not excite.
     """
 
     body: Structure
     misfit_of_frfs: Float[np.ndarray, " sensors"]
     misfit: Float[np.ndarray, " sensors"]
-    noise_density: float
+    unmodelled: float
+    noise_density: Float[np.ndarray, " sensors"]
     period_s: float | None
     band_hz: tuple[float, float]
 
@@ -81,13 +83,16 @@ def fit_record(
     order = np.argsort(positions_m)
     places = np.array(positions_m, dtype=float)[order]
     shapes = better.residues / np.sqrt(better.residues[driving])
+    misfit = _misfit(measured, better)
+    noise = noise_density * np.sqrt(measured.sample_rate_hz / 2) / measured.responses.std(axis=1)
     return FittedRecord(
-        structure_of(name, length_m, better.frequencies_hz, better.ratios, places, shapes[order]),
-        _misfit(measured, found),
-        _misfit(measured, better),
-        noise_density,
-        None if period is None else period / measured.sample_rate_hz,
-        band,
+        body=structure_of(name, length_m, better.frequencies_hz, better.ratios, places, shapes[order]),
+        misfit_of_frfs=_misfit(measured, found),
+        misfit=misfit,
+        unmodelled=float(np.sqrt(np.mean(np.maximum(misfit**2 - noise**2, 0.0)))),
+        noise_density=noise_density,
+        period_s=None if period is None else period / measured.sample_rate_hz,
+        band_hz=band,
     )
 
 
@@ -137,21 +142,28 @@ def _outputs(
 
 def _frfs(
     measured: MeasuredResponse, period: int | None
-) -> tuple[Float[np.ndarray, " lines"], Float[np.ndarray, " lines"], Complex[np.ndarray, "sensors lines"], float]:
+) -> tuple[
+    Float[np.ndarray, " lines"],
+    Float[np.ndarray, " lines"],
+    Complex[np.ndarray, "sensors lines"],
+    Float[np.ndarray, " sensors"],
+]:
     """Frequencies, the force's power density, H1, and the sensors' noise density."""
     force_n, responses = measured.force_n, measured.responses
     if period is None:
-        block = {"nperseg": 2 * force_n.size // (BLOCKS + 1), "window": "hann"}
+        averages = BLOCKS
+        block = {"nperseg": 2 * force_n.size // (averages + 1), "window": "hann"}
     else:
-        whole = (force_n.size // period - 1) * period
-        force_n, responses = force_n[-whole:], responses[:, -whole:]
+        averages = force_n.size // period - 1
+        force_n, responses = force_n[-averages * period :], responses[:, -averages * period :]
         block = {"nperseg": period, "noverlap": 0, "window": "boxcar"}
     hz, force_density = welch(force_n, measured.sample_rate_hz, **block)
     _, cross = csd(force_n, responses, measured.sample_rate_hz, **block)
     _, density = welch(responses, measured.sample_rate_hz, **block)
     still = force_density <= EXCITED * force_density.max()
     still[0] = False
-    noise = float(np.sqrt(np.median(density[:, still]))) if still.any() else 0.0
+    usual = gamma.median(averages) / averages  # of the mean of so many powers, each distributed exponentially
+    noise = np.sqrt(np.median(density[:, still], axis=1) / usual) if still.any() else np.zeros(len(responses))
     with np.errstate(divide="ignore", invalid="ignore"):
         return hz, force_density, cross / force_density, noise
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import msgspec
+from msgspec.structs import replace
 
 from rig.errors import RigError
 from rig.lab.clock import even
@@ -18,6 +19,7 @@ from rig.model.description import Rig, Station
 from rig.model.quantities import QUANTITIES
 from rig.model.sensing import named_sensor
 from rig.model.structure import Structure
+from rig.model.tolerances import Tolerances
 from rig.recording import RIG_NAME
 
 
@@ -63,7 +65,9 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
             found = fit_record(measured, self.positions_m, driving, length_m, self.band_hz, self.name)
         except RigError as error:
             raise RigError(f"{self.from_record}: {error}") from error
-        noise = found.noise_density if self.noise_density is None else self.noise_density
+        noises = found.noise_density.tolist()
+        if self.noise_density is not None:
+            noises = [self.noise_density] * len(noises)
         stops = equal_sides(self.clearance_m or 0.0, self.stiffness_n_per_m or 0.0, self.damping_n_s_per_m)
         places = [Station(self.name, x) for x in self.positions_m]
         rig = Rig(
@@ -71,13 +75,20 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
             bodies=(found.body,),
             contacts=contacts_of([(Station(self.name, x), None) for x in self.contacts_m], stops),
             force_at=places[driving],
-            sensors=tuple(named_sensor(place, self.quantity[0], noise) for place in places),
+            sensors=tuple(
+                replace(named_sensor(place, self.quantity[0]), noise_density=float(f"{noise:.3g}"))
+                for place, noise in zip(places, noises, strict=True)
+            ),
             sample_rate_hz=measured.sample_rate_hz,
+            tolerances=Tolerances(
+                unmodelled=max(float(f"{found.unmodelled:.2g}"), Tolerances().unmodelled),
+                highest_hz=float(f"{found.band_hz[1]:.4g}"),
+            ),
         )
         repeats = f"repeats every {found.period_s:.6g} s" if found.period_s else "does not repeat"
-        told = f"{found.band_hz[0]:.4g} to {found.band_hz[1]:.4g} Hz"
+        band = f"{found.band_hz[0]:.4g} to {found.band_hz[1]:.4g} Hz"
         notes = (
-            f"{found.body.max_modes} modes fitted to {len(self.columns)} responses of {self.from_record.name}, {told}; "
+            f"{found.body.max_modes} modes fitted to {len(self.columns)} responses of {self.from_record.name}, {band}; "
             f"its force {repeats}",
             *_modes(found.body, found.band_hz),
             *(
