@@ -17,7 +17,7 @@ def gap(
     real: Annotated[
         list[Path],
         typer.Argument(
-            help="Recordings of reality, one or more of one rig; their rig.json is the rig that is believed."
+            help="Recordings of reality, one or more of one rig; their rig.json is believed unless --rig is given."
         ),
     ],
     validate: Annotated[
@@ -28,6 +28,9 @@ def gap(
         ),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for gap.json, gap.html and the corrected rig.json.")] = None,
+    rig: Annotated[
+        Path | None, typer.Option(help="A rig.json that is believed instead of the one in the recordings.")
+    ] = None,
     simulator: Annotated[
         str, typer.Option(help="What simulates the rig: modal, ancf, or one that you installed.")
     ] = "modal",
@@ -81,6 +84,7 @@ def gap(
             tolerances=tolerances,
             matters=Matters(matters / 100, matters_contact / 100),
             next_experiment=next_experiment,
+            rig=rig,
             progress=show,
         )
     if out is not None:
