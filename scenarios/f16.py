@@ -6,6 +6,7 @@ FOLDER holds the benchmark's F16Data_FullMSine_Level*.mat. Noël and Schoukens, 
 vibration test data", Workshop on Nonlinear System Identification Benchmarks, 2017.
 """
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace as with_parts
 from pathlib import Path
 from typing import Annotated
@@ -40,7 +41,7 @@ LOW, PAIRS = "1", (("3", "2_Validation"), ("5", "4_Validation"))
 """The level that the modes are fitted to; and the levels that are diagnosed, each with the one that validates."""
 RATE_HZ, PERIOD = 400.0, 8192
 PLACES_M = (0.0, 1.0, 1.2)
-"""Of the sensors: labels, as no drawing comes with the data: at the force, on the wing and on the payload at its joint."""
+"""Of the sensors, at the force, on the wing and on the payload at its joint: labels, as no drawing is published."""
 OUTPUTS = ("at the force", "wing at the joint", "payload at the joint")
 DIAGNOSED = slice(0, 4 * PERIOD)
 """Four periods of nine, from rest."""
@@ -90,13 +91,21 @@ def f16(
     for fitted, validating in PAIRS:
         records = {level: imported(data, level, out) for level in (fitted, validating)}
         with progress_bar(f"diagnosing level {fitted}") as progress:
-            judged, corrected = judge(believed, records, fitted, validating, out, lambda _, x, show=progress: show(x))
+            judged, corrected = judge(believed, records, fitted, validating, out, shown_by(progress))
         found.append(judged)
         console.print(judged.sentence, highlight=False, soft_wrap=True)
         console.print(table(judged, fitted))
-        drawn(records[validating], believed, corrected, free_run, out / f"level{fitted}.png")
+        runs = {
+            name: free_run(rig, records[validating].force_n)
+            for name, rig in (("rig of level 1", believed), ("corrected rig", corrected))
+        }
+        drawn(records[validating], runs, PERIOD, out / f"level{fitted}.png")
     write_json(found, out / "f16.json")
     console.print(f"records, rig.json, map.toml, f16.json, level*/gap.html, level*.png: in {out}", soft_wrap=True)
+
+
+def shown_by(progress: Callable[[float], None]) -> Callable[[str, float], None]:
+    return lambda _, share: progress(share)
 
 
 def start_of(data: Path) -> MeasuredRig:
@@ -119,12 +128,19 @@ def imported(data: Path, level: str, out: Path) -> Recording:
     return read(path)
 
 
-def judge(believed, records, fitted, validating, out, progress):
-    """The diagnosis of a level, validated on another, and free runs on both."""
-    parts = [part_of(records[level], DIAGNOSED) for level in (fitted, validating)]
+def judge(
+    believed: Rig,
+    records: Mapping[str, Recording],
+    fitted: str,
+    validating: str,
+    out: Path,
+    progress: Callable[[str, float], None],
+) -> tuple[Judged, Rig]:
+    """The diagnosis of a level, validated on another, and free runs on both; the corrected rig."""
+    first, second = (part_of(records[level], DIAGNOSED) for level in (fitted, validating))
     assert believed.tolerances is not None
     matters = Matters(motion=believed.tolerances.unmodelled)
-    gap, corrected = diagnose(*parts, Simulator("f16", simulated), None, progress, None, matters)
+    gap, corrected = diagnose(first, second, Simulator("f16", simulated), None, progress, None, matters)
     write_all(gap, corrected, f"F-16, level {fitted}", out / f"level{fitted}")
     linear = equivalent_linear(believed, records[fitted])
     runs = tuple(
