@@ -252,8 +252,8 @@ def gap(
     """Where the believed rig differs from reality, which effect causes it, how far the gap shrinks with it.
 
     The validation is not fitted: one of the recordings, or another; without it the last of several, or the last part of
-    a single one. `rig` is believed instead of the rig that is in the recordings: a value, or a rig.json. `null_reference`
-    is a file, or a folder for it, that keeps the null reference for the next time.
+    a single one. `rig` is believed instead of the rig that is in the recordings: a value, or a rig.json.
+    `null_reference` is a file, or a folder for it, that keeps the null reference for the next time.
     Raises RigError if the recordings do not fit together or allow no diagnosis.
     """
     every = [recordings] if isinstance(recordings, Recording | str | Path) else list(recordings)

@@ -1,4 +1,4 @@
-"""An identification on disk: contact.json, the identified rig.json, the figures, and contact.html, which stands alone."""
+"""An identification on disk: contact.json, the identified rig.json, the figures, and contact.html, a page."""
 
 from collections.abc import Iterator, Mapping
 from html import escape

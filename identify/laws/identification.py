@@ -226,8 +226,8 @@ def _verdict(
         one, found = best.held_out_error_n, _sliding(sliding)
         return (
             f"friction behind a backlash: it slides at {_within(found.upper_n, 'N')} one way and at "
-            f"{_within(found.lower_n, 'N')} the other, behind a backlash of {_within(found.backlash_m, 'mm', 1e3)} and a "
-            f"stiffness of {_within(found.stiffness_n_per_m, 'N/m')} (95 % intervals of the scatter); it leaves "
+            f"{_within(found.lower_n, 'N')} the other, behind a backlash of {_within(found.backlash_m, 'mm', 1e3)} and "
+            f"a stiffness of {_within(found.stiffness_n_per_m, 'N/m')} (95 % intervals of the scatter); it leaves "
             f"{one:.3g} N rms of held-out data"
         )
     if best.law != PIECEWISE:

@@ -13,7 +13,7 @@ class TriedLaw(msgspec.Struct, frozen=True):
 
 
 class SlidingLaw(msgspec.Struct, frozen=True, kw_only=True):
-    """Dry friction reached through a backlash by a spring: the sliding forces both ways, the whole backlash, the spring.
+    """Dry friction reached through a backlash by a spring: sliding forces both ways, the whole backlash, the stiffness.
 
     Standard errors are of the scatter alone.
     """

@@ -55,12 +55,13 @@ class SlidingFriction:
 def sliding_friction(seen: Sampled, rows: Rows) -> SlidingFriction:
     """The friction that fits some rows of the force best under the low-pass; standard errors as of straight pieces."""
     force = seen.force_n[rows]
-    upper, lower = (max(float(np.quantile(sign * force, SLIDES)), 1e-9 * np.ptp(force)) for sign in (1, -1))
-    span_m, span_n = float(np.ptp(seen.eta_m)), upper + lower
-    scale = np.log([upper, lower, span_m, span_n / span_m])
+    most_n, least_n = (max(float(np.quantile(sign * force, SLIDES)), 1e-9 * np.ptp(force)) for sign in (1, -1))
+    span_m, span_n = float(np.ptp(seen.eta_m)), most_n + least_n
+    scale = np.log([most_n, least_n, span_m, span_n / span_m])
 
     def law(logarithms: Float[np.ndarray, " parameters"]) -> SlidingFriction:
-        return SlidingFriction(*np.exp(scale + logarithms).tolist())
+        upper, lower, backlash, stiffness = np.exp(scale + logarithms).tolist()
+        return SlidingFriction(upper, lower, backlash, stiffness)
 
     def error(logarithms: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " rows"]:
         return (force - seen.low_passed(law(logarithms)(seen.eta_m))[rows]) / span_n
@@ -74,7 +75,8 @@ def sliding_friction(seen: Sampled, rows: Rows) -> SlidingFriction:
     scores = part_scores(slopes @ np.linalg.pinv(slopes.T @ slopes), -error(found.x))
     relative = np.sqrt(np.sum(scores**2, axis=0))
     values = np.exp(scale + found.x)
-    return SlidingFriction(*values.tolist(), errors=tuple((values * relative).tolist()))
+    upper, lower, backlash, stiffness = values.tolist()
+    return SlidingFriction(upper, lower, backlash, stiffness, tuple((values * relative).tolist()))
 
 
 def _slopes(
