@@ -14,7 +14,7 @@ NAMES = ("upper_n", "lower_n", "backlash_m", "stiffness_n_per_m")
 
 
 def test_the_loop_of_a_triangular_motion_has_its_corners_where_they_belong():
-    """After a reversal: unloaded over F/k, nothing over the backlash, loaded over F/k of the other way; then sliding."""
+    """After a reversal: unloaded over F/k, nothing over the backlash, loaded over F/k of the other way, sliding."""
     amplitude = 3e-3
     eta = np.interp(np.arange(40001), [0, 10000, 20000, 30000, 40000], amplitude * np.array([-1, 1, -1, 1, -1]))
     force = LAW(eta)
