@@ -68,7 +68,8 @@ def gap(
     identify gap january.mcap april.mcap july.mcap --out results
     """
     if out is not None:
-        refuse_existing(out / "gap.json", force)
+        for name in ("gap.json", "rig.json"):
+            refuse_existing(out / name, force)
     stages = {"null_reference": (0.0, 0.6), "causes": (0.6, 0.4)}
     with progress_bar(f"diagnosing {', '.join(path.name for path in real)}") as progress:
 

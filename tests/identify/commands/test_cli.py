@@ -88,6 +88,8 @@ def test_results_are_not_overwritten_unless_forced(identify, recording, tmp_path
     (tmp_path / "believed" / "rig.json").write_text("mine too")
     status, _, err = identify("contact", recording, "--out", tmp_path / "believed")
     assert (status, "rig.json: exists already" in err) == (1, True)
+    status, _, err = identify("gap", recording, "--out", tmp_path / "believed")
+    assert (status, "rig.json: exists already" in err) == (1, True)
     status, _, err = identify("contact", recording, "--out", tmp_path, "--force")
     assert (status, err) == (0, "")
     assert msgspec.json.decode(kept.read_bytes(), type=ContactReport).rig == "sdof"
