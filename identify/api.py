@@ -1,7 +1,7 @@
 """The public functions of `identify`, and their results; the commands are a skin over them."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from identify.checks import Finding, check_recording
 from identify.contacts import Identification, identify_contact
+from identify.contacts.identified_rig import identified_rig
 from identify.contacts.results import ContactReport, Estimate, Unanswered
 from identify.gaps.decision.answer import diagnose
 from identify.gaps.decision.simulators import simulator_named
@@ -23,9 +24,9 @@ from identify.signals.spectra import Averaging
 from rig.errors import RigError
 from rig.files import write_bytes, write_json
 from rig.model.contact_laws import ContactLaw
-from rig.model.description import Rig
+from rig.model.description import Rig, read_rig
 from rig.model.tolerances import Tolerances, tolerances_named
-from rig.recording import Recording, read
+from rig.recording import Recording, channel_groups, read
 
 Source = Recording | str | Path
 Row = dict[str, str | float]
@@ -86,6 +87,11 @@ class ContactResult:
     def report(self) -> ContactReport:
         return self.found.report
 
+    @property
+    def rig(self) -> Rig:
+        """The recording's rig with the identified contacts."""
+        return identified_rig(self.found.rig, self.report)
+
     def to_dict(self) -> dict[str, Any]:
         """As in contact.json."""
         return dict(msgspec.to_builtins(self.report))
@@ -107,7 +113,7 @@ class ContactResult:
         return _named(self.figures, name)
 
     def save(self, folder: str | Path) -> None:
-        """Writes contact.html, a page that stands alone, the figures, and contact.json."""
+        """Writes contact.html, a page that stands alone, the figures, the identified rig.json, and contact.json."""
         from identify.contacts.report import write_results
 
         write_results(self.found, Path(folder), self.title, self.laws, self.laws_name)
@@ -286,19 +292,22 @@ def gap(
     tolerances: Tolerances | str | None = None,
     matters: Matters | None = None,
     next_experiment: bool = False,
+    rig: Rig | str | Path | None = None,
     progress: Callable[[str, float], None] = lambda *_: None,
 ) -> GapResult:
     """Where the believed rig differs from reality, which effect causes it, how far the gap shrinks with it.
 
     The validation is not fitted: one of the recordings, or another; without it the last of several, or the last part of
-    a single one. `null_reference` is a file, or a folder for it, that keeps the null reference for the next time.
+    a single one. `rig` is believed instead of the rig that is in the recordings: a value, or a rig.json.
+    `null_reference` is a file, or a folder for it, that keeps the null reference for the next time.
     Raises RigError if the recordings do not fit together or allow no diagnosis.
     """
     every = [recordings] if isinstance(recordings, Recording | str | Path) else list(recordings)
     known = {_identity(one): one for one in every}
     if len(known) < len(every):
         raise RigError("a recording is given twice; give each once")
-    given = {identity: _recording(one) for identity, one in known.items()}
+    believed = read_rig(Path(rig)) if isinstance(rig, str | Path) else rig
+    given = {identity: _of_rig(one, believed, rig) for identity, one in known.items()}
     first = next(iter(given.values()))
     kept = None if null_reference is None else Path(null_reference)
     if kept and kept.is_dir():
@@ -306,7 +315,7 @@ def gap(
     with threadpool_limits(1):  # the matrices are small
         found, corrected = diagnose(
             list(given.values()),
-            None if validation is None else given.get(_identity(validation)) or _recording(validation),
+            None if validation is None else given.get(_identity(validation)) or _of_rig(validation, believed, rig),
             simulator_named(simulator),
             kept,
             progress,
@@ -325,6 +334,21 @@ def _identity(source: Source) -> Path | int:
 
 def _recording(source: Source) -> Recording:
     return source if isinstance(source, Recording) else read(Path(source))
+
+
+def _of_rig(source: Source, rig: Rig | None, name: Rig | str | Path | None) -> Recording:
+    """The recording, with another rig believed if one is given; raises RigError if its channels are others."""
+    recording = _recording(source)
+    if rig is None:
+        return recording
+    groups = channel_groups(rig)
+    known = {quantity: (c.names, c.sample_rate_hz) for quantity, c in groups.items()}
+    if known != {quantity: (s.channels.names, s.channels.sample_rate_hz) for quantity, s in recording.signals.items()}:
+        told = name if isinstance(name, str | Path) else f"rig {rig.name!r}"
+        file = "the recording" if isinstance(source, Recording) else source
+        raise RigError(f"{told}: its sensors or their sampling rate are not those of {file}; give one with the same")
+    signals = {quantity: replace(s, channels=groups[quantity]) for quantity, s in recording.signals.items()}
+    return replace(recording, rig=rig, signals=signals)
 
 
 def _believed(tolerances: Tolerances | str | None) -> Tolerances | None:

@@ -14,6 +14,7 @@ from rich.table import Table
 import identify
 from identify.checks import Finding
 from identify.commands.gap import gap
+from identify.contacts.identified_rig import identified_rig
 from identify.contacts.pooled import LARGE_BYTES, SEGMENT_S, identify_long
 from identify.contacts.results import ContactReport, Estimate, Segments
 from identify.laws.results import LawReport
@@ -21,7 +22,9 @@ from identify.signals.kinematics import Use
 from identify.signals.spectra import POWERS, Averaging
 from rig.commands.command_line import Force, Json, progress_bar, refuse_existing, run, working
 from rig.files import write_bytes, write_json
+from rig.model.description import to_json
 from rig.model.tolerances import tolerances_named
+from rig.recording.segments import segments
 
 DRAWN_FROM = 0.8
 """The share of the time after which results are drawn."""
@@ -83,7 +86,7 @@ def contact(
     file: Annotated[Path, typer.Argument(help="The recording, an .mcap file.")],
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for contact.json, the figures and contact.html, a page that stands alone."),
+        typer.Option(help="Folder for contact.json, the identified rig.json, the figures and contact.html, a page."),
     ] = None,
     use: Annotated[str, typer.Option(help=f"Which sensors: {', '.join(get_args(Use))}.")] = "auto",
     equation: Annotated[str | None, typer.Option(help='Main modal equation, e.g. "barrel 3".')] = None,
@@ -115,7 +118,8 @@ def contact(
         raise typer.BadParameter(f"{window!r} is none of {', '.join(POWERS)}", param_hint="--window")
     averaging = Averaging(averages=averages, block_s=block, overlap=overlap, window=window, band_hz=band)
     if out is not None:
-        refuse_existing(out / "contact.json", force)
+        for name in ("contact.json", "rig.json"):
+            refuse_existing(out / name, force)
     if segment is None and file.exists() and file.stat().st_size > LARGE_BYTES:
         segment = SEGMENT_S
     settings = {
@@ -154,6 +158,7 @@ def _by_segments(
         if report.contacts:
             write_bytes(segments_drawn(report, parts), out / "segments.png")
         write_json(Segments(parts), out / "segments.json")
+        write_bytes(to_json(identified_rig(next(iter(segments(file, segment_s, 0.0))).rig, report)), out / "rig.json")
         write_json(report, out / "contact.json")
     return report
 

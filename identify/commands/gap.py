@@ -18,7 +18,7 @@ def gap(
     real: Annotated[
         list[Path],
         typer.Argument(
-            help="Recordings of reality, one or more of one rig; their rig.json is the rig that is believed."
+            help="Recordings of reality, one or more of one rig; their rig.json is believed unless --rig is given."
         ),
     ],
     validate: Annotated[
@@ -29,6 +29,9 @@ def gap(
         ),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for gap.json, gap.html and the corrected rig.json.")] = None,
+    rig: Annotated[
+        Path | None, typer.Option(help="A rig.json that is believed instead of the one in the recordings.")
+    ] = None,
     simulator: Annotated[
         str, typer.Option(help="What simulates the rig: modal, ancf, or one that you installed.")
     ] = "modal",
@@ -66,7 +69,8 @@ def gap(
     identify gap january.mcap april.mcap july.mcap --out results
     """
     if out is not None:
-        refuse_existing(out / "gap.json", force)
+        for name in ("gap.json", "rig.json"):
+            refuse_existing(out / name, force)
     stages = {"null_reference": (0.0, 0.6), "causes": (0.6, 0.4)}
     with progress_bar(f"diagnosing {', '.join(path.name for path in real)}") as progress:
 
@@ -82,6 +86,7 @@ def gap(
             tolerances=tolerances,
             matters=Matters(matters / 100, matters_contact / 100),
             next_experiment=next_experiment,
+            rig=rig,
             progress=show,
         )
     if out is not None:

@@ -1,4 +1,4 @@
-"""The results of an identification on disk: contact.json, the figures, and contact.html, a page that stands alone."""
+"""An identification on disk: contact.json, the identified rig.json, the figures, and contact.html, a page."""
 
 from collections.abc import Iterator, Mapping
 from html import escape
@@ -8,11 +8,13 @@ import numpy as np
 
 from identify.contacts.advice import assumed, surer
 from identify.contacts.identification import Identification
+from identify.contacts.identified_rig import identified_rig
 from identify.contacts.results import ContactEstimate, Estimate
 from identify.pages import page
 from identify.pages.wording import interval, number
 from rig.files import write_bytes, write_json
 from rig.model.contact_laws import ContactLaw
+from rig.model.description import to_json
 
 _CAPTIONS = {
     "separated": "The contact forces over the relative displacements, separated without assuming a law, and the law "
@@ -28,7 +30,7 @@ Laws = Mapping[str, ContactLaw]
 
 
 def write_results(found: Identification, out: Path, title: str, laws: Laws, laws_name: str) -> None:
-    """Writes contact.html, the figures and, last of all, contact.json.
+    """Writes contact.html, the figures, the identified rig.json and, last of all, contact.json.
 
     `laws` has for every contact what stands beside the identified values, and `laws_name` says what they are: the true
     ones where they are known, else those of rig.json.
@@ -41,6 +43,7 @@ def write_results(found: Identification, out: Path, title: str, laws: Laws, laws
     for name, png in figures.items():
         write_bytes(png, out / f"{name}.png")
     write_page(found, figures, title, laws, laws_name, out / "contact.html")
+    write_bytes(to_json(identified_rig(found.rig, found.report)), out / "rig.json")
     write_json(found.report, out / "contact.json")
 
 

@@ -6,15 +6,22 @@ from typing import Any
 import numpy as np
 
 from identify.laws.identification import FoundLaw
+from identify.laws.sliding import SlidingFriction
 from identify.pages.style import BLUE, GREEN, GREY, RED, png
 
 
 def drawn(laws: Sequence[FoundLaw]) -> bytes:
-    """For every contact: the points searched, the formula found, and the straight pieces fitted, with their knees."""
+    """For every contact: the points searched, the formula found, and the straight pieces fitted, with their knees.
+
+    Where friction behind a backlash is the best law, that along the course of eta, and what it leaves.
+    """
 
     def draw(figure: Any) -> None:
         upper, lower = figure.subplots(2, len(laws), squeeze=False, sharex="col", sharey="row", height_ratios=(3, 1))
         for axes, below, law in zip(upper, lower, laws, strict=True):
+            if law.sliding is not None:
+                _draw_sliding(axes, below, law, law.sliding)
+                continue
             eta, knees = law.eta_m, law.pieces.knees_m
             span = np.linspace(eta.min(), eta.max(), 800)
             axes.plot(1e3 * eta, law.force_n, "o", ms=4, color=GREY, alpha=0.4, label="force, no law assumed")
@@ -26,8 +33,18 @@ def drawn(laws: Sequence[FoundLaw]) -> bytes:
             axes.set(title=law.result.contact)
             below.set(xlabel="$\\eta$, mm")
         upper[0].set_ylabel("contact force, N")
-        lower[0].set_ylabel("less the\nstraight pieces, N")
-        handles, labels = upper[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=4)
+        lower[0].set_ylabel("less the\nlaw, N")
+        named = {text: handle for axes in upper for handle, text in zip(*axes.get_legend_handles_labels(), strict=True)}
+        figure.legend(named.values(), named.keys(), loc="outside upper center", ncols=4)
 
     return png(draw)
+
+
+def _draw_sliding(axes: Any, below: Any, law: FoundLaw, sliding: SlidingFriction) -> None:
+    eta, force = 1e3 * law.record.at_force_m, law.record.force_n
+    found = law.record.low_passed(sliding(law.record.eta_m))
+    axes.plot(eta, force, color=GREY, lw=0.5, label="force, no law assumed")
+    axes.plot(eta, found, color=RED, lw=0.9, label="friction behind a backlash")
+    below.plot(eta, force - found, color=GREY, lw=0.5)
+    axes.set(title=law.result.contact)
+    below.set(xlabel="$\\eta$, mm")

@@ -15,8 +15,10 @@ from identify.contacts.results import Estimate, Unanswered
 from identify.contacts.start import ContactRecord
 from identify.laws.piecewise import FINEST, PiecewiseLinear, Sampled, polynomial, sampled, slope_jumps, straight_pieces
 from identify.laws.piecewise import unfiltered as without_low_pass
-from identify.laws.results import ContactLaw, LawReport, TriedLaw
+from identify.laws.results import ContactLaw, LawReport, SlidingLaw, TriedLaw
+from identify.laws.sliding import SlidingFriction, sliding_friction
 from identify.laws.symbolic import Formula, pyoperon, search
+from identify.pages.wording import interval
 from identify.signals.kinematics import Use
 from rig.errors import RigError
 from rig.model.contact_laws import penetration_m
@@ -29,29 +31,35 @@ UNTOLD = 4
 """How many evenly spread knees straight pieces start from where those of the formula do not serve."""
 ENDS = 64
 """Samples of the force at either end of the record that the low-pass falsifies."""
-LEAST_SAMPLES = 2000
+LEAST_SAMPLES = 500
 AS_GOOD = 1.05
 """An error is no larger than another if it is at most this multiple of it."""
 FLAT = 0.01
 """A piece counts as flat, the gap of a dead zone, if its slope is a smaller share of the steepest."""
 
-PIECEWISE, FORMULA, DEAD_ZONE, CUBIC = (
+PIECEWISE, FORMULA, DEAD_ZONE, CUBIC, SLIDING = (
     "piecewise-linear law",
     "formula found",
     "dead zone of the joint estimate",
     "cubic polynomial",
+    "friction behind a backlash",
 )
 
 
 @dataclass(frozen=True)
 class FoundLaw:
-    """A contact's law with the points that the formula was searched on, for figures."""
+    """A contact's law with the points that the formula was searched on, for figures.
+
+    sliding is there where it is the best law; record is the course of eta that it needs.
+    """
 
     result: ContactLaw
     eta_m: Float[np.ndarray, " points"]
     force_n: Float[np.ndarray, " points"]
     formula: Formula
     pieces: PiecewiseLinear
+    sliding: SlidingFriction | None
+    record: Sampled
 
 
 @dataclass(frozen=True)
@@ -144,20 +152,22 @@ def _law(contacts: Contacts, contact: int, seconds: float, seed: int) -> FoundLa
     if joint is not None:
         lower, upper, stiffness, _ = joint.values.tolist()
         laws[DEAD_ZONE] = lambda e: stiffness * penetration_m(e, lower, upper)
-    laws |= {CUBIC: polynomial(record, taught, 3), FORMULA: formula}
+    laws |= {SLIDING: sliding_friction(record, taught), CUBIC: polynomial(record, taught, 3), FORMULA: formula}
     candidates = tuple(TriedLaw(name, record.error_n(law, held_out)) for name, law in laws.items())
     best = candidates[_first_as_good([c.held_out_error_n for c in candidates], finest)]
     pieces = straight_pieces(record, whole, pieces.knees_m)  # once judged, from all there is
+    sliding = sliding_friction(record, whole) if best.law == SLIDING else None
     shown = f"f = {formula.scaled(1e3, 1.0).text('eta')} (N, eta in mm)"
     result = ContactLaw(
         contact=contacts.rig.contacts[contact].name,
-        verdict=_verdict(pieces, shown, candidates, best, seen.sides_known),
+        verdict=_verdict(pieces, shown, candidates, best, seen.sides_known, sliding),
         best=best.law,
         formula=shown,
         knees_m=tuple(float(k) for k in knees),
         slopes_n_per_m=_slopes(formula, knees, low, high),
         fitted_knees_m=_estimates(pieces.knees_m, pieces.knee_errors_m),
         fitted_slopes_n_per_m=_estimates(pieces.slopes_n_per_m, pieces.slope_errors_n_per_m),
+        sliding=None if sliding is None else _sliding(sliding),
         candidates=candidates,
         force_rms_n=float(np.std(record.force_n[whole])),
         hysteresis_share=_hysteresis(record, velocity, pieces, held_out),
@@ -165,7 +175,7 @@ def _law(contacts: Contacts, contact: int, seconds: float, seed: int) -> FoundLa
         points=drawn.size,
         repeatable=not searched.out_of_time,
     )
-    return FoundLaw(result, eta, force, formula, pieces)
+    return FoundLaw(result, eta, force, formula, pieces, sliding, record)
 
 
 def _complete(seen: ContactRecord, joint: Joint | None) -> tuple[Sampled, Float[np.ndarray, " more"]]:
@@ -215,9 +225,22 @@ def _hysteresis(record: Sampled, velocity: Float[np.ndarray, " more"], law: Piec
 
 
 def _verdict(
-    pieces: PiecewiseLinear, formula: str, candidates: tuple[TriedLaw, ...], best: TriedLaw, sides_known: bool
+    pieces: PiecewiseLinear,
+    formula: str,
+    candidates: tuple[TriedLaw, ...],
+    best: TriedLaw,
+    sides_known: bool,
+    sliding: SlidingFriction | None,
 ) -> str:
     """One sentence."""
+    if sliding is not None:
+        one, found = best.held_out_error_n, _sliding(sliding)
+        return (
+            f"friction behind a backlash: it slides at {_within(found.upper_n, 'N')} one way and at "
+            f"{_within(found.lower_n, 'N')} the other, behind a backlash of {_within(found.backlash_m, 'mm', 1e3)} and "
+            f"a stiffness of {_within(found.stiffness_n_per_m, 'N/m')} (95 % intervals of the scatter); it leaves "
+            f"{one:.3g} N rms of held-out data"
+        )
     if best.law != PIECEWISE:
         free = next(c.held_out_error_n for c in candidates if c.law == PIECEWISE)
         shown = f", {formula}" if best.law == FORMULA else ""
@@ -232,6 +255,15 @@ def _verdict(
     kind, shown_slopes = ("dead zone", slopes[[0, 2]]) if gap else ("piecewise-linear law", slopes)
     where = "" if sides_known else ", counted from the middle of the play as no sensor tells its place"
     return f"{kind} with knees at {_listed(1e3 * pieces.knees_m)} mm and slopes {_listed(shown_slopes)} N/m{where}"
+
+
+def _sliding(found: SlidingFriction) -> SlidingLaw:
+    names = SlidingLaw.__struct_fields__
+    return SlidingLaw(**{n: Estimate(getattr(found, n), e) for n, e in zip(names, found.errors, strict=True)})
+
+
+def _within(estimate: Estimate, unit: str, scale: float = 1.0) -> str:
+    return interval(scale * estimate.value, scale * estimate.standard_error, unit)
 
 
 def _listed(values: Float[np.ndarray, " values"]) -> str:

@@ -13,6 +13,18 @@ class TriedLaw(msgspec.Struct, frozen=True):
     held_out_error_n: float
 
 
+class SlidingLaw(msgspec.Struct, frozen=True, kw_only=True):
+    """Dry friction reached through a backlash by a spring: sliding forces both ways, the whole backlash, the stiffness.
+
+    Standard errors are of the scatter alone.
+    """
+
+    upper_n: Estimate
+    lower_n: Estimate
+    backlash_m: Estimate
+    stiffness_n_per_m: Estimate
+
+
 class ContactLaw(msgspec.Struct, frozen=True, kw_only=True):
     """What was found of one contact; eta is its relative displacement.
 
@@ -37,6 +49,8 @@ class ContactLaw(msgspec.Struct, frozen=True, kw_only=True):
     sides_known: bool
     points: int
     repeatable: bool
+    sliding: SlidingLaw | None = None
+    """Where it is the best law."""
 
 
 class LawReport(msgspec.Struct, frozen=True, kw_only=True):

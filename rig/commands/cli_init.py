@@ -12,7 +12,7 @@ import msgspec
 import typer
 
 from rig.commands.command_line import Force, Json, refuse_existing, working
-from rig.lab.starting import KINDS, MAP_NAME, Start, write_start
+from rig.lab.starting import KINDS, MAP_NAME, Start, StartWithStops, write_start
 from rig.recording import RIG_NAME
 
 Kind = type[Start]
@@ -21,6 +21,8 @@ _EXAMPLES = {
     "mass": "--mass-kg 1 --frequency-hz 5 --clearance-m 1e-3 --stiffness-n-per-m 1e4 --sample-rate-hz 512 --out lab",
     "beams": "--cradle-length-m 1.2 --barrel-length-m 1.5 --overlap-start-m 0.5 ... --out lab",
     "structure": "--from-uff fin.uff --contacts-m 0.2 --force-m 0.5 --clearance-m 1e-4 ... --out lab",
+    "measured": "--from-record level1.mat --force-column Force --columns 'Acceleration[1],Acceleration[2]' --unit "
+    "m/s^2 --positions-m 0,0.5 --force-m 0 --sample-rate-hz 400 --out lab",
 }
 init = typer.Typer(no_args_is_help=True)
 
@@ -43,7 +45,7 @@ def _command(name: str, kind: Kind) -> Callable[..., None]:
         start = _started(kind, helps, {k: v for k, v in words.items() if v is not None})
         with working(f"describing a rig of the kind {name}"):
             rig, notes = start.described()
-        written = write_start(rig, out)
+        written = write_start(rig, start.map_text(rig), out)
         if as_json:
             print(json.dumps({"rig": str(written[0]), "map": str(written[1]), "notes": notes}))
             return
@@ -68,7 +70,7 @@ def _command(name: str, kind: Kind) -> Callable[..., None]:
 
 def _in_order(kind: Kind) -> list[msgspec.structs.FieldInfo]:
     """Its own fields first, what every rig has last."""
-    shared = [f.name for f in msgspec.structs.fields(Start)]
+    shared = [f.name for f in msgspec.structs.fields(StartWithStops)]
     return sorted(msgspec.structs.fields(kind), key=lambda f: f.name in shared)
 
 

@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import ClassVar, TypeVar, get_args, get_type_hints
+from typing import Any, ClassVar, TypeVar, get_args, get_type_hints
 
 import msgspec
 import numpy as np
@@ -22,6 +22,8 @@ PLACES = 11
 """Along a beam, where its softest place is looked for."""
 
 Law = TypeVar("Law", bound=ContactLaw)
+Compliance = Callable[[Float[np.ndarray, " places"]], Any]
+"""One compliance of those along a body: np.max that of its softest point, np.median that of its middling one."""
 Place = Mapping[str, str | None]
 """Where an effect acts, by the names of its fields (contact, body, beam, sensor, ...); None: all of them together."""
 
@@ -66,16 +68,16 @@ class Scale:
         """Of the body."""
         return self._body().mass_kg
 
-    def stiffness_n_per_m(self) -> float:
+    def stiffness_n_per_m(self, of: Compliance = np.max) -> float:
         """Of the body at its softest point: one over the sum of phi^2 / omega^2 of its elastic modes.
 
-        Of a free mass, which has none, that of the stiffest contact.
+        `of` np.median: at its middling point. Of a free mass, which has none, that of the stiffest contact.
         """
         shapes, omega = self._shapes()
         elastic = omega > 0
         if not np.any(elastic):
             return max((c.law.stiffness_n_per_m for c in self.rig.contacts), default=self._body().mass_kg)
-        return float(1 / np.max((shapes[:, elastic] ** 2) @ (1 / omega[elastic] ** 2)))
+        return float(1 / of((shapes[:, elastic] ** 2) @ (1 / omega[elastic] ** 2)))
 
     def length_m(self) -> float:
         """Of the body; a single mass has none."""
@@ -85,11 +87,14 @@ class Scale:
         """Whether the body cannot move as a rigid one, were it not for its contacts."""
         return bool(np.all(self._shapes()[1] > 0))
 
-    def displacement_m(self) -> float:
-        """About how far the body moves: as the force bends it, or as far as the clearance of its contacts."""
+    def displacement_m(self, of: Compliance = np.max) -> float:
+        """About how far the body moves: as the force bends it, or as far as the clearance of its contacts.
+
+        At its softest point; `of` as in `stiffness_n_per_m`.
+        """
         body = self._body()
         touching = [c for c in self.rig.contacts if any(s.body == body.name for s in contact_stations(c))]
-        return max(self.force_rms_n / self.stiffness_n_per_m(), *(c.law.clearance_m for c in touching), 0.0)
+        return max(self.force_rms_n / self.stiffness_n_per_m(of), *(c.law.clearance_m for c in touching), 0.0)
 
     @property
     def band_hz(self) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from typing import Annotated, ClassVar
 
+import numpy as np
 from msgspec.structs import replace
 
 from rig.effects.base import Effect, Scale
@@ -20,22 +21,19 @@ class HardeningSpring(Effect, frozen=True):
 
     @classmethod
     def parameters(cls, scale: Scale) -> ParameterSet:
-        """Up to the exciting force's root mean square where the body moves about as far as it does.
+        """Up to the exciting force's root mean square where the body moves about as far as its middling point does.
 
-        Downwards, of a body that is held, only as far as its stiffness at such a displacement stays positive.
+        Downwards, of a body that is held, only as far as its stiffness there at such a displacement stays positive.
         """
-        moved_m, most = scale.displacement_m(), _most_n_per_m3(scale)
-        least = min(most, scale.stiffness_n_per_m() / (3 * moved_m**2)) if scale.held() else most
+        moved_m = scale.displacement_m(np.median)
+        most = scale.force_rms_n / moved_m**3
+        least = min(most, scale.stiffness_n_per_m(np.median) / (3 * moved_m**2)) if scale.held() else most
         return cls.along(scale, cubic_n_per_m3=(-least, most))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:
-        return cls.placed(scale, cubic_n_per_m3=0.01 * _most_n_per_m3(scale))
+        return cls.placed(scale, cubic_n_per_m3=0.01 * scale.force_rms_n / scale.displacement_m() ** 3)
 
     def applied_to(self, rig: Rig) -> Rig:
         station = self.station(rig, self.body, self.relative_position)
         return replace(rig, springs=(*rig.springs, PointSpring(station=station, cubic_n_per_m3=self.cubic_n_per_m3)))
-
-
-def _most_n_per_m3(scale: Scale) -> float:
-    return scale.force_rms_n / scale.displacement_m() ** 3

@@ -2,6 +2,7 @@
 
 from typing import Annotated, ClassVar
 
+import numpy as np
 from msgspec.structs import replace
 
 from rig.effects.base import Effect, Scale
@@ -24,12 +25,14 @@ class LinearSpring(Effect, frozen=True):
 
     @classmethod
     def parameters(cls, scale: Scale) -> ParameterSet:
-        """From nearly all of the body's stiffness at its softest point missing to five times that.
+        """From nearly all of the body's stiffness at its middling point missing to five times that at its softest.
 
-        Of a body that floats, from nothing up to the exciting force over how far it moves.
+        What takes more than there is at a place makes no rig. Of a body that floats, from nothing up to the exciting
+        force over how far it moves.
         """
         own = _own_n_per_m(scale)
-        return cls.along(scale, stiffness_n_per_m=(-STABLE * own, 5 * own) if scale.held() else (0.0, own))
+        least = -STABLE * scale.stiffness_n_per_m(np.median) if scale.held() else 0.0
+        return cls.along(scale, stiffness_n_per_m=(least, 5 * own if scale.held() else own))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:

@@ -61,14 +61,12 @@ def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
     wanted = {"force": ("force", mapping.force)}
     wanted |= {s.name: (s.quantity, mapping.sensors[s.name]) for s in rig.sensors}
     try:
-        taken = {name: _found(columns, entry) for name, (_, entry) in wanted.items()}
-        _check_taken(taken)
-        factors = {name: _factor(quantity, entry, taken[name]) for name, (quantity, entry) in wanted.items()}
+        taken, factors = taken_columns(columns, wanted)
     except RigError as error:
         raise RigError(f"{map_path}: {error}") from error
     try:
-        time_s = _time(mapping, columns, list(taken.values()))
-        rows = np.stack([_in_si(factors[name], column) for name, column in taken.items()])
+        time_s = time_stamps(columns, list(taken.values()), mapping.time, mapping.sample_rate_hz)
+        rows = rows_in_si(taken, factors)
         values, resampled = even(rows, time_s, rig.sample_rate_hz, mapping.resample)
     except RigError as error:
         raise RigError(f"{source}: {error}") from error
@@ -85,6 +83,43 @@ def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
     }
     _write(out, rig, dict(zip(taken, values, strict=True)), with_history(provenance, *steps))
     return steps
+
+
+def taken_columns(
+    columns: Sequence[Column], wanted: Mapping[str, tuple[str, Source]]
+) -> tuple[dict[str, Column], dict[str, float]]:
+    """By name the column of each source, and what leads its numbers to the SI unit of the quantity.
+
+    Raises RigError if a column is not there, does not fit the others, or is in no unit of the quantity.
+    """
+    taken = {name: _found(columns, entry) for name, (_, entry) in wanted.items()}
+    _check_taken(taken)
+    return taken, {name: _factor(quantity, entry, taken[name]) for name, (quantity, entry) in wanted.items()}
+
+
+def rows_in_si(taken: Mapping[str, Column], factors: Mapping[str, float]) -> Float[np.ndarray, "channels samples"]:
+    """A row a column; raises RigError if a number becomes too large."""
+    return np.stack([_in_si(factors[name], column) for name, column in taken.items()])
+
+
+def time_stamps(
+    columns: Sequence[Column], taken: Sequence[Column], time: Source | None, sample_rate_hz: float | None
+) -> Float[np.ndarray, " samples"]:
+    """When the samples were taken, s: by a column of time, or at the even rate that is given or that the file says."""
+    samples = taken[0].values.size
+    if time is not None:
+        column = _found(columns, time)
+        if column.values.size != samples or not np.isfinite(column.values).all():
+            raise RigError(f"its time, column {column.name!r}, does not hold {samples} finite numbers; repair it")
+        return column.values * time.scale * si_factor("time", time.unit or "s")
+    rates = {c.sample_rate_hz for c in taken if c.sample_rate_hz is not None}
+    rate = sample_rate_hz or min(rates, default=None)
+    if rate is None:
+        raise RigError("it does not say when its samples were taken; give their sampling rate or column of time")
+    for other in rates:
+        if abs(other / rate - 1) > RATE_TOLERANCE:
+            raise RigError(f"it has columns at {other:.6g} and at {rate:.6g} Hz; all need one rate")
+    return np.arange(samples) / rate
 
 
 def _write(
@@ -160,21 +195,3 @@ def _in_si(factor: float, column: Column) -> Float[np.ndarray, " samples"]:
     if not np.isfinite(values).all():
         raise RigError(f"column {column.name!r} times {factor:g} is too large for a number; correct its scale")
     return values
-
-
-def _time(mapping: Map, columns: Sequence[Column], taken: Sequence[Column]) -> Float[np.ndarray, " samples"]:
-    """The time stamps: a column, or the even rate that the map or the file says."""
-    samples = taken[0].values.size
-    if mapping.time is not None:
-        column = _found(columns, mapping.time)
-        if column.values.size != samples or not np.isfinite(column.values).all():
-            raise RigError(f"its time, column {column.name!r}, does not hold {samples} finite numbers; repair it")
-        return column.values * mapping.time.scale * si_factor("time", mapping.time.unit or "s")
-    rates = {c.sample_rate_hz for c in taken if c.sample_rate_hz is not None}
-    rate = mapping.sample_rate_hz or min(rates, default=None)
-    if rate is None:
-        raise RigError("it does not say when its samples were taken; give sample_rate_hz or time in the map")
-    for other in rates:
-        if abs(other / rate - 1) > RATE_TOLERANCE:
-            raise RigError(f"it has columns at {other:.6g} and at {rate:.6g} Hz; all need one rate, that of the map")
-    return np.arange(samples) / rate

@@ -64,6 +64,8 @@ class Tolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Share of each acceleration that no model of this kind explains: the prior scale; the record tells the rest."""
     unmodelled_contact: float = 2e-3
     """Share of each contact force that no law of this kind explains: likewise."""
+    highest_hz: float | None = None
+    """Up to where the modes are believed; None: all that the sensors tell."""
     sensors: dict[str, SensorTolerance] = {}
     """By the sensor's name."""
     modes: dict[str, ModeTolerance] = {}

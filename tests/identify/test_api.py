@@ -4,9 +4,11 @@ import json
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 import identify
 import rig
+from rig.model.description import read_rig, to_json
 
 MASS = rig.Sdof(duration_s=30.0, step_s=2.0**-12, sensors="displacement")
 
@@ -52,6 +54,41 @@ def test_contacts_from_a_file(file, tmp_path):
         found.to_dict()["contacts"]
     )
     assert (tmp_path / "results" / "contact.html").exists()
+
+
+def test_the_identified_rig_is_believed_instead_of_a_wrong_one(file, tmp_path):
+    """An owner believes in 1.2 times the clearance; what `identify contact` finds leaves no gap."""
+    right = MASS.rig().contacts[0]
+    law = replace(right.law, lower_clearance_m=1.2e-3, upper_clearance_m=1.2e-3)
+    wrong = replace(MASS.rig(), contacts=(replace(right, law=law),))
+    asked = {"null_reference": tmp_path}
+    believed = identify.gap(file, rig=wrong, **asked)
+    assert believed.report.causes[0].effects == ("contact_clearance",)
+    assert believed.report.verdict != "no_gap"
+    found = identify.contact(file, use="displacement")
+    found.save(tmp_path / "found")
+    identified = read_rig(tmp_path / "found" / "rig.json")
+    assert identified == found.rig
+    assert identified == replace(MASS.rig(), contacts=identified.contacts)
+    estimate = found.report.contacts[0]
+    law = identified.contacts[0].law
+    assert (law.lower_clearance_m, law.stiffness_n_per_m) == (
+        estimate.lower_clearance_m.value,
+        estimate.stiffness_n_per_m.value,
+    )
+    again = identify.gap(file, rig=tmp_path / "found" / "rig.json", **asked)
+    assert again.report.verdict == "no_gap"
+
+
+def test_a_rig_with_other_sensors_is_refused(file, tmp_path):
+    path = tmp_path / "other.json"
+    path.write_bytes(to_json(rig.Sdof(sensors="velocity").rig()))
+    with pytest.raises(
+        rig.RigError, match=r"other\.json: its sensors or their sampling rate are not those of .*mass\.mcap"
+    ):
+        identify.gap(file, rig=path)
+    with pytest.raises(rig.RigError, match="rig 'sdof': its sensors"):
+        identify.gap(rig.read(file), rig=rig.Sdof(sensors="velocity").rig())
 
 
 def test_no_gap_from_a_recording(file, tmp_path):

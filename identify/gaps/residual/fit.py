@@ -1,6 +1,7 @@
 """Gauss-Newton on the residual: parameters of effects, with nuisance parameters, drifts and contact tolerances."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -29,7 +30,7 @@ from rig.model.description import Rig
 STEPS = 12
 FINE = 1e-3
 """Derivatives are by this share of a candidate's steps: little is left once nuisance parameters are eliminated."""
-ROUNDING = 1e-9
+ROUNDING, SINGLE = 1e-9, 1e-6
 SETTLED = 3e-5
 """A step of Gauss-Newton is the last if the cost falls by a smaller share, a tenth of the errors; ..."""
 UNFIT = 1e-3
@@ -300,16 +301,21 @@ def bounded(
     high: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, " n"]:
     """The x within bounds at which x'Mx/2 - g'x is least."""
-    try:
-        factor = np.linalg.cholesky(matrix)
-    except np.linalg.LinAlgError as error:
-        raise RigError(
-            "the recording does not tell contact forces and tolerances of this rig apart; measure more stations, or "
-            "describe fewer contacts in rig.json"
-        ) from error
+    factor = _cholesky(matrix)
     wanted = solve_triangular(factor, gradient, lower=True)
     low = np.minimum(low, 0.0) - ROUNDING
     return np.asarray(lsq_linear(factor.T, wanted, (low, np.maximum(high, 0.0) + ROUNDING), "bvls").x)
+
+
+def _cholesky(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    """Of products in single precision, whose rounding may hide the priors where a gap is large."""
+    for rounding in (0.0, SINGLE):
+        with suppress(np.linalg.LinAlgError):
+            return np.asarray(np.linalg.cholesky(matrix + rounding * np.diag(np.diag(matrix))))
+    raise RigError(
+        "the recording does not tell contact forces and tolerances of this rig apart; measure more stations, or "
+        "describe fewer contacts in rig.json"
+    )
 
 
 def _state(start: Residual) -> tuple[Float[np.ndarray, " nuisances"], tuple[Float[np.ndarray, " _"], ...]]:

@@ -164,7 +164,7 @@ def misfit(record: Record, reference: Reference, at: Residual) -> Misfit:
         pulls=at.pulls,
         drift=drift / record.sample_ratio,
         freedom=(inputs + at.model.log_determinant * at.linear.shape[1] / lines) / record.sample_ratio,
-        sharp=cost_of_lines(at.linear[: len(record.sensors)], len(record.sensors) - len(at.contacts)),
+        sharp=cost_of_lines(at.linear[: len(record.sensors)], len(record.sensors) - len(at.contacts), record.repeats),
         samples=at.linear.shape[1] / record.sample_ratio,
     )
 

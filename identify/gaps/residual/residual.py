@@ -57,7 +57,7 @@ class Linearization:
     def lines(self) -> tuple[float, ...]:
         """The frequencies, per sample, of the lines that stand out of its own rig's residual."""
         sensors = len(self.record.sensors)
-        return standing_out(counted(self.record, self.model.residual[:sensors]))
+        return standing_out(counted(self.record, self.model.residual[:sensors]), self.record.repeats)
 
     @property
     def columns(self) -> Columns:

@@ -27,6 +27,7 @@ from rig.model.description import Rig, Sensor
 from rig.model.sensing import PASSBAND, sensors_of
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
+from rig.recording.period import period_of
 
 TAPER_S = 0.5
 RING_S = 12.0
@@ -50,7 +51,8 @@ class Record:
     of each of its lines by the sensor's noise alone, power its smoothed size; force_noise the variance of the force's
     lines by its channel's noise. eta_beyond is each relative displacement as measured on the lines from `high_hz` on,
     drifts what is known of its slow part (None where nothing is lost; the linear model has the springs). window is
-    what samples were multiplied by, excited_s when the force begins, tolerances how exactly the rig is believed.
+    what samples were multiplied by, excited_s when the force begins, period_s after what it repeats (None: it does
+    not), tolerances how exactly the rig is believed.
     """
 
     rig: Rig
@@ -72,12 +74,18 @@ class Record:
     drifts: tuple[Drift | None, ...]
     taken: slice
     excited_s: float
+    period_s: float | None
     tolerances: Tolerances
 
     @property
     def rate_hz(self) -> float:
         """Of the residuals over time."""
         return self.sample_rate_hz / self.factor
+
+    @property
+    def repeats(self) -> float:
+        """The frequency at which the force repeats, per sample of the residuals over time; 0 if it does not."""
+        return 1 / (self.period_s * self.rate_hz) if self.period_s else 0.0
 
     @property
     def time_s(self) -> Float[np.ndarray, " times"]:
@@ -147,7 +155,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     quantity = max(moving, key=lambda s: s.measures.order).quantity
     sensors = sensors_of(rig, quantity)
     motion = kinematics(recording, quantity)
-    high_hz = min(REACH * force_band(recording.force_n, rate)[1], motion.trusted_hz[1])
+    high_hz = min(REACH * force_band(recording.force_n, rate)[1], motion.trusted_hz[1], tolerances.highest_hz or np.inf)
     factor = max(1, int(rate / (2 * high_hz)))
     samples = recording.samples
     length = factor * next_fast_len(-(-(samples + round(RING_S * rate)) // factor), real=True)
@@ -169,6 +177,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     )
     smooth = uniform_filter1d(np.abs(measured[:, :lines]) ** 2, max(1, round(SMOOTHED_HZ * length / rate)), axis=1)
     noise = acceleration_noise(motion, rig)
+    period = period_of(recording.force_n[motion.excited_from :])
     densities = _densities(sensors, motion)
     size = np.stack([omega ** (2 - s.measures.order) for s in sensors])
     return Record(
@@ -190,6 +199,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         eta_beyond=_eta_beyond(rig, sensors, measured[:, lines - 1 :], beyond_rad),
         drifts=tuple(drift_of(rig, motion, j, noise, tolerances, samples) for j in range(len(rig.contacts))),
         excited_s=motion.excited_from / rate,
+        period_s=None if period is None else period / rate,
         tolerances=tolerances,
         taken=slice(
             0 if quiet else round(LEFT_OUT_S * rate / factor), int((samples - round(LEFT_OUT_S * rate)) / factor)

@@ -56,7 +56,7 @@ def followed_hz(linearization: Linearization, at: Residual, count: int) -> Float
     """Where a sharp frequency may lie: the lines that stand out most of the linear and the contact residuals."""
     rows = np.concatenate([at.linear, *(c.residual[None, : at.linear.shape[1]] for c in at.contacts)])
     rate_hz = linearization.record.rate_hz
-    return rate_hz * sharpest(rows, count, AROUND_HZ / rate_hz)
+    return rate_hz * sharpest(rows, count, AROUND_HZ / rate_hz, linearization.record.repeats)
 
 
 def _looked(

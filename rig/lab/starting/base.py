@@ -7,27 +7,25 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
+from rig.lab.exporting import map_of
+from rig.model.contact_laws import AnyLaw
 from rig.model.contact_laws.dead_zone import equal_sides
 from rig.model.description import Body, Contact, Rig, Station
 from rig.model.quantities import QuantityName
 from rig.model.sensing import named_sensor
+from rig.recording import channel_groups
 
 STATIONS = 6
 """Of a body's sensors, the contacts among them: as many as the reference rig has."""
 
 
 class Start(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What every rig needs beside its bodies. Places are metres from a body's left end."""
+    """What a rig may be described by. Places are metres from a body's left end."""
 
-    clearance_m: Annotated[float, msgspec.Meta(description="Clearance on each side of a contact, m.")]
-    stiffness_n_per_m: Annotated[float, msgspec.Meta(description="Contact stiffness, N/m.")]
-    sample_rate_hz: Annotated[float, msgspec.Meta(description="Sampling rate of the records, Hz.")]
-    damping_n_s_per_m: Annotated[float, msgspec.Meta(description="Contact damping, N s/m.")] = 0.0
     quantity: Annotated[
         tuple[QuantityName, ...],
         msgspec.Meta(description="What the sensors measure, with commas: acceleration, velocity, displacement."),
     ] = ("acceleration",)
-    noise_density: Annotated[float, msgspec.Meta(description="Noise of the accelerometers, m/s^2/sqrt(Hz).")] = 0.0
     name: Annotated[str, msgspec.Meta(description="Name of the rig.")] = "rig"
 
     def rig(self) -> Rig:
@@ -37,6 +35,20 @@ class Start(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     def described(self) -> tuple[Rig, tuple[str, ...]]:
         """The rig, and sentences on where its numbers come from."""
         raise NotImplementedError
+
+    def map_text(self, rig: Rig) -> str:
+        """The import map of a CSV file with the rig's channels."""
+        return map_of(channel_groups(rig), "csv")
+
+
+class StartWithStops(Start, frozen=True, kw_only=True):
+    """What a rig with contacts needs beside its bodies."""
+
+    clearance_m: Annotated[float, msgspec.Meta(description="Clearance on each side of a contact, m.")]
+    stiffness_n_per_m: Annotated[float, msgspec.Meta(description="Contact stiffness, N/m.")]
+    sample_rate_hz: Annotated[float, msgspec.Meta(description="Sampling rate of the records, Hz.")]
+    damping_n_s_per_m: Annotated[float, msgspec.Meta(description="Contact damping, N s/m.")] = 0.0
+    noise_density: Annotated[float, msgspec.Meta(description="Noise of the accelerometers, m/s^2/sqrt(Hz).")] = 0.0
 
     def _rig(
         self,
@@ -49,14 +61,18 @@ class Start(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         return Rig(
             name=self.name,
             bodies=bodies,
-            contacts=tuple(
-                Contact(name=f"contact_{k}", at=at, against=against, law=law)
-                for k, (at, against) in enumerate(meetings, start=1)
-            ),
+            contacts=contacts_of(meetings, law),
             force_at=force_at,
             sensors=tuple(named_sensor(s, q, self.noise_density) for q, s in product(self.quantity, stations)),
             sample_rate_hz=self.sample_rate_hz,
         )
+
+
+def contacts_of(meetings: Sequence[tuple[Station, Station | None]], law: AnyLaw) -> tuple[Contact, ...]:
+    """Of one law, numbered."""
+    return tuple(
+        Contact(name=f"contact_{k}", at=at, against=against, law=law) for k, (at, against) in enumerate(meetings, 1)
+    )
 
 
 def spread(

@@ -5,12 +5,12 @@ from typing import Annotated, Literal
 import msgspec
 
 from rig.errors import RigError
-from rig.lab.starting.base import Start, spread
+from rig.lab.starting.base import StartWithStops, spread
 from rig.model.beam import Beam
 from rig.model.description import Rig, Station
 
 
-class BeamsRig(Start, frozen=True, kw_only=True):
+class BeamsRig(StartWithStops, frozen=True, kw_only=True):
     """Two uniform beams: a free barrel that meets a cradle, clamped at its left end, at contacts."""
 
     cradle_length_m: Annotated[float, msgspec.Meta(description="Length of the cradle, m.")]

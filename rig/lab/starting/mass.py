@@ -4,12 +4,12 @@ from typing import Annotated
 
 import msgspec
 
-from rig.lab.starting.base import Start
+from rig.lab.starting.base import StartWithStops
 from rig.model.description import Rig, Station
 from rig.model.oscillator import Oscillator
 
 
-class MassRig(Start, frozen=True, kw_only=True):
+class MassRig(StartWithStops, frozen=True, kw_only=True):
     """One mass on a spring between two stops."""
 
     mass_kg: Annotated[float, msgspec.Meta(description="The mass, kg.")]

@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.errors import RigError
 from rig.lab.modal import Axis, Choice, structure_from_uff
-from rig.lab.starting.base import Start, spread
+from rig.lab.starting.base import StartWithStops, spread
 from rig.model.description import Rig, Station
 from rig.model.structure import Structure, structure_of
 
@@ -16,7 +16,7 @@ NEAR = 1e-3
 """A place so near to a given one of a modal basis, in lengths of the body, is that one."""
 
 
-class StructureRig(Start, frozen=True, kw_only=True):
+class StructureRig(StartWithStops, frozen=True, kw_only=True):
     """A body of any shape, given by its modal basis, that meets stops on the ground."""
 
     contacts_m: Annotated[tuple[float, ...], msgspec.Meta(description="Places that meet the stops, m, with commas.")]

@@ -7,6 +7,7 @@ import pytest
 
 from identify.commands import cli
 from identify.contacts.results import ContactReport, Segments
+from rig.model.description import read_rig
 from rig.simulation.reference import Sdof
 
 
@@ -56,6 +57,8 @@ def test_segments_are_pooled_and_shown_one_by_one(identify, recording, tmp_path)
     assert [(p.start_s, p.end_s) for p in parts] == [(0.0, 30.0)]
     assert report.contacts[0].clearance_m.value == pytest.approx(Sdof().clearance_m, rel=1e-2)
     assert (tmp_path / "segments.png").stat().st_size > 10_000
+    (contact,) = read_rig(tmp_path / "rig.json").contacts
+    assert contact.law.stiffness_n_per_m == report.contacts[0].stiffness_n_per_m.value
     status, _, err = identify("contact", recording, "--segment", 0)
     assert (status, err.count("\n")) == (1, 1)
     assert "10 s or more" in err
@@ -81,6 +84,12 @@ def test_results_are_not_overwritten_unless_forced(identify, recording, tmp_path
     assert err == f"identify: {kept}: exists already; give another name, or --force to overwrite it\n"
     assert kept.read_text() == "mine"
     assert list(tmp_path.iterdir()) == [kept]
+    (tmp_path / "believed").mkdir()
+    (tmp_path / "believed" / "rig.json").write_text("mine too")
+    status, _, err = identify("contact", recording, "--out", tmp_path / "believed")
+    assert (status, "rig.json: exists already" in err) == (1, True)
+    status, _, err = identify("gap", recording, "--out", tmp_path / "believed")
+    assert (status, "rig.json: exists already" in err) == (1, True)
     status, _, err = identify("contact", recording, "--out", tmp_path, "--force")
     assert (status, err) == (0, "")
     assert msgspec.json.decode(kept.read_bytes(), type=ContactReport).rig == "sdof"

@@ -88,6 +88,73 @@ def test_a_modal_analysis_becomes_a_rig_that_records(rig, tmp_path):
     assert "by the plant modal" in out
 
 
+MEASURED = {
+    "from_record": "low.csv",
+    "force_column": "force",
+    "columns": "fin_0000mm_acceleration,fin_0250mm_acceleration,fin_0500mm_acceleration",
+    "positions_m": "0,0.25,0.5",
+    "unit": "m/s^2",
+    "force_m": 0.5,
+    "time_column": "time_s",
+}
+
+
+def test_a_recording_becomes_a_rig_that_imports_it(rig, tmp_path):
+    """A structure is recorded without contact; the modes fitted to its accelerations are its modes."""
+    body, place = fin(first=2), {"body": "fin"}
+    stations = [place | {"position_m": x} for x in (0.0, 0.25, 0.5)]
+    sensors = [
+        {"name": f"fin_{round(1000 * s['position_m']):04d}mm_acceleration", "station": s, "quantity": "acceleration"}
+        for s in stations
+    ]
+    described = {"name": "fin", "bodies": [body], "contacts": [], "force_at": stations[-1], "sensors": sensors}
+    (tmp_path / "true.json").write_bytes(msgspec.json.encode(described | {"sample_rate_hz": 8192.0}))
+    driven = ("--set", "low_hz=60", "--set", "high_hz=1300", "--set", "rms_n=1")
+    assert rig("record", "true.json", "--duration", 8, *driven, "--out", "true.mcap")[0] == 0
+    assert rig("export", "true.mcap", "--format", "csv", "--out", "low.csv")[0] == 0
+    status, out, err = rig("init", "measured", *options(MEASURED), "--out", "lab")
+    assert (status, err) == (0, "")
+    assert "its force does not repeat" in out
+    missed = [float(line.split("misses ")[1].split("%")[0]) for line in out.splitlines() if "a free run misses" in line]
+    assert len(missed) == 3
+    assert max(missed) < 1
+    (found,) = read_rig(tmp_path / "lab" / "rig.json").bodies
+    inside = [k for k, hz in enumerate(found.natural_hz) if 60 < hz < 1300]
+    own = [k for k, hz in enumerate(body.natural_hz) if 60 < hz < 1300]
+    np.testing.assert_allclose(np.take(found.natural_hz, inside), np.take(body.natural_hz, own), rtol=1e-3)
+    places = np.array([0.0, 0.25, 0.5])
+    of_found, of_own = (b.shapes(places, b.max_modes)[:, ks] for b, ks in ((found, inside), (body, own)))
+    np.testing.assert_allclose(of_found * np.sign(of_found[-1]), of_own * np.sign(of_own[-1]), atol=0.03)
+    assert rig("import", "low.csv", "--map", "lab/map.toml", "--out", "back.mcap")[0] == 0
+    np.testing.assert_array_equal(read(tmp_path / "back.mcap").force_n, read(tmp_path / "true.mcap").force_n)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"force_m": 0.4}, "force_m is 0.4, where no sensor is"),
+        ({"positions_m": "0,0.5"}, "3 columns and 2 positions_m"),
+        ({"positions_m": "0,0,0.5"}, "two positions_m are the same"),
+        ({"contacts_m": 0.25}, "give clearance_m and stiffness_n_per_m too"),
+        ({"contacts_m": 0.3, "clearance_m": 1e-3, "stiffness_n_per_m": 1e4}, "contacts_m has 0.3 m, where no sensor"),
+        ({"quantity": "acceleration,velocity"}, "quantity names more than one"),
+        ({"unit": "m"}, "'m' is no unit of acceleration"),
+        ({"columns": "a,b,c"}, "low.csv: there is no column 'a'"),
+        ({"band_hz": "1e4,2e4"}, "low.csv: the force excites no line in band_hz"),
+        ({"from_record": "none.csv"}, "none.csv: cannot be opened"),
+    ],
+)
+def test_a_recording_that_does_not_fit_is_said_and_leaves_nothing(rig, tmp_path, changes, said):
+    names = ["time_s", "force", *MEASURED["columns"].split(",")]
+    table = np.column_stack([np.arange(4000) / 8192, np.random.default_rng(1).standard_normal((4000, 4))])
+    np.savetxt(tmp_path / "low.csv", table, delimiter=",", header=",".join(names), comments="")
+    status, out, err = rig("init", "measured", *options(MEASURED | changes), "--out", "lab")
+    assert (status, out) == (1, "")
+    assert said in err
+    assert "Traceback" not in err
+    assert [p.name for p in tmp_path.iterdir()] == ["low.csv"]
+
+
 def test_what_is_missing_is_asked_for_on_a_terminal_alone(rig, tmp_path, monkeypatch):
     given = {k: v for k, v in MASS.items() if k != "clearance_m"}
     status, out, err = rig("init", "mass", *options(given))
@@ -132,7 +199,7 @@ def test_what_does_not_fit_is_said_and_leaves_nothing(rig, tmp_path, words, stat
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("kind", ["mass", "beams", "structure"])
+@pytest.mark.parametrize("kind", ["mass", "beams", "structure", "measured"])
 def test_help_has_an_example_and_every_option(rig, kind):
     from rig.lab.starting import KINDS
 

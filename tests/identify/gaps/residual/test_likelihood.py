@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from identify.gaps.decision.comparison import closed, closed_interval, probabilities, size
 from identify.gaps.decision.null_reference import NullReference, NullSimulation, phase_randomized
 from identify.gaps.residual.likelihood import Misfit, Reference
-from identify.gaps.residual.lines import cost_of_lines, standing_out, without_lines
+from identify.gaps.residual.lines import cost_of_lines, sharpest, standing_out, without_lines
 from identify.gaps.residual.scales import band_levels, estimated_scales, posterior_level, prior_scales
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Matters
@@ -128,6 +128,21 @@ def test_a_line_is_no_error_of_a_model():
     assert cost_of_lines(toned, 10) > 20.0
     assert np.linalg.norm(without_lines(toned, standing_out(toned)) - noise) < 0.03 * np.linalg.norm(noise)
     assert not standing_out(noise)
+
+
+def test_the_lines_of_a_force_that_repeats_are_no_tones():
+    """Noise that repeats 20 times has lines at all multiples of its frequency; a tone between them still stands out."""
+    rng = np.random.default_rng(7)
+    repeated = np.tile(rng.standard_normal((3, 200)), 20) + 0.01 * rng.standard_normal((3, 4000))
+    repeats = 1 / 200
+    assert standing_out(repeated)
+    assert cost_of_lines(repeated, 3) > 1000
+    assert not standing_out(repeated, repeats)
+    assert cost_of_lines(repeated, 3, repeats) == 0.0
+    tone = 20.5 * repeats
+    toned = repeated + np.sin(2 * np.pi * tone * np.arange(4000))
+    np.testing.assert_allclose(standing_out(toned, repeats), [tone], rtol=1e-4)
+    np.testing.assert_allclose(sharpest(toned, 1, 0.05, repeats), [tone], rtol=1e-4)
 
 
 def test_a_phase_randomized_force_keeps_its_spectrum_and_its_silence():

@@ -118,10 +118,11 @@ def test_what_is_no_structure_is_said(tmp_path, content):
 
 
 def test_the_written_rig_is_the_rig(tmp_path):
-    rig = structure_rig(tmp_path).rig()
-    rig_path, _ = write_start(rig, tmp_path / "new" / "lab")
+    start = structure_rig(tmp_path)
+    rig = start.rig()
+    rig_path, _ = write_start(rig, start.map_text(rig), tmp_path / "new" / "lab")
     assert read_rig(rig_path) == rig
     assert sorted(p.name for p in rig_path.parent.iterdir()) == ["map.toml", "rig.json"]
     (tmp_path / "file").write_text("")
     with pytest.raises(RigError, match="cannot be made a folder"):
-        write_start(rig, tmp_path / "file" / "lab")
+        write_start(rig, start.map_text(rig), tmp_path / "file" / "lab")

@@ -1,0 +1,35 @@
+"""The rig with its contacts as a record showed them: what `identify contact` writes as rig.json."""
+
+from msgspec.structs import replace
+
+from identify.contacts.results import ContactEstimate, ContactReport
+from rig.model.contact_laws import AnyLaw
+from rig.model.description import Rig
+
+
+def identified_rig(rig: Rig, report: ContactReport) -> Rig:
+    """Clearance, stiffness and damping of every contact that was identified; all else, and the others, as believed.
+
+    A clearance of which only half the total play is known is laid about the believed middle of the gap.
+    """
+    found = {c.name: c for c in report.contacts}
+    contacts = tuple(replace(c, law=_law(c.law, found[c.name])) if c.name in found else c for c in rig.contacts)
+    return replace(rig, contacts=contacts)
+
+
+def _law(law: AnyLaw, found: ContactEstimate) -> AnyLaw:
+    lower, upper = law.lower_clearance_m, law.upper_clearance_m
+    if found.lower_clearance_m is None and found.upper_clearance_m is None:
+        off_centre = (upper - lower) / 2
+        lower, upper = found.clearance_m.value - off_centre, found.clearance_m.value + off_centre
+    if found.lower_clearance_m is not None:
+        lower = found.lower_clearance_m.value
+    if found.upper_clearance_m is not None:
+        upper = found.upper_clearance_m.value
+    return replace(
+        law,
+        lower_clearance_m=max(0.0, lower),
+        upper_clearance_m=max(0.0, upper),
+        stiffness_n_per_m=max(0.0, found.stiffness_n_per_m.value),
+        damping_n_s_per_m=max(0.0, found.damping_n_s_per_m.value),  # an estimate may lie below zero
+    )

@@ -1,0 +1,162 @@
+"""A first rig of a body whose modes are fitted to a recording of it."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+from msgspec.structs import replace
+
+from rig.errors import RigError
+from rig.lab.clock import even
+from rig.lab.importing import Source, rows_in_si, taken_columns, time_stamps
+from rig.lab.modal.record import MeasuredResponse, fit_record
+from rig.lab.starting.base import Start, contacts_of
+from rig.lab.tables import TextForm, columns_of
+from rig.model.contact_laws.dead_zone import equal_sides
+from rig.model.description import Rig, Station
+from rig.model.quantities import QUANTITIES
+from rig.model.sensing import named_sensor
+from rig.model.structure import Structure
+from rig.model.tolerances import Tolerances
+from rig.recording import RIG_NAME
+
+
+class MeasuredRig(Start, frozen=True, kw_only=True):
+    """A body whose modes are fitted to a recording at a low level, at which no contact closes."""
+
+    from_record: Annotated[Path, msgspec.Meta(description="The recording: CSV, UFF, MATLAB or TDMS.")]
+    force_column: Annotated[str, msgspec.Meta(description="Its column of the force, by name or number.")]
+    columns: Annotated[tuple[str, ...], msgspec.Meta(description="Those of the sensors, with commas.")]
+    positions_m: Annotated[tuple[float, ...], msgspec.Meta(description="Places of these sensors, m, in their order.")]
+    force_m: Annotated[float, msgspec.Meta(description="Place of the force, m, where a sensor must be.")]
+    force_unit: Annotated[str, msgspec.Meta(description="Unit of the force.")] = "N"
+    unit: Annotated[str | None, msgspec.Meta(description="Unit of the sensors, where the file does not say it.")] = None
+    time_column: Annotated[
+        str | None, msgspec.Meta(description="Column of the time, s, where the file does not say its rate.")
+    ] = None
+    sample_rate_hz: Annotated[float | None, msgspec.Meta(description="... or its sampling rate, Hz.")] = None
+    band_hz: Annotated[
+        tuple[float, ...], msgspec.Meta(description="LOW,HIGH: the band that is fitted; otherwise the force's.")
+    ] = ()
+    length_m: Annotated[float | None, msgspec.Meta(description="Length; otherwise up to the last sensor.")] = None
+    contacts_m: Annotated[
+        tuple[float, ...],
+        msgspec.Meta(description="Places of sensors that meet stops on the ground, if there are any."),
+    ] = ()
+    clearance_m: Annotated[
+        float | None, msgspec.Meta(description="Clearance on each side of a contact, m, if there are any.")
+    ] = None
+    stiffness_n_per_m: Annotated[
+        float | None, msgspec.Meta(description="Contact stiffness, N/m, if there are contacts.")
+    ] = None
+    damping_n_s_per_m: Annotated[float, msgspec.Meta(description="Contact damping, N s/m.")] = 0.0
+    noise_density: Annotated[
+        float | None, msgspec.Meta(description="Noise of the accelerometers; otherwise that of the recording.")
+    ] = None
+
+    def described(self) -> tuple[Rig, tuple[str, ...]]:
+        self._check()
+        measured = self._read()
+        driving = self.positions_m.index(self.force_m)
+        length_m = max(self.positions_m) if self.length_m is None else self.length_m
+        try:
+            found = fit_record(measured, self.positions_m, driving, length_m, self.band_hz, self.name)
+        except RigError as error:
+            raise RigError(f"{self.from_record}: {error}") from error
+        noises = found.noise_density.tolist()
+        if self.noise_density is not None:
+            noises = [self.noise_density] * len(noises)
+        stops = equal_sides(self.clearance_m or 0.0, self.stiffness_n_per_m or 0.0, self.damping_n_s_per_m)
+        places = [Station(self.name, x) for x in self.positions_m]
+        rig = Rig(
+            name=self.name,
+            bodies=(found.body,),
+            contacts=contacts_of([(Station(self.name, x), None) for x in self.contacts_m], stops),
+            force_at=places[driving],
+            sensors=tuple(
+                replace(named_sensor(place, self.quantity[0]), noise_density=float(f"{noise:.3g}"))
+                for place, noise in zip(places, noises, strict=True)
+            ),
+            sample_rate_hz=measured.sample_rate_hz,
+            tolerances=Tolerances(
+                unmodelled=max(float(f"{found.unmodelled:.2g}"), Tolerances().unmodelled),
+                highest_hz=float(f"{found.band_hz[1]:.4g}"),
+            ),
+        )
+        repeats = f"repeats every {found.period_s:.6g} s" if found.period_s else "does not repeat"
+        band = f"{found.band_hz[0]:.4g} to {found.band_hz[1]:.4g} Hz"
+        notes = (
+            f"{found.body.max_modes} modes fitted to {len(self.columns)} responses of {self.from_record.name}, {band}; "
+            f"its force {repeats}",
+            *_modes(found.body, found.band_hz),
+            *(
+                f"{sensor.name}: a free run misses {after:.2%} rms of the response ({before:.2%} by the FRFs' modes)"
+                for sensor, after, before in zip(rig.sensors, found.misfit, found.misfit_of_frfs, strict=True)
+            ),
+        )
+        return rig, notes
+
+    def map_text(self, rig: Rig) -> str:
+        lines = [f"rig = {json.dumps(RIG_NAME)}"]
+        if self.time_column:
+            lines.append(f"time = {_entry(self.time_column, 's')}")
+        else:
+            lines.append(f"sample_rate_hz = {rig.sample_rate_hz!r}")
+        lines.append(f"force = {_entry(self.force_column, self.force_unit)}")
+        sensors = (
+            f"{json.dumps(sensor.name)} = {_entry(column, self.unit)}"
+            for sensor, column in zip(rig.sensors, self.columns, strict=True)
+        )
+        return "\n".join([*lines, "", "[sensors]", *sensors, ""])
+
+    def _check(self) -> None:
+        if len(self.columns) != len(self.positions_m):
+            raise RigError(f"{len(self.columns)} columns and {len(self.positions_m)} positions_m are given; give each")
+        if len(set(self.positions_m)) < len(self.positions_m):
+            raise RigError("two positions_m are the same; the sensors of a body stand at different places")
+        if len(self.quantity) != 1:
+            raise RigError("quantity names more than one; fit the modes to sensors of one")
+        if self.force_m not in self.positions_m:
+            raise RigError(
+                f"force_m is {self.force_m:g}, where no sensor is; shapes have no scale without the response there"
+            )
+        if self.contacts_m and (self.clearance_m is None or self.stiffness_n_per_m is None):
+            raise RigError("contacts_m is given; give clearance_m and stiffness_n_per_m too")
+        if lost := [x for x in self.contacts_m if x not in self.positions_m]:
+            raise RigError(f"contacts_m has {lost[0]:g} m, where no sensor is; the shapes are known at sensors alone")
+
+    def _read(self) -> MeasuredResponse:
+        columns = columns_of(self.from_record, TextForm())
+        wanted = {"force": ("force", _source(self.force_column, self.force_unit))}
+        wanted |= {
+            f"sensor {k}": (self.quantity[0], _source(name, self.unit)) for k, name in enumerate(self.columns, start=1)
+        }
+        try:
+            taken, factors = taken_columns(columns, wanted)
+            time = _source(self.time_column, "s") if self.time_column else None
+            time_s = time_stamps(columns, list(taken.values()), time, self.sample_rate_hz)
+            rate_hz = self.sample_rate_hz or float(f"{(time_s.size - 1) / float(time_s[-1] - time_s[0]):.9g}")
+            rows, _ = even(rows_in_si(taken, factors), time_s, rate_hz, resample=False)
+        except RigError as error:
+            raise RigError(f"{self.from_record}: {error}") from error
+        return MeasuredResponse(rows[0], rows[1:], QUANTITIES[self.quantity[0]].order, rate_hz)
+
+
+def _source(column: str, unit: str | None) -> Source:
+    return Source(int(column) if column.isdecimal() else column, unit)
+
+
+def _entry(column: str, unit: str | None) -> str:
+    """A line of the map; JSON's strings are TOML's."""
+    source = _source(column, unit)
+    return f"{{ column = {json.dumps(source.column)}{f', unit = {json.dumps(unit)}' if unit else ''} }}"
+
+
+def _modes(body: Structure, band_hz: tuple[float, float]) -> Iterator[str]:
+    for hz, ratio in zip(body.natural_hz, body.ratios, strict=True):
+        inside = band_hz[0] <= hz <= band_hz[1]
+        yield f"mode: {hz:.6g} Hz, damping ratio {ratio:.4g}" + (
+            "" if inside else ", stands for those outside the band"
+        )
