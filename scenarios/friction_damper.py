@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 import identify
-from identify.laws.results import ContactLaw
+from identify.laws.results import ContactLawEstimate
 from identify.pages.wording import interval
 from rig.commands.command_line import Force, progress_bar, refuse_existing, run
 from rig.errors import RigError
@@ -51,7 +51,7 @@ class DamperLaw(msgspec.Struct, frozen=True, kw_only=True):
     file: str
     frequency_hz: float
     tension_n: float
-    law: ContactLaw
+    law: ContactLawEstimate
 
 
 @app.command()

@@ -12,7 +12,7 @@ from rig.model.tolerances import Tolerances
 
 
 @dataclass(frozen=True)
-class Candidate:
+class Suspect:
     """A nuisance parameter, or a common error of several. One unit of its column is so much, relative or in SI."""
 
     kind: str
@@ -27,7 +27,7 @@ def candidates_of(
     by_force: Complex[np.ndarray, "sensors lines"],
     omega: Float[np.ndarray, " lines"],
     tolerances: Tolerances,
-) -> tuple[list[Candidate], Complex[np.ndarray, "added sensors lines"]]:
+) -> tuple[list[Suspect], Complex[np.ndarray, "added sensors lines"]]:
     """All nuisance parameters; then, with columns of their own, densities, a clock that is off and a force that comes
     late."""
     found = [_of(c.parameter, tolerances) for c in changes]
@@ -42,16 +42,14 @@ def candidates_of(
         if r.body.length_m and tolerances.mass:
             heavier = np.zeros_like(by_force)
             heavier[rows] = -tolerances.mass * (times(shapes, body.acceleration) + 0.5 * tuned)
-            added.append((Candidate("density", r.body.name, tolerances.mass), heavier))
-    added.append((Candidate("clock", "", 1.0), clock))
+            added.append((Suspect("density", r.body.name, tolerances.mass), heavier))
+    added.append((Suspect("clock", "", 1.0), clock))
     if tolerances.delay_s:
-        added.append(
-            (Candidate("force delay", "force", tolerances.delay_s), 1j * omega * tolerances.delay_s * by_force)
-        )
+        added.append((Suspect("force delay", "force", tolerances.delay_s), 1j * omega * tolerances.delay_s * by_force))
     return [*found, *(a for a, _ in added)], np.stack([column for _, column in added])
 
 
-def _of(parameter: Nuisance, tolerances: Tolerances) -> Candidate:
+def _of(parameter: Nuisance, tolerances: Tolerances) -> Suspect:
     own = tolerances.of_sensor(parameter.of)
     unit = {
         "gain": own.gain,
@@ -64,4 +62,4 @@ def _of(parameter: Nuisance, tolerances: Tolerances) -> Candidate:
         "damping": tolerances.damping,
     }[parameter.kind]
     of = parameter.of + ("" if parameter.mode is None else f" {parameter.mode}")
-    return Candidate(parameter.kind, of, unit)
+    return Suspect(parameter.kind, of, unit)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Complex, Float
 
-from identify.checks.candidates import Candidate, candidates_of
+from identify.checks.candidates import Suspect, candidates_of
 from identify.checks.prediction import ROUGH, LinearCheck, Predicted
 from identify.structure.nuisance import BodyMotion, Change, Observed, changes_of
 from identify.structure.response import Response, across, response_of, times
@@ -36,7 +36,7 @@ Columns = Complex[np.ndarray, "some sensors lines"]
 class Broken:
     """What a candidate is, by how many tolerances (or in its own unit) it is off, and how strongly it is asked for."""
 
-    what: Candidate
+    what: Suspect
     size: float
     pull: float
 
@@ -129,12 +129,12 @@ def _scores(
     return best[: len(own)], asked / np.sqrt(room), _Sizes(asked / room, best[len(own) :])
 
 
-def _broken(candidate: Candidate) -> float:
+def _broken(candidate: Suspect) -> float:
     """A clock is one question, each of the many tolerances another."""
     return CLOCK if candidate.kind == "clock" else BROKEN
 
 
-def _matters(candidate: Candidate, size: float, tolerances: Tolerances) -> bool:
+def _matters(candidate: Suspect, size: float, tolerances: Tolerances) -> bool:
     """Whether so much is beyond the tolerance."""
     return abs(size) > (1.5 * tolerances.frequency if candidate.kind == "clock" else FAR)
 

@@ -12,7 +12,6 @@ from identify.checks.findings import Finding
 from identify.checks.prediction import linear_check
 from identify.checks.spectra import Spectra
 from identify.checks.trial import Trial
-from rig.model.beam import Beam
 from rig.model.description import Body, Rig, Station
 
 FACTOR = 3.0
@@ -40,7 +39,7 @@ def rig_trials(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]
         return float(np.exp(found.x)), float(found.fun)
 
     for body in rig.bodies:
-        for other, said in _other_ends(body):
+        for other, said in _other_ends(rig, body):
             yield trial(misfit(_with_body(rig, other)), partial(_ends, body.name, said))
         if body.length_m:
             yield trial(misfit(rig, _mirrored(spectra, body)), partial(_turned, body.name, spectra))
@@ -76,11 +75,11 @@ def _with_body(rig: Rig, body: Body) -> Rig:
     return replace(rig, bodies=tuple(body if b.name == body.name else b for b in rig.bodies))
 
 
-def _other_ends(body: Body) -> Iterator[tuple[Body, str]]:
-    if isinstance(body, Beam):
+def _other_ends(rig: Rig, body: Body) -> Iterator[tuple[Body, str]]:
+    for beam in (b for b in rig.beams if b == body):
         for ends, said in (("free-free", "free at both ends"), ("clamped-free", "clamped at its left end")):
-            if body.ends != ends:
-                yield replace(body, ends=ends), said
+            if beam.ends != ends:
+                yield replace(beam, ends=ends), said
 
 
 def _mirrored(spectra: Spectra, body: Body) -> Spectra:

@@ -15,7 +15,7 @@ from identify.contacts.results import Estimate, Unanswered
 from identify.contacts.start import ContactRecord
 from identify.laws.piecewise import FINEST, PiecewiseLinear, Sampled, polynomial, sampled, slope_jumps, straight_pieces
 from identify.laws.piecewise import unfiltered as without_low_pass
-from identify.laws.results import ContactLaw, LawReport, SlidingLaw, TriedLaw
+from identify.laws.results import ContactLawEstimate, LawReport, SlidingLaw, TriedLaw
 from identify.laws.sliding import SlidingFriction, sliding_friction
 from identify.laws.symbolic import Formula, pyoperon, search
 from identify.pages.wording import interval
@@ -53,7 +53,7 @@ class FoundLaw:
     sliding is there where it is the best law; record is the course of eta that it needs.
     """
 
-    result: ContactLaw
+    result: ContactLawEstimate
     eta_m: Float[np.ndarray, " points"]
     force_n: Float[np.ndarray, " points"]
     formula: Formula
@@ -158,7 +158,7 @@ def _law(contacts: Contacts, contact: int, seconds: float, seed: int) -> FoundLa
     pieces = straight_pieces(record, whole, pieces.knees_m)  # once judged, from all there is
     sliding = sliding_friction(record, whole) if best.law == SLIDING else None
     shown = f"f = {formula.scaled(1e3, 1.0).text('eta')} (N, eta in mm)"
-    result = ContactLaw(
+    result = ContactLawEstimate(
         contact=contacts.rig.contacts[contact].name,
         verdict=_verdict(pieces, shown, candidates, best, seen.sides_known, sliding),
         best=best.law,

@@ -25,7 +25,7 @@ class SlidingLaw(msgspec.Struct, frozen=True, kw_only=True):
     stiffness_n_per_m: Estimate
 
 
-class ContactLaw(msgspec.Struct, frozen=True, kw_only=True):
+class ContactLawEstimate(msgspec.Struct, frozen=True, kw_only=True):
     """What was found of one contact; eta is its relative displacement.
 
     knees_m and slopes_n_per_m are those of the formula; fitted_knees_m and fitted_slopes_n_per_m those of the
@@ -57,6 +57,6 @@ class LawReport(msgspec.Struct, frozen=True, kw_only=True):
     """law.json."""
 
     rig: str
-    laws: tuple[ContactLaw, ...]
+    laws: tuple[ContactLawEstimate, ...]
     unanswered: tuple[Unanswered, ...]
     findings: tuple[Finding, ...] = ()

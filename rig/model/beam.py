@@ -23,6 +23,7 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     """
 
     is_mass: ClassVar[bool] = False
+    positions_m: ClassVar[tuple[float, ...]] = ()
 
     name: str
     ends: Literal["clamped-free", "free-free"]

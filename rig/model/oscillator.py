@@ -16,6 +16,7 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """
 
     is_mass: ClassVar[bool] = True
+    positions_m: ClassVar[tuple[float, ...]] = ()
     clamped: ClassVar[bool] = False
 
     name: str

@@ -8,7 +8,6 @@ import numpy as np
 from rig.errors import RigError
 from rig.model.description import Rig, Station
 from rig.model.modes import modes_of, modes_wanted
-from rig.model.structure import Structure
 from rig.simulation.excitation import Excitation, excitation_of
 
 RATE_HZ = 2.0**14
@@ -74,7 +73,7 @@ def own_rig(rig: Rig, settings: dict[str, str]) -> OwnRig:
 
 def plant_for(rig: Rig) -> str:
     """`ancf`, or `modal` where a body is a structure, which only that plant simulates."""
-    return "modal" if any(isinstance(b, Structure) for b in rig.bodies) else "ancf"
+    return "ancf" if all(b.is_mass or b in rig.beams for b in rig.bodies) else "modal"
 
 
 def rattling_n(rig: Rig, low_hz: float, high_hz: float) -> float:

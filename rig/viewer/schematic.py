@@ -4,9 +4,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from rig.model.beam import Beam
 from rig.model.description import Body, Contact, Rig, Station
-from rig.model.structure import Structure
 from rig.viewer.stage import left_ends
 from rig.viewer.svg import FAINT, FORCE, INK, MOVING, SENSOR, Drawing
 
@@ -95,10 +93,9 @@ def _body(drawing: Drawing, plan: _Plan, body: Body) -> None:
     level, left = plan.levels[body.name], plan.lefts[body.name]
     things = plan.slots.get(body.name)
     width = plan.scale * body.length_m if things is None else SLOT_PX * len(things)
-    drawing.box(left, plan.over(body.name), left + width, plan.under(body.name), dashed=isinstance(body, Structure))
-    if isinstance(body, Structure):
-        for x_m in body.positions_m:
-            drawing.dot(left + plan.scale * float(x_m), level, FAINT, 2.0)
+    drawing.box(left, plan.over(body.name), left + width, plan.under(body.name), dashed=bool(len(body.positions_m)))
+    for x_m in body.positions_m:
+        drawing.dot(left + plan.scale * float(x_m), level, FAINT, 2.0)
     if body.clamped:
         drawing.wall(left, level, 30.0)
     if things is not None:
@@ -110,7 +107,8 @@ def _body(drawing: Drawing, plan: _Plan, body: Body) -> None:
         (hz,), (ratio,) = body.frequencies_hz(1), body.damping_ratios(1)
         drawing.text(left, bottom + REACH_PX + 24, f"{hz:g} Hz, damping ratio {ratio:g}")
         return
-    size = f", {1e3 * body.width_m:g} mm wide, {1e3 * body.thickness_m:g} mm thick" if isinstance(body, Beam) else ""
+    beam = next((b for b in plan.rig.beams if b == body), None)
+    size = f", {1e3 * beam.width_m:g} mm wide, {1e3 * beam.thickness_m:g} mm thick" if beam else ""
     drawing.text(left, plan.over(body.name) - 98, f"{body.name}: {body.kind}, {body.length_m:g} m{size}", size=13)
     _ruler(drawing, plan, body)
 

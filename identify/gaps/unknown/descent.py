@@ -68,7 +68,7 @@ class State:
 
 
 @dataclass(frozen=True)
-class _At:
+class _ForceState:
     coefficients: Float[np.ndarray, " coefficients"]
     parameter: float
     knots: Float[np.ndarray, " knots"]
@@ -76,11 +76,11 @@ class _At:
 
 
 @dataclass(frozen=True)
-class _Step(Step[_At]):
+class _ForceStep(Step[_ForceState]):
     covariance: Float[np.ndarray, "unknowns unknowns"]
 
 
-def _settled(at: _At) -> float:
+def _settled(at: _ForceState) -> float:
     return SETTLED * abs(at.cost)
 
 
@@ -137,11 +137,11 @@ class Descent:
         coefficients: Float[np.ndarray, " coefficients"],
         parameter: float,
         knots: Float[np.ndarray, " knots"],
-    ) -> _At:
+    ) -> _ForceState:
         cost = -self.value(coefficients @ self.shapes(parameter, knots), knots)
-        return _At(coefficients, parameter, knots, cost)
+        return _ForceState(coefficients, parameter, knots, cost)
 
-    def _step(self, at: _At) -> _Step:
+    def _step(self, at: _ForceState) -> _ForceStep:
         """Of the numbers and the slow motion; the coefficients are the best of where the others come to."""
         history, form, kinds = self.history, self.form, len(self.form.units)
         free = kinds + bool(form.parameter)
@@ -165,14 +165,14 @@ class Descent:
         covariance /= np.outer(size, size)
         change = covariance @ gradient
 
-        def after(share: float) -> _At | None:
+        def after(share: float) -> _ForceState | None:
             parameter = float(np.clip(at.parameter + share * change[kinds], *self.within)) if form.parameter else 0.0
             if form.parameter and not parameter:
                 return None
             knots = at.knots + share * change[free:]
             return self._at(at.coefficients if self.frozen else self.scaled(parameter, knots), parameter, knots)
 
-        return _Step(after, float(gradient @ change), covariance)
+        return _ForceStep(after, float(gradient @ change), covariance)
 
     def scaled(self, parameter: float, knots: Float[np.ndarray, " knots"]) -> Float[np.ndarray, " coefficients"]:
         """The best coefficients at a parameter and slow motion."""

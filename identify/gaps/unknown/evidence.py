@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.linalg import cho_factor, cho_solve
 
-from identify.gaps.unknown.observed import Observed
+from identify.gaps.unknown.observed import WhitenedRecord
 
 ROUNDS, SCORINGS = 4, 5
 """Of s and S in turn with theta; of Fisher scoring within each."""
@@ -44,20 +44,20 @@ def solved(
     return np.asarray(cho_solve(cho_factor(matrix), rest))
 
 
-def left(own: Observed, theta: Float[np.ndarray, " columns"]) -> Float[np.ndarray, " bands"]:
+def left(own: WhitenedRecord, theta: Float[np.ndarray, " columns"]) -> Float[np.ndarray, " bands"]:
     """|r - D theta|^2 by band."""
     return np.maximum(own.squares - 2 * own.crossed @ theta + (own.gram @ theta) @ theta, LEAST * own.squares)
 
 
 def normal(
-    own: Observed, noise: Float[np.ndarray, " bands"]
+    own: WhitenedRecord, noise: Float[np.ndarray, " bands"]
 ) -> tuple[Float[np.ndarray, "columns columns"], Float[np.ndarray, " columns"]]:
     """Of theta, at some s, without a candidate."""
     matrix = own.count * np.tensordot(1 / noise, own.gram, 1) + np.eye(len(own.names))
     return matrix, own.count * (own.crossed.T @ (1 / noise) - own.trace / 2)
 
 
-def without(own: Observed) -> Explained:
+def without(own: WhitenedRecord) -> Explained:
     """The record by nuisances and noise alone."""
     counts = own.sizes * own.rows
     known = own.rows == 1
@@ -73,7 +73,7 @@ def without(own: Observed) -> Explained:
 
 
 def explained(
-    own: Observed,
+    own: WhitenedRecord,
     candidate: Complex[np.ndarray, "lines rows"],
     start: Explained,
     cleared: Complex[np.ndarray, "lines rows"] | None = None,
@@ -113,7 +113,7 @@ def explained(
     return Explained(criterion, theta, noise, spectrum, size, along)
 
 
-def cleared_of(own: Observed, theta: Float[np.ndarray, " columns"]) -> Complex[np.ndarray, "lines rows"]:
+def cleared_of(own: WhitenedRecord, theta: Float[np.ndarray, " columns"]) -> Complex[np.ndarray, "lines rows"]:
     """The residual without what the nuisances make."""
     found = own.residual.copy()
     for value, column in zip(theta, own.columns, strict=True):
@@ -121,7 +121,7 @@ def cleared_of(own: Observed, theta: Float[np.ndarray, " columns"]) -> Complex[n
     return found
 
 
-def _held(own: Observed, theta: Float[np.ndarray, " columns"]) -> float:
+def _held(own: WhitenedRecord, theta: Float[np.ndarray, " columns"]) -> float:
     """theta' theta, and what theta stretches the data by."""
     return float(theta @ theta) + own.count * float(own.trace @ theta)
 
@@ -137,12 +137,12 @@ def _halves(values: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*r
     return np.ascontiguousarray(values).view(float)
 
 
-def _summed(own: Observed, lines: Float[np.ndarray, " lines"]) -> Float[np.ndarray, " bands"]:
+def _summed(own: WhitenedRecord, lines: Float[np.ndarray, " lines"]) -> Float[np.ndarray, " bands"]:
     return np.asarray(np.add.reduceat(lines, own.starts))
 
 
 def _scored(
-    own: Observed,
+    own: WhitenedRecord,
     squares: Float[np.ndarray, " lines"],
     power: Float[np.ndarray, " lines"],
     whole: Float[np.ndarray, " bands"],

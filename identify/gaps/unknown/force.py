@@ -17,7 +17,7 @@ from identify.gaps.unknown.forms import Against
 from identify.gaps.unknown.law import ForceLaw
 from identify.gaps.unknown.location import Kind, Located, located, response_of
 from identify.gaps.unknown.nuisance import drift_accelerations, observed
-from identify.gaps.unknown.observed import BAND_HZ, Observed
+from identify.gaps.unknown.observed import BAND_HZ, WhitenedRecord
 from identify.gaps.unknown.time_history import FINER, ForceHistory, explained_share, force_of, history_of
 from identify.signals.kinematics import QUIET_S
 from rig.model.description import Rig, Station
@@ -142,7 +142,7 @@ def likeliest_force(fit: Record, rig: Rig, validation: Record) -> Sought:
     return Sought(there, again, _held(there, other, again))
 
 
-def _held(there: Located, own: Observed, again: Located) -> Located:
+def _held(there: Located, own: WhitenedRecord, again: Located) -> Located:
     """Another record with the place, and the shape of the spectrum, of the fit record; of a drift its bodies."""
     candidate = there.candidate
     if candidate.kind == "distributed":
@@ -237,7 +237,7 @@ def _parameters(law: ForceLaw) -> dict[str, Value]:
     return found
 
 
-def _band(own: Observed, power: Float[np.ndarray, " bands"]) -> tuple[float, float]:
+def _band(own: WhitenedRecord, power: Float[np.ndarray, " bands"]) -> tuple[float, float]:
     """Holds `IN_BAND` of the force's power, as much left out at either end; the whole band if there is none."""
     if not np.any(power):
         return float(own.omega[0] / (2 * np.pi)), float(own.omega[-1] / (2 * np.pi))

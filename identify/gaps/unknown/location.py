@@ -10,7 +10,7 @@ from jaxtyping import Complex
 
 from identify.gaps.unknown.evidence import Explained, cleared_of, explained, normal, without
 from identify.gaps.unknown.nuisance import drifting
-from identify.gaps.unknown.observed import Observed, with_columns
+from identify.gaps.unknown.observed import WhitenedRecord, with_columns
 from rig.model.description import Rig, Station
 
 Kind = Literal["force", "pair", "sensor", "distributed"]
@@ -45,14 +45,14 @@ class Located:
     error_m: float
     before: Explained
     after: Explained
-    observed: Observed
+    observed: WhitenedRecord
     response: Complex[np.ndarray, "lines rows"]
     of_kinds: dict[str, float]
     growth: tuple[float, ...] = ()
     growth_errors: tuple[float, ...] = ()
 
 
-def response_of(own: Observed, candidate: ForcePlace) -> Complex[np.ndarray, "lines rows"]:
+def response_of(own: WhitenedRecord, candidate: ForcePlace) -> Complex[np.ndarray, "lines rows"]:
     """What a candidate does to the residual per newton; a sensor's per m/s^2."""
     if candidate.kind == "sensor":
         row = [s.name for s in own.record.sensors].index(candidate.sensor)
@@ -66,7 +66,7 @@ def response_of(own: Observed, candidate: ForcePlace) -> Complex[np.ndarray, "li
     return own.seen(found)
 
 
-def located(own: Observed, near: ForcePlace | None = None, within_m: float = 0.1) -> Located:
+def located(own: WhitenedRecord, near: ForcePlace | None = None, within_m: float = 0.1) -> Located:
     """The best candidate of all; `near` looks at its kind only, no further than `within_m` from it."""
     before = without(own)
     places = [c for c in candidates(own.record.rig) if near is None or _beside(c, near, within_m)]
@@ -140,7 +140,7 @@ def _beside(candidate: ForcePlace, near: ForcePlace, within_m: float) -> bool:
     )
 
 
-def _located(own: Observed, candidate: ForcePlace, before: Explained, after: Explained) -> Located:
+def _located(own: WhitenedRecord, candidate: ForcePlace, before: Explained, after: Explained) -> Located:
     gain = before.criterion - after.criterion
     return Located(candidate, gain, 0.0, before, after, own, response_of(own, candidate), {})
 
@@ -182,7 +182,7 @@ def _vertex(x: list[float], y: list[float]) -> float:
     return float(np.clip(-b / (2 * a), x[0], x[-1])) if a > 0 else x[int(np.argmin(y))]
 
 
-def _distributed(own: Observed, before: Explained, near: ForcePlace | None) -> Located | None:
+def _distributed(own: WhitenedRecord, before: Explained, near: ForcePlace | None) -> Located | None:
     """A modulus that drifts, of one body or of all; the one body where others add little."""
     names = near.bodies if near else tuple(b.name for b in own.record.rig.bodies if b.length_m)
     columns = {name: drifting(own, name) for name in names}

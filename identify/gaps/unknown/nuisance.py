@@ -5,13 +5,13 @@ from jaxtyping import Complex, Float, Inexact
 
 from identify.gaps.residual.nuisance import BEYOND
 from identify.gaps.residual.spectra import Record
-from identify.gaps.unknown.observed import Observed, bare_residual, inverse_of, with_columns
+from identify.gaps.unknown.observed import WhitenedRecord, bare_residual, inverse_of, with_columns
 from identify.signals.kinematics import CORNER_HZ, integrated
 from identify.structure.sensor_chain import chain_sensitivities
 from rig.model.description import Rig
 
 
-def observed(record: Record, rig: Rig) -> Observed:
+def observed(record: Record, rig: Rig) -> WhitenedRecord:
     """The residual of a rig's linear part against a record, with its nuisance columns.
 
     Raises RigError if the contacts' free forces explain all that the sensors give.
@@ -21,7 +21,7 @@ def observed(record: Record, rig: Rig) -> Observed:
 
 
 def nuisances(
-    own: Observed,
+    own: WhitenedRecord,
 ) -> tuple[tuple[str, ...], Complex[np.ndarray, "columns lines rows"], Float[np.ndarray, " columns"]]:
     """Names, columns D by one tolerance each, and how much each stretches the data."""
     record, model, tolerances = own.record, own.model, own.record.tolerances
@@ -75,12 +75,12 @@ def nuisances(
     return tuple(names), np.array(columns).reshape(len(columns), *own.residual.shape), np.array(trace)
 
 
-def drifting(own: Observed, body: str) -> Complex[np.ndarray, "lines rows"]:
+def drifting(own: WhitenedRecord, body: str) -> Complex[np.ndarray, "lines rows"]:
     """The residual by a modulus of a body that grows by its own size over the record."""
     return own.gated(own.model.sensor_response * drift_accelerations(own, body) / own.model.deviation)
 
 
-def drift_accelerations(own: Observed, body: str) -> Complex[np.ndarray, "sensors alllines"]:
+def drift_accelerations(own: WhitenedRecord, body: str) -> Complex[np.ndarray, "sensors alllines"]:
     """Accelerations by a modulus that grows by its own size over the record: -Phi H FFT[tau omega_n^2 q].
 
     tau runs from -1/2 to 1/2; a constant change is a nuisance already.

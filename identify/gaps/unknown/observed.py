@@ -34,7 +34,7 @@ WELL_SEEN = 1e-2
 
 
 @dataclass(frozen=True)
-class Observed:
+class WhitenedRecord:
     """The whitened residual r (lines, rows) and nuisance columns D (columns, lines, rows) of a record.
 
     basis turns standardised accelerations into rows; squares, crossed and gram are |r|^2, Re D^H r and Re D^H D summed
@@ -122,7 +122,7 @@ class Observed:
         raise KeyError(station.body)
 
 
-def bare_residual(record: Record, rig: Rig) -> Observed:
+def bare_residual(record: Record, rig: Rig) -> WhitenedRecord:
     """The residual of a rig's linear part against a record, without nuisance columns.
 
     Raises RigError if the contacts' free forces explain all that the sensors give.
@@ -142,7 +142,7 @@ def bare_residual(record: Record, rig: Rig) -> Observed:
         _measured(record, model, response, motion)
         for response, motion in zip(model.responses, model.modal, strict=True)
     )
-    bare = Observed(
+    bare = WhitenedRecord(
         record=record,
         model=model,
         lines=lines,
@@ -187,11 +187,11 @@ def gate(record: Record) -> Float[np.ndarray, " alltimes"]:
 
 
 def with_columns(
-    bare: Observed,
+    bare: WhitenedRecord,
     names: tuple[str, ...],
     columns: Complex[np.ndarray, "columns lines rows"],
     trace: Float[np.ndarray, " columns"],
-) -> Observed:
+) -> WhitenedRecord:
     """With these columns and the sums over bands. The columns are kept in single precision."""
     own = np.ascontiguousarray(bare.residual).view(float)
     ends = np.append(bare.starts, own.shape[0])
