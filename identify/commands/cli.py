@@ -19,7 +19,7 @@ from identify.laws.results import LawReport
 from identify.signals.kinematics import Use
 from identify.signals.spectra import POWERS, Averaging
 from rig.commands.command_line import Force, Json, progress_bar, refuse_existing, run
-from rig.files import write_bytes, write_json
+from rig.files import make_folder, write_bytes, write_json
 from rig.model.tolerances import tolerances_named
 
 DRAWN_FROM = 0.8
@@ -73,7 +73,8 @@ def contact(
         raise typer.BadParameter(f"{window!r} is none of {', '.join(POWERS)}", param_hint="--window")
     averaging = Averaging(averages=averages, block_s=block, overlap=overlap, window=window, band_hz=band)
     if out is not None:
-        refuse_existing(out / "contact.json", force)
+        for name in ("contact.json", "contact.html"):
+            refuse_existing(out / name, force, file)
     if segment is None and file.exists() and file.stat().st_size > LARGE_BYTES:
         segment = SEGMENT_S
     settings = {
@@ -108,7 +109,7 @@ def _by_segments(
     if out is not None:
         from identify.contacts.figures import segments_drawn
 
-        out.mkdir(parents=True, exist_ok=True)
+        make_folder(out)
         if report.contacts:
             write_bytes(segments_drawn(report, parts), out / "segments.png")
         write_json(Segments(parts), out / "segments.json")
@@ -136,7 +137,8 @@ def law(
     if use not in get_args(Use):
         raise typer.BadParameter(f"{use!r} is none of {', '.join(get_args(Use))}", param_hint="--use")
     if out is not None:
-        refuse_existing(out / "law.json", force)
+        for name in ("law.json", "law.png"):
+            refuse_existing(out / name, force, file)
     with progress_bar(f"searching the laws of {file.name}") as progress:
         found = identify.law(
             file, contact=contact, use=msgspec.convert(use, Use), seconds=seconds, seed=seed, progress=progress
@@ -184,7 +186,7 @@ def print_report(report: ContactReport, console: Console) -> None:
         )
     console.print(table)
     for silent in report.unanswered:
-        console.print(f"{silent.name}: not told by this record: {silent.reason}")
+        console.print(f"{silent.name}: not told by this record: {silent.reason}", markup=False)
     spectra = Table(title="NIFO by modal equation: spectral mean ± standard error, rms spread over frequency")
     for heading in ("equation", "contact", "stiffness, N/m", "spread, %", ""):
         spectra.add_column(heading)

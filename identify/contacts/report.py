@@ -11,7 +11,7 @@ from identify.contacts.identification import Identification
 from identify.contacts.results import ContactEstimate, Estimate
 from identify.pages import page
 from identify.pages.wording import interval, number
-from rig.files import write_bytes, write_json
+from rig.files import make_folder, write_bytes, write_json
 from rig.model.contact_laws import ContactLaw
 
 _CAPTIONS = {
@@ -35,7 +35,7 @@ def write_results(found: Identification, out: Path, title: str, laws: Laws, laws
     """
     from identify.contacts.figures import drawn
 
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     marks = {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in laws.items()}
     figures = drawn(found, marks, laws_name)
     for name, png in figures.items():

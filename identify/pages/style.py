@@ -17,6 +17,7 @@ _STYLE = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "legend.frameon": False,
+    "text.parse_math": False,  # names in a rig.json may hold any sign
 }
 
 
@@ -26,6 +27,18 @@ def png(draw: Callable[[Any], object]) -> bytes:
         figure = Figure(figsize=(7.2, 4.2), layout="constrained")
         FigureCanvasAgg(figure)
         draw(figure)
+        for axes in figure.axes:
+            for axis in (axes.xaxis, axes.yaxis):
+                if axis.get_scale() == "log":
+                    plain_decades(axis)
         file = BytesIO()
         figure.savefig(file, format="png", bbox_inches="tight")
     return file.getvalue()
+
+
+def plain_decades(axis: Any) -> None:
+    """Plain numbers along a logarithmic axis; between the powers of ten only where it spans few."""
+    low, high = sorted(axis.get_view_interval())
+    few = high < 20 * low
+    axis.set_major_formatter(lambda value, _: f"{value:g}")
+    axis.set_minor_formatter(lambda value, _: f"{value:g}" if few and f"{value:e}"[0] in "25" else "")

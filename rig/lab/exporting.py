@@ -2,6 +2,7 @@
 
 import csv
 import json
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -15,6 +16,8 @@ from rig.recording import RIG_NAME, Recording
 
 _UFF_KINDS = {q.name: q.uff_kind for q in QUANTITIES.values()} | {"force": 13}
 _UFF_TIME = 17
+TIME = "time_s"
+LONGEST_UFF_NAME = 80
 TOGETHER = 16384
 """Lines of a table that are written at once."""
 
@@ -48,7 +51,7 @@ def _rows(recording: Recording) -> Iterator[tuple[str, int, str, Float[np.ndarra
 def _write_csv(recording: Recording, path: Path, progress: Callable[[float], None]) -> None:
     rows = list(_rows(recording))
     with path.open("w", encoding="utf-8", newline="") as stream:
-        csv.writer(stream, lineterminator="\n").writerow(["time_s", *(name for _, _, name, _ in rows)])
+        csv.writer(stream, lineterminator="\n").writerow([TIME, *(name for _, _, name, _ in rows)])
         time_s = recording.signals["force"].time_s
         table = np.stack([time_s, *(row for _, _, _, row in rows)], axis=1)
         for first in range(0, len(table), TOGETHER):
@@ -100,19 +103,29 @@ WRITERS: dict[str, Writer] = {"csv": _write_csv, "uff": _write_uff, "mat": _writ
 
 
 def _map_of(recording: Recording, form: str) -> str:
-    """The map of an exported file; JSON's strings are TOML's."""
+    """The map of an exported file; JSON's strings are TOML's.
+
+    A column whose name the file may not keep as it is, or has twice, is told by its number.
+    """
     lines = [f"rig = {json.dumps(RIG_NAME)}"]
+    rows = list(_rows(recording))
+    times = Counter([TIME, *(name.strip() for _, _, name, _ in rows)])
     if form == "csv":
-        lines.append('time = { column = "time_s", unit = "s" }')
+        lines.append(
+            'time = { column = 1, unit = "s" }' if times[TIME] > 1 else f'time = {{ column = "{TIME}", unit = "s" }}'
+        )
     else:
         lines.append(f"sample_rate_hz = {recording.rig.sample_rate_hz!r}")
     sensors = []
-    for group, number, name, _ in _rows(recording):
-        rows = len(recording.signals[group].channels.names)
-        column = name if form != "mat" else group if rows == 1 else f"{group}[{number}]"
+    for place, (group, number, name, _) in enumerate(rows, start=2 if form == "csv" else 1):
+        column: str | int = place
+        if form == "mat":
+            column = group if len(recording.signals[group].channels.names) == 1 else f"{group}[{number}]"
+        elif name == name.strip() and times[name] == 1 and name.isascii() and len(name) <= LONGEST_UFF_NAME:
+            column = name
         entry = f"{{ column = {json.dumps(column)}, unit = {json.dumps(recording.signals[group].channels.unit)} }}"
         if group == "force":
             lines.append(f"force = {entry}")
         else:
-            sensors.append(f"{json.dumps(name)} = {entry}")
+            sensors.append(f"{json.dumps(name, ensure_ascii=False)} = {entry}")
     return "\n".join([*lines, "", "[sensors]", *sensors, ""])

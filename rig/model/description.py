@@ -1,13 +1,13 @@
 """A rig as a value: bodies, contacts, the exciting force and the sensors. It travels in every recording as rig.json."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from rig.errors import RigError
+from rig.errors import RigError, is_plain
 from rig.model.beam import Beam
 from rig.model.contact_laws import AnyLaw, DeadZone
 from rig.model.oscillator import Oscillator
@@ -20,6 +20,27 @@ UNITS: dict[str, str] = {q.name: q.unit for q in QUANTITIES.values()} | {"force"
 LONGEST_DELAY_S = 1.0
 RISE_S = 0.5
 """Over which base motions and tones set in, so that a simulation begins at rest."""
+
+
+LONGEST_NAME = 200
+MOST = 1000
+"""Bodies, contacts or sensors."""
+
+
+def check_name(kind: str, name: str) -> None:
+    """Raises RigError unless it is a name that can be shown anywhere as it is."""
+    if not (is_plain(name) and len(name) <= LONGEST_NAME):
+        raise RigError(f"{kind} {name!r}: give a name of at most {LONGEST_NAME} signs, without control characters")
+
+
+def _check_names(what: str, kind: str, names: Sequence[str]) -> None:
+    """Raises RigError if there are too many, or two alike, or one that `check_name` refuses."""
+    if len(names) > MOST:
+        raise RigError(f"{what}: has {len(names)} times a {kind}; give at most {MOST}")
+    for name in names:
+        check_name(kind, name)
+    if twice := sorted({n for n in names if names.count(n) > 1}):
+        raise RigError(f"{what}: more than one {kind} is named {twice[0]!r}; names must differ")
 
 
 def _is_gain(value: float) -> bool:
@@ -236,13 +257,13 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
             raise RigError(
                 f"rig {self.name!r}: sample_rate_hz is {self.sample_rate_hz}; give a value above zero, 1e-6 to 1e9"
             )
+        check_name("rig", self.name)
         for kind, names in (
             ("body", [b.name for b in self.bodies]),
             ("contact", [c.name for c in self.contacts]),
             ("sensor", [s.name for s in self.sensors]),
         ):
-            if twice := sorted({n for n in names if names.count(n) > 1}):
-                raise RigError(f"rig {self.name!r}: more than one {kind} is named {twice[0]!r}; names must differ")
+            _check_names(f"rig {self.name!r}", kind, names)
         self._check_station("the force", self.force_at)
         for sensor in self.sensors:
             self._check_station(f"sensor {sensor.name!r}", sensor.station)
