@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import msgspec
 from threadpoolctl import threadpool_limits
@@ -22,13 +23,14 @@ from identify.pages.wording import COVERED, interval
 from identify.signals.kinematics import Use
 from identify.signals.spectra import Averaging
 from rig.errors import RigError
-from rig.files import write_bytes, write_json
+from rig.files import check_target, make_folder, write_bytes, write_json
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig, read_rig
 from rig.model.tolerances import Tolerances, tolerances_named
 from rig.recording import Recording, channel_groups, read
 
 Source = Recording | str | Path
+LONGEST_NAME = 100
 Row = dict[str, str | float]
 Progress = Callable[[float], None]
 
@@ -163,7 +165,7 @@ class LawResult:
     def save(self, folder: str | Path) -> None:
         """Writes law.png and law.json."""
         out = Path(folder)
-        out.mkdir(parents=True, exist_ok=True)
+        make_folder(out)
         for name, picture in self.figures.items():
             picture.save(out / f"{name}.png")
         write_json(self.report, out / "law.json")
@@ -311,7 +313,9 @@ def gap(
     first = next(iter(given.values()))
     kept = None if null_reference is None else Path(null_reference)
     if kept and kept.is_dir():
-        kept /= f"{first.rig.name}-{simulator}.null_reference.json"
+        kept /= f"{quote(first.rig.name, safe=' ')[:LONGEST_NAME]}-{simulator}.null_reference.json"
+    if kept:
+        check_target(kept, *(Path(one) for one in (*every, validation) if isinstance(one, str | Path)))
     with threadpool_limits(1):  # the matrices are small
         found, corrected = diagnose(
             list(given.values()),

@@ -1,6 +1,9 @@
 """The one error that a user sees: a sentence saying what is wrong, with which value, and what to do."""
 
+import unicodedata
+
 LONGEST = 1500
+_OBEYED = {"Cc", "Cf", "Cs", "Zl", "Zp"}
 
 
 class RigError(ValueError):
@@ -10,7 +13,7 @@ class RigError(ValueError):
     """
 
     def __init__(self, sentence: str) -> None:
-        super().__init__(_one_line(sentence))
+        super().__init__(one_line(sentence))
 
 
 class CutOffError(RigError):
@@ -21,7 +24,12 @@ class CutOffError(RigError):
         self.strerror = strerror
 
 
-def _one_line(text: str) -> str:
+def is_plain(text: str) -> bool:
+    """Whether it has none of the signs that a terminal or a page would obey: control characters, line ends and such."""
+    return (text.isascii() and text.isprintable()) or not any(unicodedata.category(c) in _OBEYED for c in text)
+
+
+def one_line(text: str) -> str:
     """The text with line ends and the like as escapes, and without its middle if it is too long."""
     if len(text) > LONGEST:
         text = f"{text[: LONGEST // 2]} [...] {text[-LONGEST // 2 :]}"

@@ -21,7 +21,7 @@ from identify.laws.results import LawReport
 from identify.signals.kinematics import Use
 from identify.signals.spectra import POWERS, Averaging
 from rig.commands.command_line import Force, Json, progress_bar, refuse_existing, run, working
-from rig.files import write_bytes, write_json
+from rig.files import make_folder, write_bytes, write_json
 from rig.model.description import to_json
 from rig.model.tolerances import tolerances_named
 from rig.recording.segments import segments
@@ -118,8 +118,8 @@ def contact(
         raise typer.BadParameter(f"{window!r} is none of {', '.join(POWERS)}", param_hint="--window")
     averaging = Averaging(averages=averages, block_s=block, overlap=overlap, window=window, band_hz=band)
     if out is not None:
-        for name in ("contact.json", "rig.json"):
-            refuse_existing(out / name, force)
+        for name in ("contact.json", "contact.html", "rig.json"):
+            refuse_existing(out / name, force, file)
     if segment is None and file.exists() and file.stat().st_size > LARGE_BYTES:
         segment = SEGMENT_S
     settings = {
@@ -154,7 +154,7 @@ def _by_segments(
     if out is not None:
         from identify.contacts.figures import segments_drawn
 
-        out.mkdir(parents=True, exist_ok=True)
+        make_folder(out)
         if report.contacts:
             write_bytes(segments_drawn(report, parts), out / "segments.png")
         write_json(Segments(parts), out / "segments.json")
@@ -183,7 +183,8 @@ def law(
     if use not in get_args(Use):
         raise typer.BadParameter(f"{use!r} is none of {', '.join(get_args(Use))}", param_hint="--use")
     if out is not None:
-        refuse_existing(out / "law.json", force)
+        for name in ("law.json", "law.png"):
+            refuse_existing(out / name, force, file)
     with progress_bar(f"searching the laws of {file.name}") as progress:
         found = identify.law(
             file, contact=contact, use=msgspec.convert(use, Use), seconds=seconds, seed=seed, progress=progress
@@ -233,7 +234,7 @@ def print_report(report: ContactReport, console: Console) -> None:
         )
     console.print(table)
     for silent in report.unanswered:
-        console.print(f"{silent.name}: not told by this record: {silent.reason}")
+        console.print(f"{silent.name}: not told by this record: {silent.reason}", markup=False)
     spectra = Table(title="NIFO by modal equation: spectral mean ± standard error, rms spread over frequency")
     for heading in ("equation", "contact", "stiffness, N/m", "spread, %", ""):
         spectra.add_column(heading)

@@ -69,8 +69,9 @@ def gap(
     identify gap january.mcap april.mcap july.mcap --out results
     """
     if out is not None:
-        for name in ("gap.json", "rig.json"):
-            refuse_existing(out / name, force)
+        sources = [*real, *(path for path in (validate, null_reference, rig) if path)]
+        for name in ("gap.json", "gap.html", "rig.json"):
+            refuse_existing(out / name, force, *sources)
     stages = {"null_reference": (0.0, 0.6), "causes": (0.6, 0.4)}
     with progress_bar(f"diagnosing {', '.join(path.name for path in real)}") as progress:
 

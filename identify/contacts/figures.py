@@ -75,9 +75,9 @@ def _outputs(figure: Any, found: Identification, _marks: Marks, _marks_name: str
         frequency, density = welch(signal, rate, nperseg=min(signal.size, int(4 * rate)))
         band = (frequency >= low_hz) & (frequency <= 2 * found.weak.frequency_hz[-1])
         lower.semilogy(frequency[band], density[band], color=colour, lw=1.1)
-    upper.set(xlabel="time, s", ylabel=f"q of {equation.name},\n1e-3 kg$^{{1/2}}$ m")
+    upper.set(xlabel="time, s", ylabel=f"q of {equation.name},\n1e-3 √kg m")
     upper.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
-    lower.set(xlabel="frequency, Hz", ylabel="PSD of q, kg m$^2$/Hz")
+    lower.set(xlabel="frequency, Hz", ylabel="PSD of q, kg m²/Hz")
     figure.suptitle("Output with and without the contacts")
 
 
@@ -87,7 +87,7 @@ def _surface(figure: Any, found: Identification, marks: Marks, marks_name: str) 
     few = slice(None, None, surface.factor)
     first = found.eta_m[0][few]
     if len(found.eta_m) > 1:
-        second, label = 1e3 * found.eta_m[1][few], f"$\\eta$ of {found.rig.contacts[1].name}, mm"
+        second, label = 1e3 * found.eta_m[1][few], f"η of {found.rig.contacts[1].name}, mm"
     else:
         second, label = surface.equation.velocity[few] * surface.equation.shape_at_contacts[0], "velocity, m/s"
     count = min(first.size, second.size, surface.measured.size)
@@ -95,8 +95,8 @@ def _surface(figure: Any, found: Identification, marks: Marks, marks_name: str) 
     cells = axes.hexbin(
         1e3 * first[:count], second[:count], C=surface.measured[:count], gridsize=70, cmap="RdBu_r", mincnt=3
     )
-    figure.colorbar(cells, label="restoring force, N/kg$^{1/2}$")
-    axes.set(xlabel=f"$\\eta$ of {found.rig.contacts[0].name}, mm", ylabel=label)
+    figure.colorbar(cells, label="restoring force, N/√kg")
+    axes.set(xlabel=f"η of {found.rig.contacts[0].name}, mm", ylabel=label)
     for j, contact in enumerate(found.rig.contacts[:2]):
         stop = found.stops[j]
         if stop is not None:
@@ -130,7 +130,7 @@ def _section(figure: Any, found: Identification, marks: Marks, marks_name: str) 
         order = np.argsort(eta[:count])
         axes.plot(1e3 * eta[order], (rows[j][:count] / scale)[order], color=RED, lw=1.2, label="dead zone as fitted")
         _mark_stops(axes, found, j, marks, marks_name)
-        axes.set(xlabel=f"$\\eta$ of {contact.name}, mm", title=contact.name)
+        axes.set(xlabel=f"η of {contact.name}, mm", title=contact.name)
     axes_row[0].set_ylabel("contact force, N")
     handles, labels = axes_row[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, markerscale=6)
@@ -151,7 +151,7 @@ def _separated(figure: Any, found: Identification, marks: Marks, marks_name: str
             law = stiffness * penetration_m(span, lower, upper)
             axes.plot(1e3 * span, law, color=RED, lw=1.2, label="law found (without damping)")
         _mark_stops(axes, found, j, marks, marks_name)
-        axes.set(xlabel=f"$\\eta$ of {contact.name}, mm", title=contact.name)
+        axes.set(xlabel=f"η of {contact.name}, mm", title=contact.name)
     axes_row[0].set_ylabel("contact force, N")
     handles, labels = axes_row[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=4, markerscale=6)
@@ -164,7 +164,7 @@ def _histogram(figure: Any, found: Identification, marks: Marks, marks_name: str
     for j, (eta, contact) in enumerate(zip(found.eta_m, found.rig.contacts, strict=True)):
         start = int(0.4 * eta.size)
         shown = slice(start, start + int(min(4.0, 0.3 * eta.size / rate) * rate))
-        axes[j][0].plot(np.arange(eta.size)[shown] / rate, 1e3 * eta[shown], color=BLUE, lw=0.8, label="$\\eta$")
+        axes[j][0].plot(np.arange(eta.size)[shown] / rate, 1e3 * eta[shown], color=BLUE, lw=0.8, label="η")
         axes[j][1].hist(
             1e3 * eta[found.motion.excited_from :],
             bins=120,
@@ -175,7 +175,7 @@ def _histogram(figure: Any, found: Identification, marks: Marks, marks_name: str
         )
         for panel in axes[j]:
             _mark_stops(panel, found, j, marks, marks_name, across=True)
-        axes[j][0].set_ylabel(f"$\\eta$ of {contact.name}, mm")
+        axes[j][0].set_ylabel(f"η of {contact.name}, mm")
     axes[-1][0].set_xlabel("time, s")
     axes[-1][1].set_xlabel("histogram, 1/mm")
     handles, labels = axes[0][0].get_legend_handles_labels()
@@ -222,7 +222,7 @@ def _frf(figure: Any, found: Identification, _marks: Marks, _marks_name: str) ->
     ):
         upper.semilogy(frequency, np.abs(frf), color=colour, ls=style, lw=1.2, label=label)
         lower.plot(frequency, np.degrees(np.angle(1j * frf)) - 90, color=colour, ls=style, lw=1.2)
-    upper.set_ylabel("|H|, s$^2$")
+    upper.set_ylabel("|H|, s²")
     upper.legend(loc="upper right")
     lower.set(xlabel="frequency, Hz", ylabel="phase, degrees", ylim=(-200, 20), yticks=(-180, -90, 0))
     figure.suptitle(f"Linear FRF of modal equation {weak.equation.name}")

@@ -12,7 +12,7 @@ from identify.contacts.identified_rig import identified_rig
 from identify.contacts.results import ContactEstimate, Estimate
 from identify.pages import page
 from identify.pages.wording import interval, number
-from rig.files import write_bytes, write_json
+from rig.files import make_folder, write_bytes, write_json
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import to_json
 
@@ -37,7 +37,7 @@ def write_results(found: Identification, out: Path, title: str, laws: Laws, laws
     """
     from identify.contacts.figures import drawn
 
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     marks = {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in laws.items()}
     figures = drawn(found, marks, laws_name)
     for name, png in figures.items():

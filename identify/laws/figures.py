@@ -31,7 +31,7 @@ def drawn(laws: Sequence[FoundLaw]) -> bytes:
                 panel.plot(1e3 * span, law.pieces(span) - taken, color=RED, lw=1.4, ls="--", label="straight pieces")
             axes.plot(1e3 * knees, law.pieces(knees), "o", ms=8, mfc="none", mew=1.5, color=GREEN, label="knees")
             axes.set(title=law.result.contact)
-            below.set(xlabel="$\\eta$, mm")
+            below.set(xlabel="η, mm")
         upper[0].set_ylabel("contact force, N")
         lower[0].set_ylabel("less the\nlaw, N")
         named = {text: handle for axes in upper for handle, text in zip(*axes.get_legend_handles_labels(), strict=True)}

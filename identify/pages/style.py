@@ -8,6 +8,8 @@ import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from identify.pages.decades import plain_decades
+
 BLUE, RED, GREY, GREEN = "#1f5fa8", "#c8402f", "#8a8a8a", "#2c8a57"
 _STYLE = {
     "font.size": 9,
@@ -17,6 +19,7 @@ _STYLE = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "legend.frameon": False,
+    "text.parse_math": False,  # names in a rig.json may hold any sign
 }
 
 
@@ -26,6 +29,10 @@ def png(draw: Callable[[Any], object]) -> bytes:
         figure = Figure(figsize=(7.2, 4.2), layout="constrained")
         FigureCanvasAgg(figure)
         draw(figure)
+        for axes in figure.axes:
+            for axis in (axes.xaxis, axes.yaxis):
+                if axis.get_scale() == "log":
+                    plain_decades(axis)
         file = BytesIO()
         figure.savefig(file, format="png", bbox_inches="tight")
     return file.getvalue()

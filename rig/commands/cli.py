@@ -16,9 +16,10 @@ from rich.table import Table
 
 from rig.commands.cli_files import draw, export_, import_, recover
 from rig.commands.cli_init import init
-from rig.commands.command_line import Force, Json, StoppedError, progress_bar, refuse_existing, run, working
+from rig.commands.command_line import Force, Json, StoppedError, progress_bar, refuse_existing, run, say, working
 from rig.effects import effect_named, effects
 from rig.errors import RigError
+from rig.files import check_source
 from rig.model.description import Station, read_rig
 from rig.recording import Recording, Signals, read, read_truth, truth_path
 from rig.simulation.own import Drive, OwnRig, own_rig, plant_for
@@ -152,7 +153,7 @@ def info(file: File, as_json: Json = False) -> None:
         print(json.dumps(_summary(recording)))
         return
     console, rig = Console(markup=False, highlight=False), recording.rig
-    print(f"{file}: rig {rig.name}, {recording.duration_s:g} s at {rig.sample_rate_hz:g} Hz")
+    say(f"{file}: rig {rig.name}, {recording.duration_s:g} s at {rig.sample_rate_hz:g} Hz")
     bodies = _table("Bodies", "body", "kind", "first frequencies, Hz")
     for body in rig.bodies:
         modes = min(4 + body.rigid_modes, body.max_modes)
@@ -168,7 +169,7 @@ def info(file: File, as_json: Json = False) -> None:
     for table in (bodies, contacts, *channels):
         console.print(table, "")
     for key, value in recording.provenance.items():
-        print(f"{key}: {value}")
+        say(f"{key}: {value}")
 
 
 @app.command()
@@ -183,7 +184,7 @@ def check(file: File, as_json: Json = False) -> None:
         print(json.dumps({"file": str(file), "sound": True, "samples": recording.samples}))
     else:
         channels = sum(len(s.channels.names) for s in recording.signals.values())
-        print(f"{file}: sound, {channels} channels of {recording.samples} samples")
+        say(f"{file}: sound, {channels} channels of {recording.samples} samples")
 
 
 @app.command()
@@ -207,11 +208,10 @@ def view(
     target = out or file.with_suffix(".rrd")
     if magnification is not None and not 0 < magnification < np.inf:
         raise typer.BadParameter(f"{magnification} is not a finite number above zero", param_hint="--magnification")
-    if target in (file, truth_path(file)):
-        raise typer.BadParameter(f"{target} is the recording itself", param_hint="--out")
-    refuse_existing(target, force)
-    recording = read(file)
+    check_source(file)
     beside = truth or truth_path(file)
+    refuse_existing(target, force, file, beside, *([] if contact is None else [contact]))
+    recording = read(file)
     known = read_truth(beside) if truth or beside.exists() else None
     laws = {} if contact is None else identified_laws(contact, recording.rig)
     with progress_bar(f"writing {target.name}") as progress:

@@ -7,7 +7,7 @@ from typing import Annotated
 import msgspec
 import typer
 
-from rig.commands.command_line import Force, Json, progress_bar, refuse_existing, working
+from rig.commands.command_line import Force, Json, progress_bar, refuse_existing, say, working
 from rig.lab.exporting import WRITERS, export
 from rig.lab.importing import import_file
 from rig.model.description import read_rig
@@ -25,7 +25,7 @@ def recover(
 
     Example: rig recover barrel_cradle.mcap.part --out saved.mcap
     """
-    refuse_existing(out, force)
+    refuse_existing(out, force, bad)
     with working(f"recovering {bad.name}"):
         losses = recover_recording(bad, out)
     if as_json:
@@ -47,7 +47,7 @@ def import_(
 
     Example: rig import run7.csv --map run7.toml --out run7.mcap
     """
-    refuse_existing(out, force)
+    refuse_existing(out, force, source, map_)
     with working(f"importing {source.name}"):
         steps = import_file(source, map_, out)
     if as_json:
@@ -55,7 +55,7 @@ def import_(
         return
     print(f"{out}: imported from {source}")
     for step in steps:
-        print(f"  {step}")
+        say(f"  {step}")
 
 
 def export_(
@@ -74,10 +74,8 @@ def export_(
     if format_ not in WRITERS:
         raise typer.BadParameter(f"{format_!r} is none of {', '.join(WRITERS)}", param_hint="--format")
     written = [out, *([] if map_ is None else [map_, map_.with_name("rig.json")])]
-    if len({p.absolute() for p in (file, *written)}) <= len(written):
-        raise typer.BadParameter(f"{out} is named twice", param_hint="--out")
-    for path in written:
-        refuse_existing(path, force)
+    for number, path in enumerate(written):
+        refuse_existing(path, force, file, *written[:number])
     with progress_bar(f"writing {out.name}") as progress:
         export(read(file), format_, out, map_, progress)
     print(f"{', '.join(map(str, written))}: written")

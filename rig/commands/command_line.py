@@ -1,17 +1,22 @@
 """What every command shares: one way to fail, one way to show progress, one way to keep what is there."""
 
+import os
+import signal
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.text import Text
 
-from rig.errors import RigError
-from rig.files import part_of
+from rig.errors import RigError, is_plain, one_line
+from rig.files import check_target, part_of
 
 INTERRUPTED = 130
 
@@ -26,10 +31,14 @@ class StoppedError(Exception):
 def run(app: typer.Typer, name: str) -> None:
     """Runs a command and exits: 0 done, 1 the input cannot be used (one line on standard error), 2 wrong words.
 
-    130 is an interruption (Ctrl-C).
+    130 is an interruption: Ctrl-C, a request to end, a terminal that is closed.
     """
+    _prepare(name)
     try:
-        app(prog_name=name)
+        try:
+            app(prog_name=name)
+        finally:
+            sys.stdout.flush()
     except RigError as error:
         status, sentence = 1, str(error)
     except MemoryError as error:
@@ -40,15 +49,45 @@ def run(app: typer.Typer, name: str) -> None:
         if stop.code != INTERRUPTED:
             raise
         status, sentence = INTERRUPTED, "interrupted"  # typer has taken the KeyboardInterrupt
+    except KeyboardInterrupt:
+        status, sentence = INTERRUPTED, "interrupted"
+    except BrokenPipeError:  # whoever reads has enough, as `head` has
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        sys.exit(1)
+    except OSError as error:
+        where = "standard output" if error.filename is None else error.filename
+        status, sentence = 1, one_line(f"{where}: cannot be read or written ({error.strerror}); choose another place")
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # where what is left goes
     print(f"{name}: {sentence}", file=sys.stderr)
     sys.exit(status)
+
+
+def _prepare(name: str) -> None:
+    """Standard output takes every sign or is refused if closed; all ways to end a command are one; numpy is silent."""
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
+    if sys.stdout is None:
+        sys.exit(f"{name}: standard output is closed; direct it into a file or to {os.devnull}")
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    for ending in ("SIGTERM", "SIGHUP"):
+        if hasattr(signal, ending) and signal.getsignal(getattr(signal, ending)) == signal.SIG_DFL:
+            signal.signal(getattr(signal, ending), lambda *_: signal.raise_signal(signal.SIGINT))
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")
+
+
+def say(text: str) -> None:
+    """Prints a line on standard output; what it quotes of files cannot command the terminal."""
+    print(text if is_plain(text) else one_line(text))
 
 
 @contextmanager
 def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
     """A bar with the time left on standard error; call what it gives with the fraction done. Silent when piped."""
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
         task = bar.add_task(description, total=1.0)
         yield lambda fraction: bar.update(task, completed=fraction)
@@ -58,12 +97,16 @@ def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
 def working(description: str) -> Iterator[None]:
     """A sign of life on standard error where nobody knows how long it takes. Silent when piped."""
     console = Console(stderr=True)
-    with console.status(description) if console.is_terminal else nullcontext():
+    with console.status(Text(description)) if console.is_terminal else nullcontext():
         yield
 
 
-def refuse_existing(path: Path, force: bool) -> None:
-    """Raises RigError if the path exists and overwriting was not asked for, and always for a symbolic link."""
+def refuse_existing(path: Path, force: bool, *sources: Path) -> None:
+    """Raises RigError if the path exists and overwriting was not asked for.
+
+    And always if it cannot be written, or is one of the sources by whatever name.
+    """
+    check_target(path, *sources)
     part = part_of(path)
     if path.exists() and not force:
         raise RigError(f"{path}: exists already; give another name, or --force to overwrite it")

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from rig.recording.channels import Channels
 
 _UFF_KINDS = {q.name: q.uff_kind for q in QUANTITIES.values()} | {"force": 13}
 _UFF_TIME = 17
+TIME = "time_s"
+LONGEST_UFF_NAME = 80
 TOGETHER = 16384
 """Lines of a table that are written at once."""
 
@@ -50,7 +53,7 @@ def _rows(recording: Recording) -> Iterator[tuple[str, int, str, Float[np.ndarra
 def _write_csv(recording: Recording, path: Path, progress: Callable[[float], None]) -> None:
     rows = list(_rows(recording))
     with path.open("w", encoding="utf-8", newline="") as stream:
-        csv.writer(stream, lineterminator="\n").writerow(["time_s", *(name for _, _, name, _ in rows)])
+        csv.writer(stream, lineterminator="\n").writerow([TIME, *(name for _, _, name, _ in rows)])
         time_s = recording.signals["force"].time_s
         table = np.stack([time_s, *(row for _, _, _, row in rows)], axis=1)
         for first in range(0, len(table), TOGETHER):
@@ -102,19 +105,31 @@ WRITERS: dict[str, Writer] = {"csv": _write_csv, "uff": _write_uff, "mat": _writ
 
 
 def map_of(groups: Mapping[str, Channels], form: str) -> str:
-    """The map of a file of these channels, as exported; JSON's strings are TOML's."""
+    """The map of a file of these channels, as exported; JSON's strings are TOML's.
+
+    A column whose name the file may not keep as it is, or has twice, is told by its number.
+    """
     lines = [f"rig = {json.dumps(RIG_NAME)}"]
+    times = Counter([TIME, *(name.strip() for channels in groups.values() for name in channels.names)])
     if form == "csv":
-        lines.append('time = { column = "time_s", unit = "s" }')
+        lines.append(
+            'time = { column = 1, unit = "s" }' if times[TIME] > 1 else f'time = {{ column = "{TIME}", unit = "s" }}'
+        )
     else:
         lines.append(f"sample_rate_hz = {groups['force'].sample_rate_hz!r}")
     sensors = []
+    place = 1 if form == "csv" else 0
     for group, channels in groups.items():
         for number, name in enumerate(channels.names, start=1):
-            column = name if form != "mat" else group if len(channels.names) == 1 else f"{group}[{number}]"
+            place += 1
+            column: str | int = place
+            if form == "mat":
+                column = group if len(channels.names) == 1 else f"{group}[{number}]"
+            elif name == name.strip() and times[name] == 1 and name.isascii() and len(name) <= LONGEST_UFF_NAME:
+                column = name
             entry = f"{{ column = {json.dumps(column)}, unit = {json.dumps(channels.unit)} }}"
             if group == "force":
                 lines.append(f"force = {entry}")
             else:
-                sensors.append(f"{json.dumps(name)} = {entry}")
+                sensors.append(f"{json.dumps(name, ensure_ascii=False)} = {entry}")
     return "\n".join([*lines, "", "[sensors]", *sensors, ""])

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rig.errors import RigError
+from rig.files import check_target, contents
 from rig.lab.clock import RATE_TOLERANCE, even
 from rig.lab.tables import Column, TextForm, columns_of
 from rig.lab.units import si_factor
@@ -52,7 +53,7 @@ def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
     Every value becomes SI: value times scale times the unit. Raises RigError with one sentence if the map, the rig or
     the data cannot be used; nothing is written then.
     """
-    mapping, rig = _read_map(map_path)
+    mapping, rig = _read_map(map_path, out)
     columns = columns_of(source, mapping.csv)
     names, given = {s.name for s in rig.sensors}, set(mapping.sensors)
     for wrong, what in ((given - names, "is no sensor of the rig"), (names - given, "is missing")):
@@ -130,14 +131,16 @@ def _write(
         recording.append_all({name: np.stack([rows[c] for c in group.names]) for name, group in groups.items()})
 
 
-def _read_map(path: Path) -> tuple[Map, Rig]:
+def _read_map(path: Path, out: Path) -> tuple[Map, Rig]:
     try:
-        mapping = msgspec.toml.decode(path.read_bytes(), type=Map)
-    except OSError as error:
-        raise RigError(f"{error.filename}: cannot be opened ({error.strerror}); check the name") from error
+        mapping = msgspec.toml.decode(contents(path), type=Map)
+    except RigError:
+        raise
     except (msgspec.DecodeError, ValueError, RecursionError) as error:
         raise RigError(f"{path}: is no map ({error}); see rig/lab/README.md") from error
-    return mapping, read_rig(path.parent / mapping.rig)
+    place = path.parent / mapping.rig
+    check_target(out, place)
+    return mapping, read_rig(place)
 
 
 def _found(columns: Sequence[Column], entry: Source) -> Column:

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rig.errors import RigError
+from rig.files import check_source
 from rig.lab.matlab import arrays_of
 
 _SEGMENT_HEAD_BYTES = 28  # of TDMS
@@ -54,6 +55,7 @@ def columns_of(path: Path, text: TextForm) -> tuple[Column, ...]:
     """
     if (suffix := path.suffix.lower()) not in READERS:
         raise RigError(f"{path}: the suffix {suffix!r} is none of {', '.join(READERS)}; rename the file or convert it")
+    check_source(path)
     try:
         if not path.stat().st_size:
             raise RigError(f"{path}: is empty; export it again")

@@ -1,6 +1,6 @@
 """A rig as a value: bodies, contacts, the exciting force and the sensors. It travels in every recording as rig.json."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +8,8 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from rig.errors import RigError
+from rig.errors import RigError, is_plain
+from rig.files import contents
 from rig.model.beam import Beam
 from rig.model.contact_laws import AnyLaw, DeadZone
 from rig.model.oscillator import Oscillator
@@ -21,6 +22,27 @@ UNITS: dict[str, str] = {q.name: q.unit for q in QUANTITIES.values()} | {"force"
 LONGEST_DELAY_S = 1.0
 RISE_S = 0.5
 """Over which base motions and tones set in, so that a simulation begins at rest."""
+
+
+LONGEST_NAME = 200
+MOST = 1000
+"""Bodies, contacts or sensors."""
+
+
+def check_name(kind: str, name: str) -> None:
+    """Raises RigError unless it is a name that can be shown anywhere as it is."""
+    if not (is_plain(name) and len(name) <= LONGEST_NAME):
+        raise RigError(f"{kind} {name!r}: give a name of at most {LONGEST_NAME} signs, without control characters")
+
+
+def _check_names(what: str, kind: str, names: Sequence[str]) -> None:
+    """Raises RigError if there are too many, or two alike, or one that `check_name` refuses."""
+    if len(names) > MOST:
+        raise RigError(f"{what}: has {len(names)} times a {kind}; give at most {MOST}")
+    for name in names:
+        check_name(kind, name)
+    if twice := sorted({n for n in names if names.count(n) > 1}):
+        raise RigError(f"{what}: more than one {kind} is named {twice[0]!r}; names must differ")
 
 
 def _is_gain(value: float) -> bool:
@@ -237,13 +259,13 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
             raise RigError(
                 f"rig {self.name!r}: sample_rate_hz is {self.sample_rate_hz}; give a value above zero, 1e-6 to 1e9"
             )
+        check_name("rig", self.name)
         for kind, names in (
             ("body", [b.name for b in self.bodies]),
             ("contact", [c.name for c in self.contacts]),
             ("sensor", [s.name for s in self.sensors]),
         ):
-            if twice := sorted({n for n in names if names.count(n) > 1}):
-                raise RigError(f"rig {self.name!r}: more than one {kind} is named {twice[0]!r}; names must differ")
+            _check_names(f"rig {self.name!r}", kind, names)
         self._check_station("the force", self.force_at)
         for sensor in self.sensors:
             self._check_station(f"sensor {sensor.name!r}", sensor.station)
@@ -376,11 +398,6 @@ def from_json(text: bytes, source: str) -> Rig:
 
 def read_rig(path: Path) -> Rig:
     """The rig in a file; raises RigError if it cannot be opened, is no rig, or lacks shapes where something stands."""
-    try:
-        text = path.read_bytes()
-    except (OSError, ValueError) as error:  # a ValueError where the name holds a null character
-        reason = getattr(error, "strerror", None) or error
-        raise RigError(f"{path}: cannot be opened ({reason}); check the name") from error
-    rig = from_json(text, str(path))
+    rig = from_json(contents(path), str(path))
     check_given(rig, str(path))
     return rig

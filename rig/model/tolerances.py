@@ -7,6 +7,7 @@ import msgspec
 import numpy as np
 
 from rig.errors import RigError
+from rig.files import contents
 
 
 def _check(what: str, given: msgspec.Struct) -> None:
@@ -113,12 +114,9 @@ def tolerances_named(text: str) -> Tolerances:
     """`laboratory`, `exact`, or those of a TOML file; raises RigError for anything else."""
     if text in NAMED:
         return NAMED[text]
-    path = Path(text)
+    if not Path(text).exists():
+        raise RigError(f"{text}: no tolerances can be read there; give {', '.join(NAMED)} or a TOML file")
     try:
-        return msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), Tolerances)
-    except OSError as error:
-        raise RigError(
-            f"{text}: no tolerances can be read there ({error.strerror}); give {', '.join(NAMED)} or a TOML file"
-        ) from error
+        return msgspec.convert(tomllib.loads(contents(Path(text)).decode()), Tolerances)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, msgspec.ValidationError) as error:
         raise RigError(f"{text}: not a file of tolerances: {error}; see rig.model.tolerances") from error

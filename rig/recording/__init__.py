@@ -1,7 +1,6 @@
 """Recordings in MCAP: what a rig's sensors showed, with the rig's description; read whole, written as they come."""
 
 from rig.recording.file import (
-    RIG_NAME,
     Channel,
     Recording,
     RecordingWriter,
@@ -14,6 +13,7 @@ from rig.recording.file import (
     with_history,
     writing,
 )
+from rig.recording.foreign import RIG_NAME
 
 __all__ = [
     "RIG_NAME",

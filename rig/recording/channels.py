@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from rig.errors import RigError
-from rig.model.description import Station
+from rig.model.description import Station, check_name
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,8 @@ def understood(topic: str, metadata: Mapping[str, str]) -> Channels:
         names = tuple(str(n) for n in json.loads(metadata["names"]))
         places = json.loads(metadata["stations"])
         stations = tuple(None if p is None else Station(str(p["body"]), float(p["position_m"])) for p in places)
+        for name in names:
+            check_name("channel", name)
         rate = float(json.loads(metadata["sample_rate_hz"]))
         if not names or len(names) != len(stations) or len(set(names)) < len(names) or not 0 < rate < math.inf:
             raise ValueError(f"{len(names)} names, {len(stations)} stations, {rate} Hz")

@@ -45,11 +45,18 @@ class Chunk:
         return self._times_ns[-1] - self._times_ns[0] if self._times_ns else 0
 
     def add(
-        self, channel: int, time_ns: int, sequence: int, head: bytes, values: Float[np.ndarray, "channels samples"]
+        self,
+        channel: int,
+        time_ns: int,
+        sequence: int,
+        head: bytes,
+        values: Float[np.ndarray, "channels samples"],
+        published_ns: int | None = None,
     ) -> None:
-        """One message: its head, and the doubles channel by channel."""
+        """One message: its head, and the doubles channel by channel; published when logged, or at its own time."""
+        published = time_ns if published_ns is None else published_ns
         length = _MESSAGE.size - _HEAD.size + len(head) + 8 * values.size
-        front = _MESSAGE.pack(Opcode.MESSAGE, length, channel, sequence, time_ns, time_ns) + head
+        front = _MESSAGE.pack(Opcode.MESSAGE, length, channel, sequence, time_ns, published) + head
         self._index.setdefault(channel, []).append(_PLACE.pack(time_ns, self.size))
         self._times_ns.append(time_ns)
         self.counts[channel] += 1

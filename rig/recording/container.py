@@ -21,6 +21,7 @@ from mcap.records import Attachment, Channel, DataEnd, McapRecord, Message, Meta
 from zlib_ng.zlib_ng import crc32
 
 from rig.errors import RigError
+from rig.files import check_source
 
 MAX_BYTES = 64 * 1024 * 1024
 """The largest record, and the largest content of a chunk, that is read."""
@@ -49,6 +50,7 @@ def opened(path: Path) -> BufferedReader:
 
     It is read record by record and not mapped: a mapped file that is cut while it is read would end the process.
     """
+    check_source(path)
     try:
         with ExitStack() as closing:
             file = closing.enter_context(path.open("rb"))

@@ -14,7 +14,7 @@ from mcap.records import Channel as ChannelRecord
 from numpy.typing import DTypeLike
 
 from rig.errors import CutOffError, RigError
-from rig.files import part_of
+from rig.files import reserved, settle
 from rig.model.description import UNITS, Rig, Station, check_given, from_json, stations_of, to_json
 from rig.model.sensing import quantities_of, sensors_of
 from rig.recording import container, messages
@@ -22,12 +22,12 @@ from rig.recording.agreement import check_channels
 from rig.recording.assembly import Assembly
 from rig.recording.channels import Channels, described, understood
 from rig.recording.container_writer import ContainerWriter
+from rig.recording.foreign import PROVENANCE, RIG_NAME, Foreign, put
 
 BLOCK, AT_ONCE = 1024, 2048
 CHUNK_BYTES, CHUNK_S = 512 * 1024, 5.0
 """A chunk is written when it has so many bytes, or so much of the record: a kill loses that and a block at most."""
 PREVIEW_HZ = 100.0
-RIG_NAME = "rig.json"
 
 
 @dataclass(frozen=True)
@@ -108,20 +108,28 @@ class RecordingWriter:
     """Appends samples group by group and stores them as blocks of 1024 samples, with a decimated preview beside."""
 
     def __init__(
-        self, stream: IO[bytes], rig: Rig, groups: Mapping[str, Channels], provenance: Mapping[str, str]
+        self,
+        stream: IO[bytes],
+        rig: Rig,
+        groups: Mapping[str, Channels],
+        provenance: Mapping[str, str],
+        foreign: Foreign | None = None,
     ) -> None:
         self._stream = stream
         self._groups = dict(groups)
         self._ids = {name: (2 * k + 1, 2 * k + 2) for k, name in enumerate(groups)}
+        others = (foreign or Foreign()).numbered(schemas=2, channels=2 * len(groups))
         self._writer = ContainerWriter(
             stream,
             front=[
                 Attachment(0, 0, RIG_NAME, "application/json", to_json(rig)),
-                Metadata(name="provenance", metadata=dict(provenance)),
+                Metadata(name=PROVENANCE, metadata=dict(provenance)),
+                *others.front,
             ],
             schemas=[
                 Schema(id=1, name=messages.BLOCK_NAME, encoding="protobuf", data=messages.BLOCK_SCHEMA),
                 Schema(id=2, name=messages.PREVIEW_NAME, encoding="ros2msg", data=messages.PREVIEW_SCHEMA),
+                *others.schemas.values(),
             ],
             channels=[
                 ChannelRecord(
@@ -133,8 +141,12 @@ class RecordingWriter:
                 )
                 for name, group in groups.items()
                 for k, (kind, encoding) in enumerate((("block", "protobuf"), ("preview", "cdr")))
-            ],
+            ]
+            + [*others.channels.values()],
         )
+        for message in others.messages:
+            put(message, self._writer.chunk)
+            self._write_full_chunk()
         stream.flush()
         self._pending = {name: np.zeros((len(group.names), 0)) for name, group in groups.items()}
         self._written = dict.fromkeys(groups, 0)
@@ -170,13 +182,16 @@ class RecordingWriter:
             time_ns = round((first + begin) / rate * 1e9)
             head = messages.block_head(time_ns, first + begin, rate, (count, length))
             self._writer.chunk.add(block_id, time_ns, (first + begin) // BLOCK, head, values[:, begin : begin + length])
-            if self._writer.chunk.size >= CHUNK_BYTES or self._writer.chunk.span_ns >= CHUNK_S * 1e9:
-                self._writer.write_chunk()
+            self._write_full_chunk()
         begins, widths = _preview(samples, length, max(1, round(rate / PREVIEW_HZ)))
         means = np.add.reduceat(values, begins, axis=1) / widths
         moments_ns = np.rint((first + begins) / rate * 1e9).astype("<u8")
         self._writer.chunk.add_many(preview_id, moments_ns, messages.preview_head(count), means.T)
         self._written[group] += samples
+
+    def _write_full_chunk(self) -> None:
+        if self._writer.chunk.size >= CHUNK_BYTES or self._writer.chunk.span_ns >= CHUNK_S * 1e9:
+            self._writer.write_chunk()
 
 
 @lru_cache(maxsize=16)
@@ -188,35 +203,39 @@ def _preview(samples: int, length: int, step: int) -> tuple[Int[np.ndarray, " pa
 
 @contextmanager
 def writing(
-    path: Path, rig: Rig, groups: Mapping[str, Channels], provenance: Mapping[str, str]
+    path: Path,
+    rig: Rig,
+    groups: Mapping[str, Channels],
+    provenance: Mapping[str, str],
+    foreign: Foreign | None = None,
 ) -> Iterator[RecordingWriter]:
-    """A writer for a recording at `path`, which appears there only when it is complete.
+    """A writer for a recording at `path`, which appears there only when it is complete; `foreign` is stored beside.
 
     An interruption (Ctrl-C) completes the file with what was written so far. A full disk leaves what was written under
     the name FILE.part, as a kill does, for rig.recovery. Any other error removes it.
     """
-    part = part_of(path)
-    try:
-        with part.open("wb") as stream:
-            writer = RecordingWriter(stream, rig, groups, provenance)
-            try:
-                yield writer
-            except KeyboardInterrupt:
+    with reserved(path) as part:
+        try:
+            with part.open("wb") as stream:
+                writer = RecordingWriter(stream, rig, groups, provenance, foreign)
+                try:
+                    yield writer
+                except KeyboardInterrupt:
+                    writer.finish()
+                    stream.flush()
+                    settle(part, path)
+                    raise
                 writer.finish()
-                stream.flush()
-                part.replace(path)
-                raise
-            writer.finish()
-    except (OSError, CutOffError) as error:  # CutOffError: the disk failed another file of the same recording
-        why = error.strerror or str(error)
-        if not part.exists():
-            raise RigError(f"{path}: cannot be written ({why}); choose another place") from error
-        sentence = f"{path}: cannot be written to its end ({why}); make room and save what there is: rig recover {part}"
-        raise CutOffError(sentence, why) from error
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
-    part.replace(path)
+            settle(part, path)
+        except (OSError, CutOffError) as error:  # CutOffError: the disk failed another file of the same recording
+            why = error.strerror or str(error)
+            raise CutOffError(
+                f"{path}: cannot be written to its end ({why}); make room and save what there is: rig recover {part}",
+                why,
+            ) from error
+        except BaseException:
+            part.unlink(missing_ok=True)
+            raise
 
 
 def channel_groups(rig: Rig) -> dict[str, Channels]:
@@ -303,7 +322,7 @@ def gathering(records: Iterable[McapRecord], found: Contents) -> Iterator[tuple[
             raise ValueError(f"channel {record.id} is described in two ways: {before.topic} and {record.topic}")
         if isinstance(record, Attachment):
             found.attachments[record.name] = record.data
-        elif isinstance(record, Metadata) and record.name == "provenance":
+        elif isinstance(record, Metadata) and record.name == PROVENANCE:
             found.provenance.update(record.metadata)
         elif isinstance(record, ChannelRecord) and record.id not in numbers and is_of_blocks(record):
             group = record.topic.split("/")[2]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.errors import RigError
-from rig.files import part_of
+from rig.files import check_target
 from rig.recording import container
 from rig.recording.agreement import check_channels
 from rig.recording.assembly import assembled
@@ -22,6 +22,7 @@ from rig.recording.file import (
     with_history,
     writing,
 )
+from rig.recording.foreign import Foreign
 from rig.recording.messages import Block
 
 
@@ -47,14 +48,14 @@ def recover(bad: Path, good: Path) -> tuple[Loss, ...]:
     """Writes what is sound of a recording from its start up to the first gap in any group, as a recording.
 
     Every complete chunk whose checksum is right is read. What was kept and lost of each group is returned, and written
-    into the provenance. Raises RigError if there is no rig.json, no complete chunk, or the result cannot be written.
+    into the provenance; channels, attachments and metadata of other programs are kept. Raises RigError if there is no
+    rig.json, no complete chunk, or the result cannot be written.
     """
-    if part_of(good) == bad:
-        raise RigError(f"{good}: would be written over {bad}; give another name")
-    contents, found = Contents(), defaultdict[str, list[Block]](list)
+    check_target(good, bad)
+    contents, foreign, found = Contents(), Foreign(), defaultdict[str, list[Block]](list)
     with container.opened(bad) as file:
         try:
-            for name, block in gathering(container.complete(file), contents):
+            for name, block in gathering(foreign.noting(container.complete(file)), contents):
                 found[name].append(block.copied())
         except container.DAMAGE as error:
             raise RigError(f"{bad}: cannot be recovered ({error}); restore it from a copy") from error
@@ -72,7 +73,7 @@ def recover(bad: Path, good: Path) -> tuple[Loss, ...]:
     if set(signals) != set(truth_groups(rig)):
         check_channels(bad, rig, contents.groups, channel_groups(rig))
     history = with_history(contents.provenance, f"recovered from {bad.name}; " + "; ".join(map(str, losses)))
-    with writing(good, rig, contents.groups, history) as recording:
+    with writing(good, rig, contents.groups, history, foreign) as recording:
         recording.append_all({name: values[:, :kept] for name, values in signals.items()})
     return losses
 

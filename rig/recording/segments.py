@@ -10,7 +10,6 @@ from rig.recording import container
 from rig.recording.agreement import check_channels
 from rig.recording.assembly import assembled
 from rig.recording.file import (
-    RIG_NAME,
     Contents,
     Recording,
     Signals,
@@ -19,6 +18,7 @@ from rig.recording.file import (
     is_of_blocks,
     rig_of,
 )
+from rig.recording.foreign import RIG_NAME
 from rig.recording.messages import Block
 
 

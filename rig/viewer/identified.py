@@ -5,6 +5,7 @@ from pathlib import Path
 import msgspec
 
 from rig.errors import RigError
+from rig.files import contents
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Rig
 
@@ -32,11 +33,7 @@ def identified_laws(path: Path, rig: Rig) -> dict[str, DeadZone]:
     Raises RigError if the file cannot be read, is no contact.json, or names a contact that the rig does not have.
     """
     try:
-        report = msgspec.json.decode(path.read_bytes(), type=_Report)
-    except OSError as error:
-        raise RigError(
-            f"{path}: cannot be opened ({error.strerror}); give the contact.json of an identification"
-        ) from error
+        report = msgspec.json.decode(contents(path), type=_Report)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise RigError(f"{path}: is no contact.json ({error}); make one by `identify contact`") from error
     names = [c.name for c in rig.contacts]

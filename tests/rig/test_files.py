@@ -1,9 +1,13 @@
 """Files are whole or not there."""
 
+import time
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event
+
 import pytest
 
 from rig.errors import RigError
-from rig.files import atomic_write, write_json
+from rig.files import atomic_write, reserved, write_bytes, write_json
 
 
 def test_a_file_appears_when_it_is_whole(tmp_path):
@@ -22,15 +26,29 @@ def test_what_fails_leaves_the_old_file_and_nothing_beside(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_two_writers_do_not_mix(tmp_path, monkeypatch):
+def test_two_writers_wait_for_each_other(tmp_path):
+    path, began = tmp_path / "value", Event()
+
+    def write_slowly():
+        with atomic_write(path) as part:
+            part.write_text("the fir")
+            began.set()
+            time.sleep(0.2)
+            part.write_text("the first")
+
+    with ThreadPoolExecutor() as pool:
+        first = pool.submit(write_slowly)
+        began.wait()
+        write_bytes(b"the second", path)
+        assert first.done()
+    assert path.read_text() == "the second"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_place_that_another_writer_keeps_is_refused(tmp_path):
     path = tmp_path / "value"
-    with atomic_write(path) as first:
-        first.write_text("first")
-        monkeypatch.setattr("os.getpid", lambda: 1)
-        with atomic_write(path) as second:
-            second.write_text("second")
-            assert first != second
-    assert path.read_text() == "first"
+    with reserved(path), pytest.raises(RigError, match="is being written by another program"), reserved(path):
+        pass
 
 
 @pytest.mark.parametrize("there", ["missing/value", "a_file/value"])

@@ -23,8 +23,7 @@ from identify.gaps.residual.likelihood import Misfit, misfit, reference_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.nominal import fit_nuisance
-from rig.errors import RigError
-from rig.files import write_bytes
+from rig.files import check_target, contents, make_folder, write_bytes
 from rig.model.description import Rig, to_json
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording
@@ -53,10 +52,14 @@ class NullSimulation(msgspec.Struct, frozen=True):
 
 
 class NullReference(msgspec.Struct, frozen=True):
-    """The null simulations of one rig; `key` says of which rig, tolerances, simulator, force and program."""
+    """The null simulations of one rig; `key` says of which rig, tolerances, simulator, force and program.
+
+    `checksum` is of what is kept in a file.
+    """
 
     key: str
     simulations: tuple[NullSimulation, ...]
+    checksum: str = ""
 
     def p_value(self, left: Misfit) -> float:
         """How often tolerances and noise alone leave as much: Student's prediction from the null simulations' -2 ln p.
@@ -96,6 +99,8 @@ def null_reference_of(
         kept = kept / f"{key[:16]}.json"
     if kept and (found := _read(kept, key)):
         return found
+    if kept:
+        check_target(kept)
     seen = record_of(measured, tolerances=tolerances)
     density = float(np.sqrt(seen.force_noise / seen.samples))
     start = round(seen.excited_s * seen.sample_rate_hz)
@@ -109,8 +114,8 @@ def null_reference_of(
         progress((seed + 1) / simulations)
     reference = NullReference(key, tuple(rows))
     if kept:
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        write_bytes(msgspec.json.encode(reference), kept)
+        make_folder(kept.parent)
+        write_bytes(msgspec.json.encode(replace(reference, checksum=_checksum(reference))), kept)
     return reference
 
 
@@ -184,13 +189,18 @@ def null_key(measured: Recording, tolerances: Tolerances, simulator: str, simula
 
 
 def _read(path: Path, key: str) -> NullReference | None:
-    """What the file holds, if it is of this key; a file of anything else is made anew."""
+    """What the file holds, if it is of this key and as it was written; a file of anything else is made anew.
+
+    Raises RigError if it is no file or cannot be read.
+    """
     if not path.exists():
         return None
     try:
-        found = msgspec.json.decode(path.read_bytes(), type=NullReference)
-    except OSError as error:
-        raise RigError(f"{path}: cannot be read ({error.strerror}); name another file") from error
-    except msgspec.DecodeError:
+        found = msgspec.json.decode(contents(path), type=NullReference)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return None
-    return found if found.key == key else None
+    return found if (found.key, found.checksum) == (key, _checksum(found)) else None
+
+
+def _checksum(reference: NullReference) -> str:
+    return hashlib.sha256(msgspec.json.encode(replace(reference, checksum=""))).hexdigest()

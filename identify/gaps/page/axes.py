@@ -30,11 +30,3 @@ def lying_bars(figure: Any, names: Sequence[str], sizes: Sequence[float], said: 
     axes.invert_yaxis()
     axes.grid(axis="y", visible=False)
     return axes
-
-
-def plain_decades(axis: Any) -> None:
-    """Plain numbers along a logarithmic axis; between the powers of ten only where it spans few."""
-    low, high = sorted(axis.get_view_interval())
-    few = high < 20 * low
-    axis.set_major_formatter(lambda value, _: f"{value:g}")
-    axis.set_minor_formatter(lambda value, _: f"{value:g}" if few and f"{value:e}"[0] in "25" else "")

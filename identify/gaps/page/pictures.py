@@ -11,9 +11,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from identify.gaps.page import attribution_pictures, unknown_pictures
-from identify.gaps.page.axes import BLUE, GREEN, GREY, INK, RED, lying_bars, plain_decades, stacked
+from identify.gaps.page.axes import BLUE, GREEN, GREY, INK, RED, lying_bars, stacked
 from identify.gaps.results import AGAIN, Curve, Gap
 from identify.gaps.wording import cause_name, closes, closes_some, others, probability
+from identify.pages.decades import plain_decades
 from rig.model.description import Rig
 
 Draw = Callable[[Any], None]

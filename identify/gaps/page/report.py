@@ -16,7 +16,7 @@ from identify.gaps.page.sections import (
 from identify.gaps.results import Gap
 from identify.gaps.wording import VERDICTS
 from identify.pages import page
-from rig.files import write_bytes, write_json
+from rig.files import make_folder, write_bytes, write_json
 from rig.model.description import Rig, to_json
 
 CAPTIONS = {
@@ -36,7 +36,7 @@ def write_all(gap: Gap, corrected: Rig, title: str, folder: Path) -> None:
     """gap.html, the corrected rig's rig.json, and gap.json, each whole or not at all."""
     from identify.gaps.page.pictures import pictures
 
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     write_page(gap, pictures(gap, corrected), title, folder / "gap.html")
     write_bytes(to_json(corrected), folder / "rig.json")
     write_json(gap, folder / "gap.json")

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from identify.gaps.page.axes import BLUE, GREY, INK, RED, plain_decades
+from identify.gaps.page.axes import BLUE, GREY, INK, RED
 from identify.gaps.results import MeanForce, Unknown
 from identify.gaps.unknown.location import offset_m
+from identify.pages.decades import plain_decades
 from identify.pages.wording import COVERED
 from rig.model.description import Rig, Station
 

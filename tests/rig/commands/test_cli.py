@@ -146,7 +146,8 @@ def test_nothing_is_overwritten_unasked(rig, tmp_path):
     assert f"{picture}: exists already" in one_line(err)
     assert picture.read_text() == "precious"
     status, out, err = rig("view", path, "--out", path, "--force")
-    assert (status, out) == (2, "")
+    assert (status, out) == (1, "")
+    assert "would be written over" in one_line(err)
     assert read(path).duration_s == 2.0
     assert rig("view", path, "--force")[0] == 0
     assert picture.read_bytes() != b"precious"

@@ -344,7 +344,7 @@ def test_the_commands(folder, monkeypatch, capsys):
     check(read(folder / "back.mcap"))
     assert rig("export", path, "--format", "csv", "--out", out_csv)[0] == 1
     assert rig("export", path, "--format", "wav", "--out", out_csv)[0] == 2
-    assert rig("export", path, "--format", "csv", "--out", path, "--force")[0] == 2
+    assert rig("export", path, "--format", "csv", "--out", path, "--force")[0] == 1
     (folder / "lab.csv").unlink()
     status, out, err = rig(*words, "--force")
     assert (status, out) == (1, "")
