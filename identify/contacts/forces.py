@@ -10,7 +10,8 @@ from scipy.ndimage import uniform_filter1d
 from identify.signals.kinematics import CORNER_HZ, TAPER_S, Kinematics, taper
 from identify.signals.spectra import decimated
 from identify.structure.modal import transformation
-from identify.structure.nuisance import BodyMotion, Change, Nuisance, Observed, changes_of
+from identify.structure.initial_state import InitialStates, estimated, motions_of, spectra_of
+from identify.structure.nuisance import THE_RECORD, BodyMotion, Change, Kind, Nuisance, Observed, changes_of
 from identify.structure.response import Response, across, times
 from identify.structure.slow_motion import responses_of, slow_damping, slow_stiffness
 from rig.errors import RigError
@@ -23,6 +24,10 @@ LEFT_OUT_S = 2.5
 """At the end of a record, where the beams' ringing is cut off, the separated forces are wrong."""
 RING_S = 12.0
 LEAST = 1e-3
+SETTLED_S = 0.5
+"""At the start of a record that does not begin at rest, where fast modes ring of what was before."""
+LEFT_SHARE = 1e-4
+"""Of the contact forces; what an initial state adds less is left out."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +37,14 @@ class NuisanceSignals:
     parameters: tuple[Nuisance, ...]
     force_n: Float[np.ndarray, "nuisances contacts fewer"]
     eta_m: Float[np.ndarray, "nuisances contacts fewer"]
+
+    def beside(self, kind: Kind, force_n: Float[np.ndarray, "more contacts fewer"]) -> "NuisanceSignals":
+        """With further ones of the record itself, which move no displacement."""
+        return NuisanceSignals(
+            (*self.parameters, *(Nuisance(kind, THE_RECORD, i + 1) for i in range(len(force_n)))),
+            np.concatenate([self.force_n, force_n]),
+            np.concatenate([self.eta_m, np.zeros_like(force_n)]),
+        )
 
     def of_contact(self, contact: int) -> "NuisanceSignals":
         """Those of one alone."""
@@ -66,6 +79,7 @@ class _Lines:
     length: int
     factor: int
     rate_hz: float
+    tapered: bool = True
 
     @property
     def omega(self) -> Float[np.ndarray, " lines"]:
@@ -79,8 +93,9 @@ class _Lines:
 
     def spectra(self, signals: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows lines"]:
         """With the end tapered off and silence behind, so that what rings on after it does not wrap to the start."""
-        tapered = signals * taper(signals.shape[-1], round(TAPER_S * self.rate_hz))
-        return np.asarray(np.fft.rfft(tapered, self.length)[..., : self.omega.size])
+        if self.tapered:
+            signals = signals * taper(signals.shape[-1], round(TAPER_S * self.rate_hz))
+        return np.asarray(np.fft.rfft(signals, self.length)[..., : self.omega.size])
 
     def in_time(self, spectra: Complex[np.ndarray, "*rows lines"], samples: int) -> Float[np.ndarray, "*rows fewer"]:
         ends = np.concatenate([spectra[..., :1].real, spectra[..., 1:]], axis=-1)
@@ -92,12 +107,18 @@ class _Lines:
 
 
 def separated_forces(
-    rig: Rig, motion: Kinematics, factor: int, noise: Float[np.ndarray, " stations"], tolerances: Tolerances
+    rig: Rig,
+    motion: Kinematics,
+    factor: int,
+    noise: Float[np.ndarray, " stations"],
+    tolerances: Tolerances,
+    from_rest: bool = True,
 ) -> ContactForces:
     """The contact forces of all bodies from all their stations.
 
     noise is the standard deviation per sample of each station's acceleration (m/s^2). Where sensors show the zero of
-    displacements, those of bodies that do not float stand in for their slow accelerations.
+    displacements, those of bodies that do not float stand in for their slow accelerations. Of a record that does not
+    begin from rest the free motion of every mode is estimated along, and what stays uncertain of it is a nuisance.
 
     Raises RigError if the stations or the modes cannot tell the contacts apart.
     """
@@ -110,8 +131,9 @@ def separated_forces(
     scale = np.where(in_metres, -1 / lines.omega**2, 1.0).astype(complex)
     force = lines.spectra(motion.force_n)
     displaced = lines.spectra(motion.displacement_m)
-    accelerated = np.where(in_metres, displaced / scale, lines.spectra(motion.acceleration_m_per_s2))
-    measured = scale * accelerated
+    accelerations = lines.spectra(motion.acceleration_m_per_s2) if from_rest else _as_sensed(motion, lines)
+    measured = np.where(in_metres, displaced, accelerations)
+    accelerated = measured / scale
     drives = _accelerances(rig, motion, responses)
     observed = Observed(
         sensors=motion.sensors,
@@ -126,7 +148,12 @@ def separated_forces(
     )
     changes = tuple(changes_of(observed))
     noises = (samples * noise**2)[:, None] * np.abs(scale) ** 2
-    to_force = _least_squares(-drives[1:] * scale, _covariance(noises, measured, changes, lines))
+    covariance = _covariance(noises, measured, changes, lines)
+    to_force = _least_squares(-drives[1:] * scale, covariance)
+    rest, begun = measured - scale * observed.by_force, None
+    if not from_rest:
+        begun = _initial_states(responses, motion, in_metres, lines, scale * drives, covariance)
+        rest = rest - begun.delivered
     left_out_s = LEFT_OUT_S if any(b.length_m for b in rig.bodies) else TAPER_S
     kept = (samples - round(left_out_s * rate)) // factor
     signs = np.array([[float(s == c.at) - float(s == c.against) for s in motion.stations] for c in rig.contacts])
@@ -136,17 +163,82 @@ def separated_forces(
         forces[i] = lines.in_time(_weighed(to_force[:, change.sensors], change.delivered), kept)
         if change.displaced is not None and np.any(signs[:, change.sensors]):
             eta[i] = lines.in_time(times(signs[:, change.sensors], change.displaced), kept)
-    found = lines.in_time(_weighed(to_force, measured - scale * observed.by_force), kept)
+    found = lines.in_time(_weighed(to_force, rest), kept)
     if rig.bodies[0].is_mass and len(rig.bodies) == len(rig.contacts) == 1:
         found = _on_mass(modes_of(rig, rig.bodies[0]), motion, factor)[:, :kept]
+        begun = None
     slow_n_per_m = slow_stiffness(rig, responses)
+    nuisances = NuisanceSignals(tuple(c.parameter for c in changes), forces, eta)
+    if begun:
+        by_values = np.array([lines.in_time(_weighed(to_force, one), kept) for one in begun.spectra])
+        by_values = by_values.reshape(-1, len(rig.contacts), kept)
+        by_values = np.tensordot(begun.root.T, by_values, 1)
+        begin = min(round(settled_s(rig, slow_n_per_m) * rate / factor), kept - 1)
+        felt = np.sqrt(np.mean(by_values[..., begin:] ** 2, axis=(1, 2))) > LEFT_SHARE * found.std()
+        nuisances = nuisances.beside("initial state", by_values[felt])
     return ContactForces(
         force_n=found,
         factor=factor,
-        nuisances=NuisanceSignals(tuple(c.parameter for c in changes), forces, eta),
+        nuisances=nuisances,
         slow_n_per_m=slow_n_per_m,
         slow_n_s_per_m=slow_damping(rig, responses, slow_n_per_m),
     )
+
+
+def settled_s(rig: Rig, slow_n_per_m: Float[np.ndarray, "contacts contacts"]) -> float:
+    """What to leave out of forces at the start of a record that does not begin at rest, s.
+
+    Where springs of an elastic body act on high-passed displacements, until these have forgotten the start.
+    """
+    forgets = np.any(slow_n_per_m) and any(b.length_m for b in rig.bodies)
+    return 2 / CORNER_HZ if forgets else SETTLED_S
+
+
+def _as_sensed(motion: Kinematics, lines: _Lines) -> Complex[np.ndarray, "stations lines"]:
+    """The accelerations' spectra, by powers of i omega of those of what each station's sensor measures.
+
+    So a displacement that does not begin at zero has the spectrum of a step, which has no course in time.
+    """
+    rows = (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
+    orders = [s.measures.order for s in motion.sensors]
+    sensed = lines.spectra(np.array([rows[order][i] for i, order in enumerate(orders)]))
+    return np.asarray(sensed * (1j * lines.omega) ** (2 - np.array(orders))[:, None])
+
+
+def _initial_states(
+    responses: tuple[Response, ...],
+    motion: Kinematics,
+    in_metres: Bool[np.ndarray, "stations lines"],
+    lines: _Lines,
+    delivered: Complex[np.ndarray, "inputs stations lines"],
+    covariance: Complex[np.ndarray, "lines stations stations"],
+) -> InitialStates:
+    """The free motion of the modes at the record's start, from the record as it is, cut off at both ends.
+
+    Behind its end, where nothing was measured, the modes lack the free motion from their state there: likewise unknown.
+    """
+    sharp = replace(lines, tapered=False)
+    samples, behind = motion.force_n.size, lines.length - motion.force_n.size
+    motions, *priors = motions_of(responses, motion, float(lines.omega[-1]) / (2 * np.pi), lines.length)
+    orders = [s.measures.order for s in motion.sensors]
+    of_start, of_end = (
+        spectra_of(motions, orders, in_metres, lines.omega, lambda rows, some=some: sharp.spectra(rows[:, :some]))
+        for some in (samples, behind)
+    )
+    late = np.exp(-1j * lines.omega * samples / lines.rate_hz)
+    measured = np.where(in_metres, sharp.spectra(motion.displacement_m), _as_sensed(motion, sharp))
+    held = np.array([m.held for m in motions])
+    found = estimated(
+        np.concatenate([of_start, late * of_end]),
+        *np.concatenate(priors, axis=1),
+        measured - delivered[0] * sharp.spectra(motion.force_n),
+        -delivered[1:],
+        covariance,
+        alike=max(1, round(SMOOTHED_HZ * lines.length / lines.rate_hz)),
+        begin=0 if motion.zero_known else int(np.count_nonzero(lines.omega < 2 * 2 * np.pi * CORNER_HZ)),
+    )
+    tapered = spectra_of(motions, orders, in_metres, lines.omega, lambda rows: lines.spectra(rows[:, :samples]))
+    return found.of(tapered, np.flatnonzero(held))
 
 
 def _on_mass(mass: Modes, motion: Kinematics, factor: int) -> Float[np.ndarray, "contacts fewer"]:

@@ -103,6 +103,8 @@ class ContactReport(msgspec.Struct, frozen=True, kw_only=True):
     transformation: tuple[TransformationResult, ...]
     trusted_hz: tuple[float, float]
     channels_used: tuple[str, ...]
+    noise_from: str = ""
+    """What the accelerations' noise is taken from."""
 
 
 class Segment(msgspec.Struct, frozen=True):

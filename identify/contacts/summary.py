@@ -8,6 +8,7 @@ from identify.contacts.joint import Joint
 from identify.paper.nifo import Nifo, fitted_mode
 from identify.paper.surface import Stops, Surface
 from identify.signals.kinematics import Kinematics
+from identify.signals.noise import noise_source
 from identify.structure.modal import NEARLY_INVISIBLE, Transformation
 from rig.model.description import Rig
 
@@ -39,6 +40,7 @@ def contact_report(
         transformation=tuple(_transformation_result(t) for t in transformations),
         trusted_hz=motion.trusted_hz,
         channels_used=("force", *motion.channels),
+        noise_from=noise_source(motion, rig),
     )
 
 

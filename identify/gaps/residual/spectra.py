@@ -15,11 +15,11 @@ from identify.signals.kinematics import (
     CORNER_HZ,
     QUIET_S,
     Kinematics,
-    acceleration_noise,
     integrated,
     kinematics,
     taper,
 )
+from identify.signals.noise import acceleration_noise
 from identify.signals.scores import COUNTED_HZ
 from identify.signals.spectra import force_band
 from rig.errors import RigError
