@@ -58,6 +58,7 @@ def assumed(found: Identification) -> Iterator[str]:
         f"{motion.sample_rate_hz / 2 / found.separated.factor:.4g} Hz"
         + (", and the slow motion below is solved for within the noise of the accelerometers." if low else ".")
     )
+    yield f"The accelerations' noise is taken from {report.noise_from}."
     if not all(isinstance(a, Joint) and a.sides_known for a in found.estimates):
         yield "The zero of the relative displacement is not known: the two stops stand equally far from it."
 
@@ -81,7 +82,10 @@ def surer(found: Identification) -> Iterator[str]:
             "sides of a contact, would tell its two sides apart."
         )
     if found.motion.excited_from < QUIET_S * found.motion.sample_rate_hz:
-        yield "Let the record begin with a second or more without force: the sensors' noise is taken from it."
+        yield (
+            f"The sensors' noise is taken from {found.report.noise_from}: let the record begin with a second or more "
+            "without force to measure it."
+        )
     yield "These intervals believe in the linear bodies of rig.json: identify gap asks whether they are right."
 
 

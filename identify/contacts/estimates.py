@@ -6,12 +6,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from identify.contacts.beginning import settled_s
 from identify.contacts.forces import RING_S, ContactForces, separated_forces
 from identify.contacts.joint import Joint, fit_joint
 from identify.contacts.quality import widened
 from identify.contacts.start import STIFFNESS, ContactRecord
 from identify.signals.drift import KNOT_S, Drift
-from identify.signals.kinematics import Kinematics, Use, acceleration_noise, kinematics
+from identify.signals.kinematics import Kinematics, Use, kinematics
+from identify.signals.noise import acceleration_noise
 from identify.signals.spectra import decimated, force_band, oversampled
 from identify.structure.modal import relative_displacements, relative_velocities
 from rig.errors import RigError
@@ -26,6 +28,8 @@ LOOSE = 0.1
 QUIETEST = 1e-5
 """No accelerometer is believed to be quieter, m/s^2/sqrt(Hz): then other errors than noise make the drift."""
 
+LEAST_S = 1.0
+"""A record of which less can be used is refused."""
 ROUNDS = 3
 """Of the fits of contacts whose slow motions are coupled: a coupling is a small share of the forces."""
 
@@ -61,9 +65,14 @@ def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Con
     high_hz = force_band(motion.force_n, motion.sample_rate_hz)[1]
     factor = max(1, int(motion.sample_rate_hz / 2 / min(SEPARATED_TO * high_hz, motion.trusted_hz[1])))
     noise = acceleration_noise(motion, rig)
-    separated = separated_forces(rig, motion, factor, noise, tolerances)
-    if recording.start_s > 0:
-        fewer = round(RING_S * motion.sample_rate_hz / factor)
+    from_rest = recording.start_s > 0 or motion.excited_from > 0
+    separated = separated_forces(rig, motion, factor, noise, tolerances, from_rest)
+    if recording.start_s > 0 or not from_rest:
+        without_s = RING_S if from_rest else settled_s(rig, separated.slow_n_per_m)
+        fewer = round(without_s * motion.sample_rate_hz / factor)
+        left = separated.force_n.shape[1] - fewer
+        if left * factor < LEAST_S * motion.sample_rate_hz:
+            raise RigError(_too_short(recording, without_s, fewer + left, factor, motion))
         motion, separated = motion.part(slice(fewer * factor, None)), separated.after(fewer)
     observed = _observed(rig, motion, noise, separated, tolerances)
     parameters = separated.nuisances.parameters
@@ -71,6 +80,15 @@ def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Con
         widened(e, parameters) if isinstance(e, Joint) else e for e in _estimates(observed, separated.slow_n_per_m)
     )
     return Contacts(rig, motion, separated, tuple(observed), estimates)
+
+
+def _too_short(recording: Recording, without_s: float, until: int, factor: int, motion: Kinematics) -> str:
+    at_end_s = recording.duration_s - until * factor / recording.rig.sample_rate_hz
+    return (
+        f"the record lasts {recording.duration_s:.3g} s and does not begin at rest: {without_s:.3g} s at its start and "
+        f"{at_end_s:.3g} s at its end cannot be used; record longer, or begin with a quarter second at rest without "
+        "force" + ("" if motion.zero_known else ", or measure displacements")
+    )
 
 
 def _check_known(rig: Rig) -> None:

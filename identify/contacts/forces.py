@@ -3,52 +3,28 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Complex, Float
+from jaxtyping import Complex, Float
 from scipy.fft import next_fast_len
-from scipy.ndimage import uniform_filter1d
 
-from identify.signals.drift import KNOT_S
-from identify.signals.kinematics import CORNER_HZ, TAPER_S, Kinematics, taper
+from identify.contacts.beginning import as_sensed, initial_states, settled_s
+from identify.contacts.lines import Lines
+from identify.contacts.nuisance_signals import NuisanceSignals, drawn_noise, nuisance_signals, weighed
+from identify.signals.kinematics import TAPER_S, Kinematics
 from identify.signals.spectra import decimated
 from identify.structure.modal import transformation
-from identify.structure.nuisance import BodyMotion, Change, Nuisance, Observed, changes_of
-from identify.structure.response import Response, across, times
+from identify.structure.nuisance import BodyMotion, Change, Observed, changes_of
+from identify.structure.response import Response, across
 from identify.structure.slow_motion import responses_of, slow_damping, slow_stiffness
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.modes import Modes, modes_of
 from rig.model.tolerances import Tolerances
 
-SMOOTHED_HZ = 1.0
 LEFT_OUT_S = 2.5
 """At the end of a record, where the beams' ringing is cut off, the separated forces are wrong."""
 RING_S = 12.0
-LEAST = 1e-3
-
-
-@dataclass(frozen=True)
-class NuisanceSignals:
-    """What one standard deviation of each nuisance parameter adds to the forces and to the relative displacements.
-
-    They hold the sensors' noise, too: a share of that of the forces, and of the relative displacements (noise_in_n and
-    noise_in_m).
-    """
-
-    parameters: tuple[Nuisance, ...]
-    force_n: Float[np.ndarray, "nuisances contacts fewer"]
-    eta_m: Float[np.ndarray, "nuisances contacts fewer"]
-    noise_in_n: Float[np.ndarray, "nuisances contacts"]
-    noise_in_m: Float[np.ndarray, "nuisances contacts"]
-
-    def of_contact(self, contact: int) -> "NuisanceSignals":
-        """Those of one alone."""
-        return replace(
-            self,
-            force_n=self.force_n[:, [contact]],
-            eta_m=self.eta_m[:, [contact]],
-            noise_in_n=self.noise_in_n[:, [contact]],
-            noise_in_m=self.noise_in_m[:, [contact]],
-        )
+LEFT_SHARE = 1e-4
+"""Of the contact forces; what an initial state adds less is left out."""
 
 
 @dataclass(frozen=True)
@@ -67,64 +43,37 @@ class ContactForces:
 
     def after(self, fewer: int) -> "ContactForces":
         """Without the first samples, so many of the forces."""
-        own = self.nuisances
-        later = replace(own, force_n=own.force_n[..., fewer:], eta_m=own.eta_m[..., fewer:])
-        return replace(self, force_n=self.force_n[:, fewer:], nuisances=later)
-
-
-@dataclass(frozen=True)
-class _Lines:
-    """The lines of a record that ends in silence, up to the band of forces at every `factor`-th sample."""
-
-    length: int
-    factor: int
-    rate_hz: float
-
-    @property
-    def omega(self) -> Float[np.ndarray, " lines"]:
-        """The lowest is a small share of a line above zero, where a displacement is an acceleration over -omega^2."""
-        lines = np.maximum(np.arange(self.length // self.factor // 2 + 1), LEAST)
-        return np.asarray(2 * np.pi * lines * self.rate_hz / self.length)
-
-    @property
-    def slow(self) -> Bool[np.ndarray, " lines"]:
-        return self.omega < 2 * np.pi * CORNER_HZ
-
-    def spectra(self, signals: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows lines"]:
-        """With the end tapered off and silence behind, so that what rings on after it does not wrap to the start."""
-        tapered = signals * taper(signals.shape[-1], round(TAPER_S * self.rate_hz))
-        return np.asarray(np.fft.rfft(tapered, self.length)[..., : self.omega.size])
-
-    def in_time(self, spectra: Complex[np.ndarray, "*rows lines"], samples: int) -> Float[np.ndarray, "*rows fewer"]:
-        ends = np.concatenate([spectra[..., :1].real, spectra[..., 1:]], axis=-1)
-        return np.asarray(np.fft.irfft(ends, self.length // self.factor)[..., :samples] / self.factor)
-
-    def smoothed(self, products: Complex[np.ndarray, "*rows lines"]) -> Complex[np.ndarray, "*rows lines"]:
-        width = max(1, round(SMOOTHED_HZ * self.length / self.rate_hz))
-        return np.asarray(uniform_filter1d(products, width, axis=-1))
+        return replace(self, force_n=self.force_n[:, fewer:], nuisances=self.nuisances.after(fewer))
 
 
 def separated_forces(
-    rig: Rig, motion: Kinematics, factor: int, noise: Float[np.ndarray, " stations"], tolerances: Tolerances
+    rig: Rig,
+    motion: Kinematics,
+    factor: int,
+    noise: Float[np.ndarray, " stations"],
+    tolerances: Tolerances,
+    from_rest: bool = True,
 ) -> ContactForces:
     """The contact forces of all bodies from all their stations.
 
     noise is the standard deviation per sample of each station's acceleration (m/s^2). Where sensors show the zero of
-    displacements, those of bodies that do not float stand in for their slow accelerations.
+    displacements, those of bodies that do not float stand in for their slow accelerations. Of a record that does not
+    begin from rest the free motion of every mode is estimated along, and what stays uncertain of it is a nuisance.
 
     Raises RigError if the stations or the modes cannot tell the contacts apart.
     """
     samples, rate = motion.force_n.size, motion.sample_rate_hz
     length = factor * next_fast_len(-(-(samples + round(RING_S * rate)) // factor), real=True)
-    lines = _Lines(length, factor, rate)
+    lines = Lines(length, factor, rate)
     responses = responses_of(rig, lines.omega, motion.zero_known)
     floats = {r.body.name: bool(np.any(r.dynamics.natural_hz == 0)) for r in responses}
     in_metres = np.array([[motion.zero_known and not floats[s.body]] for s in motion.stations]) & lines.slow
     scale = np.where(in_metres, -1 / lines.omega**2, 1.0).astype(complex)
     force = lines.spectra(motion.force_n)
     displaced = lines.spectra(motion.displacement_m)
-    accelerated = np.where(in_metres, displaced / scale, lines.spectra(motion.acceleration_m_per_s2))
-    measured = scale * accelerated
+    accelerations = lines.spectra(motion.acceleration_m_per_s2) if from_rest else as_sensed(motion, lines)
+    measured = np.where(in_metres, displaced, accelerations)
+    accelerated = measured / scale
     drives = _accelerances(rig, motion, responses)
     observed = Observed(
         sensors=motion.sensors,
@@ -139,42 +88,43 @@ def separated_forces(
     )
     changes = tuple(changes_of(observed))
     noises = (samples * noise**2)[:, None] * np.abs(scale) ** 2
-    phase = np.random.default_rng(0).uniform(0, 2 * np.pi, measured.shape)
-    least = 1e-12 * np.mean(np.abs(measured) ** 2)
-    drawn = np.sqrt(np.maximum(noises, least)) * np.exp(1j * phase) * (lines.omega > 2 * np.pi * 0.5 / KNOT_S)
+    noise_drawn = drawn_noise(noises, 1e-12 * float(np.mean(np.abs(measured) ** 2)), lines)
+    noise_m = -noise_drawn / scale / lines.omega**2
     by_noise = changes_of(
         replace(
             observed,
-            explained=drawn,
+            explained=noise_drawn,
             by_force=np.zeros_like(observed.by_force),
-            displaced=-drawn / scale / lines.omega**2,
-            bodies=tuple(_body_motion(rig, r, motion, drawn / scale) for r in responses),
+            displaced=noise_m,
+            bodies=tuple(_body_motion(rig, r, motion, noise_drawn / scale) for r in responses),
         )
     )
-    to_force = _least_squares(-drives[1:] * scale, _covariance(noises, measured, changes, lines))
+    covariance = _covariance(noises, measured, changes, lines)
+    to_force = _least_squares(-drives[1:] * scale, covariance)
+    rest, begun = measured - scale * observed.by_force, None
+    if not from_rest:
+        begun = initial_states(responses, motion, in_metres, lines, scale * drives, covariance)
+        rest = rest - begun.delivered
     left_out_s = LEFT_OUT_S if any(b.length_m for b in rig.bodies) else TAPER_S
     kept = (samples - round(left_out_s * rate)) // factor
     signs = np.array([[float(s == c.at) - float(s == c.against) for s in motion.stations] for c in rig.contacts])
-    count = (len(changes), len(rig.contacts), kept)
-    forces, eta = np.empty(count), np.zeros(count)
-    for i, change in enumerate(changes):
-        forces[i] = lines.in_time(_weighed(to_force[:, change.sensors], change.delivered), kept)
-        if change.displaced is not None and np.any(signs[:, change.sensors]):
-            eta[i] = lines.in_time(times(signs[:, change.sensors], change.displaced), kept)
-    noise_n, noise_m = _weighed(to_force, drawn), times(signs, -drawn / scale / lines.omega**2)
-    noise_in_n, noise_in_m = np.zeros(count[:2]), np.zeros(count[:2])
-    for i, change in enumerate(by_noise):
-        noise_in_n[i] = _share(noise_n, _weighed(to_force[:, change.sensors], change.delivered))
-        if change.displaced is not None:
-            noise_in_m[i] = _share(noise_m, times(signs[:, change.sensors], change.displaced))
-    found = lines.in_time(_weighed(to_force, measured - scale * observed.by_force), kept)
+    nuisances = nuisance_signals(changes, by_noise, noise_drawn, noise_m, to_force, signs, lines, kept)
+    found = lines.in_time(weighed(to_force, rest), kept)
     if rig.bodies[0].is_mass and len(rig.bodies) == len(rig.contacts) == 1:
         found = _on_mass(modes_of(rig, rig.bodies[0]), motion, factor)[:, :kept]
+        begun = None
     slow_n_per_m = slow_stiffness(rig, responses)
+    if begun:
+        by_values = np.array([lines.in_time(weighed(to_force, one), kept) for one in begun.spectra])
+        by_values = by_values.reshape(-1, len(rig.contacts), kept)
+        by_values = np.tensordot(begun.root.T, by_values, 1)
+        begin = min(round(settled_s(rig, slow_n_per_m) * rate / factor), kept - 1)
+        felt = np.sqrt(np.mean(by_values[..., begin:] ** 2, axis=(1, 2))) > LEFT_SHARE * found.std()
+        nuisances = nuisances.beside("initial state", by_values[felt])
     return ContactForces(
         force_n=found,
         factor=factor,
-        nuisances=NuisanceSignals(tuple(c.parameter for c in changes), forces, eta, noise_in_n, noise_in_m),
+        nuisances=nuisances,
         slow_n_per_m=slow_n_per_m,
         slow_n_s_per_m=slow_damping(rig, responses, slow_n_per_m),
     )
@@ -192,7 +142,7 @@ def _covariance(
     noise: Float[np.ndarray, "stations lines"],
     measured: Complex[np.ndarray, "stations lines"],
     changes: tuple[Change, ...],
-    lines: _Lines,
+    lines: Lines,
 ) -> Complex[np.ndarray, "lines stations stations"]:
     """Of the stations' errors: the sensors' noise, and what every tolerance does at the response that was measured."""
     stations = len(measured)
@@ -225,21 +175,6 @@ def _least_squares(
     if not np.isfinite(condition) or condition > 1e12:
         raise RigError("the stations cannot tell the contact forces apart; measure more stations on both bodies")
     return np.ascontiguousarray(np.transpose(np.linalg.inv(normal) @ weighted.conj().transpose(0, 2, 1), (1, 2, 0)))
-
-
-def _share(
-    noise: Complex[np.ndarray, "contacts lines"], of_nuisance: Complex[np.ndarray, "contacts lines"]
-) -> Float[np.ndarray, " contacts"]:
-    """The multiple of the one that is nearest to the other."""
-    size = np.sum(np.abs(noise) ** 2, axis=1)
-    product = np.sum((noise.conj() * of_nuisance).real, axis=1)
-    return np.divide(product, size, out=np.zeros_like(size), where=size > 0)
-
-
-def _weighed(
-    to_force: Complex[np.ndarray, "contacts some lines"], spectra: Complex[np.ndarray, "some lines"]
-) -> Complex[np.ndarray, "contacts lines"]:
-    return np.asarray(np.einsum("jsf,sf->jf", to_force, spectra))
 
 
 def _accelerances(

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from identify.checks import check_recording, naming
+from identify.checks import naming
 from identify.contacts.estimates import ContactFit, find_contacts
 from identify.contacts.forces import ContactForces
 from identify.contacts.joint import Joint, law_force_n
-from identify.contacts.quality import fit_findings
+from identify.contacts.quality import findings_before, fit_findings
 from identify.contacts.results import ContactReport
 from identify.contacts.start import ContactRecord
 from identify.contacts.summary import contact_report
@@ -80,7 +80,7 @@ def identify_contact(
     names = [f"{recording.rig.force_at.body} {i}" for i in range(1, EQUATIONS + 1)]
     if equation not in (None, *names):
         raise RigError(f"no modal equation {equation!r} with a measured force; there are {', '.join(names)}")
-    findings = check_recording(recording, use, tolerances)
+    findings = findings_before(recording, use, tolerances)
     progress(0.1)
     with naming(findings):
         found = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY)

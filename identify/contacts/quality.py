@@ -5,9 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from identify.checks import check_recording
 from identify.checks.findings import Cause, Finding
 from identify.contacts.joint import Joint
+from identify.signals.kinematics import Use
 from identify.structure.nuisance import Kind, Nuisance
+from rig.model.tolerances import Tolerances
+from rig.recording import Recording
 
 BROKEN = 4.5
 """A nuisance parameter that is pulled by more tolerances than this is off."""
@@ -28,6 +32,11 @@ CAUSES: dict[Kind, Cause] = {
     "frequency": "frequency",
     "damping": "damping",
 }
+
+
+def findings_before(recording: Recording, use: Use, tolerances: Tolerances | None) -> tuple[Finding, ...]:
+    """Those of `check_recording`, but for a record that does not begin at rest: the fit takes it as it is."""
+    return tuple(f for f in check_recording(recording, use, tolerances) if f.cause != "not at rest")
 
 
 def widened(found: Joint, parameters: Sequence[Nuisance]) -> Joint:
@@ -54,6 +63,8 @@ def fit_findings(
     """What of the fits cannot be: parameters beyond their tolerances, and each contact's faults of its own."""
     joints = [(name, fit) for name, fit in zip(names, fits, strict=True) if isinstance(fit, Joint)]
     for k, parameter in enumerate(parameters):
+        if parameter.kind not in CAUSES:
+            continue
         pull = max((fit.pulls[k] for _, fit in joints), key=abs, default=0.0)
         if abs(pull) > BROKEN:
             of = parameter.of + ("" if parameter.mode is None else f" {parameter.mode}")

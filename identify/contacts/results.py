@@ -106,6 +106,8 @@ class ContactReport(msgspec.Struct, frozen=True, kw_only=True):
     trusted_hz: tuple[float, float]
     channels_used: tuple[str, ...]
     findings: tuple[Finding, ...] = ()
+    noise_from: str = ""
+    """What the accelerations' noise is taken from."""
 
 
 class Segment(msgspec.Struct, frozen=True):

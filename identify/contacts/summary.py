@@ -9,6 +9,7 @@ from identify.contacts.joint import Joint
 from identify.paper.nifo import Nifo, fitted_mode
 from identify.paper.surface import Stops, Surface
 from identify.signals.kinematics import Kinematics
+from identify.signals.noise import noise_source
 from identify.structure.modal import NEARLY_INVISIBLE, Transformation
 from rig.model.description import Rig
 
@@ -42,6 +43,7 @@ def contact_report(
         trusted_hz=motion.trusted_hz,
         channels_used=("force", *motion.channels),
         findings=findings,
+        noise_from=noise_source(motion, rig),
     )
 
 

@@ -7,10 +7,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import resample
 
-from identify.checks import check_recording, naming
+from identify.checks import naming
 from identify.contacts.estimates import Contacts, find_contacts
 from identify.contacts.joint import Joint
-from identify.contacts.quality import fit_findings
+from identify.contacts.quality import findings_before, fit_findings
 from identify.contacts.results import Estimate, Unanswered
 from identify.contacts.start import ContactRecord
 from identify.laws.piecewise import FINEST, PiecewiseLinear, Sampled, polynomial, sampled, slope_jumps, straight_pieces
@@ -92,7 +92,7 @@ def identify_law(
     if contact is not None and contact not in names:
         raise RigError(f"no contact {contact!r} in the recording; there are {', '.join(names)}")
     pyoperon()  # whose lack had better be known before the work
-    findings = check_recording(recording, use, tolerances)
+    findings = findings_before(recording, use, tolerances)
     with naming(findings):
         contacts = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY)
     findings += tuple(fit_findings(names, contacts.estimates, contacts.separated.nuisances.parameters))

@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.fft import irfft, next_fast_len, rfft
 
+from identify.signals.beginning import QUIET_S, at_rest_until, led_in
 from rig.errors import RigError
-from rig.model.description import Rig, Sensor, Station
+from rig.model.description import Sensor, Station
 from rig.model.quantities import QUANTITIES
 from rig.model.sensing import PASSBAND
 from rig.recording import Recording
@@ -17,8 +18,6 @@ from rig.recording import Recording
 TAPER_S = 0.5
 CORNER_HZ = 0.5
 """Below this an integrated acceleration is drift; it is cut off smoothly between half of it and itself."""
-QUIET_S = 0.25
-BEGUN, NORMAL_BY_MEDIAN = 6.0, 1.4826
 
 if TYPE_CHECKING:
     Use = str
@@ -34,6 +33,7 @@ class Kinematics:
     sensors tells which sensor gave the acceleration of each station, and displaced_by which gave its displacement.
     trusted_hz is the band in which every row is right. zero_known says whether a constant displacement is seen.
     lost is the slow part of the acceleration that an integrated displacement lacks; zero where none was integrated.
+    excited_from is the first sample at which the force has begun; 0 of a record without a quiet start.
     """
 
     stations: tuple[Station, ...]
@@ -48,21 +48,7 @@ class Kinematics:
     velocity_m_per_s: Float[np.ndarray, "stations samples"]
     acceleration_m_per_s2: Float[np.ndarray, "stations samples"]
     lost_m_per_s2: Float[np.ndarray, "stations samples"]
-
-    @property
-    def excited_from(self) -> int:
-        """The first sample at which the force has begun; 0 of a record without a quiet start.
-
-        The force has begun where it exceeds six standard deviations of its channel's first quarter second (1.4826 times
-        the median size, which a few samples of force do not move), and a thousandth of its peak. The start is quiet if
-        six such standard deviations are less than the force's root mean square.
-        """
-        size = np.abs(self.force_n)
-        first = size[: max(1, round(QUIET_S * self.sample_rate_hz))]
-        noise_n = BEGUN * NORMAL_BY_MEDIAN * float(np.median(first))
-        if noise_n >= np.sqrt(np.mean(size**2)):
-            return 0
-        return int(np.argmax(size > max(noise_n, 1e-3 * float(size.max()))))
+    excited_from: int
 
     @property
     def quiet_samples(self) -> int:
@@ -82,6 +68,7 @@ class Kinematics:
             velocity_m_per_s=self.velocity_m_per_s[:, now],
             acceleration_m_per_s2=self.acceleration_m_per_s2[:, now],
             lost_m_per_s2=self.lost_m_per_s2[:, now],
+            excited_from=max(0, self.excited_from - (now.start or 0)),
         )
 
 
@@ -92,7 +79,7 @@ def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNE
     what was not measured is had by multiplication with powers of i omega. Integration is cut off smoothly below the
     corner. Each motion comes from the sensor that measured it, else from the nearest one that needs no integration.
     `use` takes the sensors of one quantity only. A segment of a longer record is tapered off at its start too, and is
-    wrong there.
+    wrong there. Where a record does not begin at rest, its point reflection leads it in before it is differentiated.
 
     Raises RigError if no such sensor is there, or the record is too short for its ends to be left out.
     """
@@ -117,23 +104,27 @@ def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNE
     # silence behind the record, as the Fourier transform wraps its end, which integration falsifies, round to its start
     length = next_fast_len(recording.samples + round(2 * left_out * rate), real=True)
     omega = 2 * np.pi * np.fft.rfftfreq(length, 1 / rate)
-    spectra: dict[str, Complex[np.ndarray, " lines"]] = {}
+    spectra: dict[tuple[str, int], Complex[np.ndarray, " lines"]] = {}
     rows: dict[int, list[Float[np.ndarray, " samples"]]] = {0: [], 1: [], 2: []}
     lost: list[Float[np.ndarray, " samples"]] = []
+    excited_from = at_rest_until(recording.force_n, (_channel(recording, s) for s in sensors), rate)
+    lead = 0 if excited_from or recording.start_s > 0 else round(TAPER_S * rate)
     below = 1 - _high_pass(omega, corner_hz)
     powers = cache(lambda power: integrated(omega, power, corner_hz))
     for station in stations:
         for order, motion in rows.items():
             sensor = _nearest(chosen[station], order)
-            if sensor.name not in spectra:
-                spectra[sensor.name] = _undone(sensor, _channel(recording, sensor) * ending, omega, length)
-            moved = spectra[sensor.name] * powers(order - sensor.measures.order)
+            own = lead if order > sensor.measures.order else 0  # of an integral nothing may come before the record
+            if (sensor.name, own) not in spectra:
+                delivered = _channel(recording, sensor) * ending
+                spectra[sensor.name, own] = _undone(sensor, delivered, omega, length, own)
+            moved = spectra[sensor.name, own] * powers(order - sensor.measures.order)
             motion.append(irfft(moved, length)[:usable])
         nothing = 0 in chosen[station]  # else the last sensor gave the acceleration
         lost.append(np.zeros(usable) if nothing else irfft(moved * below, length)[:usable])
     return Kinematics(
         stations=stations,
-        channels=tuple(spectra),
+        channels=tuple(dict.fromkeys(name for name, _ in spectra)),
         sensors=tuple(_nearest(chosen[s], 2) for s in stations),
         displaced_by=tuple(_nearest(chosen[s], 0) for s in stations),
         sample_rate_hz=rate,
@@ -144,18 +135,8 @@ def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNE
         velocity_m_per_s=np.stack(rows[1]),
         acceleration_m_per_s2=np.stack(rows[2]),
         lost_m_per_s2=np.stack(lost),
+        excited_from=excited_from,
     )
-
-
-def acceleration_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stations"]:
-    """Standard deviation per sample of each station's acceleration noise, m/s^2.
-
-    From the quiet seconds before the force begins; from the description where there are none.
-    """
-    if motion.quiet_samples:
-        return motion.acceleration_m_per_s2[:, : motion.quiet_samples].std(axis=1)
-    densities = {s.station: s.noise_density for s in rig.sensors if s.measures.order == 2}
-    return np.array([densities.get(s, 0.0) for s in motion.stations]) * np.sqrt(motion.sample_rate_hz / 2)
 
 
 def _nearest(have: dict[int, Sensor], order: int) -> Sensor:
@@ -174,10 +155,17 @@ def _channel(recording: Recording, sensor: Sensor) -> Float[np.ndarray, " sample
 
 
 def _undone(
-    sensor: Sensor, delivered: Float[np.ndarray, " samples"], omega: Float[np.ndarray, " lines"], length: int
+    sensor: Sensor, delivered: Float[np.ndarray, " samples"], omega: Float[np.ndarray, " lines"], length: int, lead: int
 ) -> Complex[np.ndarray, " lines"]:
-    """The spectrum of the motion that made the sensor deliver this: gain and delay taken out."""
-    return np.asarray(rfft(delivered, length) * np.exp(1j * omega * sensor.delay_s) / sensor.gain)
+    """The spectrum of the motion that made the sensor deliver this: gain and delay taken out.
+
+    Before the first sample, at the end of what the transform sees, so many samples of a lead-in.
+    """
+    padded = np.zeros(length)
+    padded[: delivered.size] = delivered
+    if lead:
+        padded[-lead:] = led_in(delivered, lead)
+    return np.asarray(rfft(padded) * np.exp(1j * omega * sensor.delay_s) / sensor.gain)
 
 
 def integrated(omega: Float[np.ndarray, " lines"], power: int, corner_hz: float) -> Complex[np.ndarray, " lines"]:

@@ -18,13 +18,14 @@ from rig.model.description import Sensor
 from rig.model.tolerances import Tolerances
 
 THE_FORCE = "the force"
+THE_RECORD = "the record"
 
-Kind = Literal["gain", "position", "delay", "high-pass", "force gain", "mass", "frequency", "damping"]
+Kind = Literal["gain", "position", "delay", "high-pass", "force gain", "mass", "frequency", "damping", "initial state"]
 
 
 @dataclass(frozen=True)
 class Nuisance:
-    """One nuisance parameter: of a sensor, a body or (mode counts from 1) a mode of a body, or of the force."""
+    """One nuisance parameter: of a sensor, a body or (mode counts from 1) a mode of a body, of force or record."""
 
     kind: Kind
     of: str

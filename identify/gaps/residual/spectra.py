@@ -10,16 +10,16 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import periodogram
 
 from identify.contacts.estimates import drift_of
+from identify.signals.beginning import QUIET_S
 from identify.signals.drift import Drift
 from identify.signals.kinematics import (
     CORNER_HZ,
-    QUIET_S,
     Kinematics,
-    acceleration_noise,
     integrated,
     kinematics,
     taper,
 )
+from identify.signals.noise import acceleration_noise
 from identify.signals.scores import COUNTED_HZ
 from identify.signals.spectra import force_band
 from rig.errors import RigError

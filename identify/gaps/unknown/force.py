@@ -19,7 +19,7 @@ from identify.gaps.unknown.location import Kind, Located, located, response_of
 from identify.gaps.unknown.nuisance import drift_accelerations, observed
 from identify.gaps.unknown.observed import BAND_HZ, WhitenedRecord
 from identify.gaps.unknown.time_history import FINER, ForceHistory, explained_share, force_of, history_of
-from identify.signals.kinematics import QUIET_S
+from identify.signals.beginning import QUIET_S
 from rig.model.description import Rig, Station
 
 When = Literal["always", "in contact", "growing with time"]

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import rig
-from identify.signals.kinematics import CORNER_HZ, TAPER_S, acceleration_noise, kinematics
+from identify.signals.kinematics import CORNER_HZ, TAPER_S, kinematics
+from identify.signals.noise import acceleration_noise
 from rig.errors import RigError
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Contact, Rig, Sensor, Station

@@ -57,6 +57,7 @@ def motion_at_sensors(rig, responses, force_n=None):
         velocity_m_per_s=rows[1],
         acceleration_m_per_s2=rows[2],
         lost_m_per_s2=np.zeros_like(rows[0]),
+        excited_from=0,
     )
 
 

@@ -1,0 +1,103 @@
+"""What the nuisance parameters add to the contact forces and to the relative displacements, over time."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from identify.contacts.lines import Lines
+from identify.signals.drift import KNOT_S
+from identify.structure.nuisance import THE_RECORD, Change, Kind, Nuisance
+from identify.structure.response import times
+
+ToForce = Complex[np.ndarray, "contacts stations lines"]
+
+
+@dataclass(frozen=True)
+class NuisanceSignals:
+    """What one standard deviation of each nuisance parameter adds to the forces and to the relative displacements.
+
+    They hold the sensors' noise, too: a share of that of the forces, and of the relative displacements (noise_in_n and
+    noise_in_m).
+    """
+
+    parameters: tuple[Nuisance, ...]
+    force_n: Float[np.ndarray, "nuisances contacts fewer"]
+    eta_m: Float[np.ndarray, "nuisances contacts fewer"]
+    noise_in_n: Float[np.ndarray, "nuisances contacts"]
+    noise_in_m: Float[np.ndarray, "nuisances contacts"]
+
+    def beside(self, kind: Kind, force_n: Float[np.ndarray, "more contacts fewer"]) -> "NuisanceSignals":
+        """With further ones of the record itself, which move no displacement."""
+        none = np.zeros(force_n.shape[:2])
+        return NuisanceSignals(
+            (*self.parameters, *(Nuisance(kind, THE_RECORD, i + 1) for i in range(len(force_n)))),
+            np.concatenate([self.force_n, force_n]),
+            np.concatenate([self.eta_m, np.zeros_like(force_n)]),
+            np.concatenate([self.noise_in_n, none]),
+            np.concatenate([self.noise_in_m, none]),
+        )
+
+    def after(self, fewer: int) -> "NuisanceSignals":
+        """Without the first samples."""
+        return replace(self, force_n=self.force_n[..., fewer:], eta_m=self.eta_m[..., fewer:])
+
+    def of_contact(self, contact: int) -> "NuisanceSignals":
+        """Those of one alone."""
+        return replace(
+            self,
+            force_n=self.force_n[:, [contact]],
+            eta_m=self.eta_m[:, [contact]],
+            noise_in_n=self.noise_in_n[:, [contact]],
+            noise_in_m=self.noise_in_m[:, [contact]],
+        )
+
+
+def nuisance_signals(
+    changes: Sequence[Change],
+    by_noise: Iterable[Change],
+    noise: Complex[np.ndarray, "stations lines"],
+    noise_m: Complex[np.ndarray, "stations lines"],
+    to_force: ToForce,
+    signs: Float[np.ndarray, "contacts stations"],
+    lines: Lines,
+    kept: int,
+) -> NuisanceSignals:
+    """Over `kept` samples; by_noise are the changes of noise alone, noise_m is that noise integrated twice."""
+    count = (len(changes), len(signs), kept)
+    forces, eta = np.empty(count), np.zeros(count)
+    in_n, in_m = np.zeros(count[:2]), np.zeros(count[:2])
+    noise_n, noise_eta = weighed(to_force, noise), times(signs, noise_m)
+    for i, (change, noisy) in enumerate(zip(changes, by_noise, strict=True)):
+        to_own, own_signs = to_force[:, change.sensors], signs[:, change.sensors]
+        forces[i] = lines.in_time(weighed(to_own, change.delivered), kept)
+        in_n[i] = _share(noise_n, weighed(to_own, noisy.delivered))
+        if change.displaced is not None and noisy.displaced is not None and np.any(own_signs):
+            eta[i] = lines.in_time(times(own_signs, change.displaced), kept)
+            in_m[i] = _share(noise_eta, times(own_signs, noisy.displaced))
+    return NuisanceSignals(tuple(c.parameter for c in changes), forces, eta, in_n, in_m)
+
+
+def drawn_noise(
+    power: Float[np.ndarray, "stations lines"], least: float, lines: Lines
+) -> Complex[np.ndarray, "stations lines"]:
+    """Of that power and of random phase, above what the drift's knots can follow."""
+    phase = np.random.default_rng(0).uniform(0, 2 * np.pi, power.shape)
+    followed = lines.omega < 2 * np.pi * 0.5 / KNOT_S
+    return np.asarray(np.sqrt(np.maximum(power, least)) * np.exp(1j * phase) * ~followed)
+
+
+def weighed(
+    to_force: Complex[np.ndarray, "contacts some lines"], spectra: Complex[np.ndarray, "some lines"]
+) -> Complex[np.ndarray, "contacts lines"]:
+    return np.asarray(np.einsum("jsf,sf->jf", to_force, spectra))
+
+
+def _share(
+    noise: Complex[np.ndarray, "contacts lines"], of_nuisance: Complex[np.ndarray, "contacts lines"]
+) -> Float[np.ndarray, " contacts"]:
+    """The multiple of the one that is nearest to the other."""
+    size = np.sum(np.abs(noise) ** 2, axis=1)
+    product = np.sum((noise.conj() * of_nuisance).real, axis=1)
+    return np.divide(product, size, out=np.zeros_like(size), where=size > 0)

@@ -1,0 +1,57 @@
+"""The noise of accelerations: from the quiet start of a record, from the sensors' description, or from what is highest
+in frequency and quietest in time."""
+
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from scipy.signal import butter, sosfilt
+
+from identify.signals.kinematics import Kinematics
+from rig.model.description import Rig, Sensor
+
+Source = Literal["the quiet start of the record", "noise_density in rig.json", "the highest frequencies of the record"]
+BAND = (0.3, 0.4)
+"""Of the sampling rate: where noise is looked for in a record without a quiet start."""
+PART_S, QUIETEST = 0.05, 0.05
+"""The noise is the power in the quietest parts of this length: so large a share of them has less."""
+
+
+def acceleration_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stations"]:
+    """Standard deviation per sample of each station's acceleration noise, m/s^2, from what `noise_source` says."""
+    source = noise_source(motion, rig)
+    if source == "the quiet start of the record":
+        return motion.acceleration_m_per_s2[:, : motion.quiet_samples].std(axis=1)
+    if source == "noise_density in rig.json":
+        return np.array([_described(s, motion.sample_rate_hz) for s in motion.sensors])
+    return np.array(
+        [_heard(row, s, motion) for s, row in zip(motion.sensors, motion.acceleration_m_per_s2, strict=True)]
+    )
+
+
+def noise_source(motion: Kinematics, rig: Rig) -> Source:
+    """The quiet seconds before the force begins; where there are none the description, if it names any noise."""
+    if motion.quiet_samples:
+        return "the quiet start of the record"
+    if any(s.noise_density > 0 for s in rig.sensors):
+        return "noise_density in rig.json"
+    return "the highest frequencies of the record"
+
+
+def _described(sensor: Sensor, rate_hz: float) -> float:
+    """Of white noise s in the d-th derivative, differentiated n = 2 - d times: s (2 pi)^n sqrt(f^(2n+1) / (2n+1))."""
+    times = max(0, 2 - sensor.measures.order)
+    return float(
+        sensor.noise_density * (2 * np.pi) ** times * np.sqrt((rate_hz / 2) ** (2 * times + 1) / (2 * times + 1))
+    )
+
+
+def _heard(row: Float[np.ndarray, " samples"], sensor: Sensor, motion: Kinematics) -> float:
+    """What white noise would make the quietest parts of a high band as loud as they are; it may be too much."""
+    rate, times = motion.sample_rate_hz, max(0, 2 - sensor.measures.order)
+    low, high = (share * 2 for share in BAND)
+    high_passed = sosfilt(butter(4, (low, high), "bandpass", output="sos"), row)
+    size = max(1, round(PART_S * rate))
+    power = (high_passed[: row.size // size * size].reshape(-1, size) ** 2).mean(axis=1)
+    share = high ** (2 * times + 1) - low ** (2 * times + 1)
+    return float(np.sqrt(np.quantile(power[1:], QUIETEST) / share))

@@ -1,0 +1,202 @@
+"""A record that does not begin at rest: the free motion that each mode's displacement and velocity at its start cause.
+
+With the poles p of q'' + 2 zeta omega q' + omega^2 q = 0, a mode moves by q_0 u(t) + q_0' v(t),
+
+    u = (p_2 exp(p_1 t) - p_1 exp(p_2 t)) / (p_2 - p_1),   v = (exp(p_2 t) - exp(p_1 t)) / (p_2 - p_1)
+
+in addition to what the forces cause from rest. All q_0 and q_0' are linear in what the sensors deliver.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Complex, Float, Int
+
+from identify.signals.kinematics import Kinematics
+from identify.structure.response import Response
+
+CHUNK = 512
+"""Lines that are worked on at once."""
+TOLD = 10.0
+"""What tells no more than a tenth of that, as a multiple of the prior, is hardly believed."""
+WIDE = 3.0
+"""The prior of the initial state, as a multiple of what the whole motion at the sensors would be by that mode alone."""
+LEAST_HZ = 0.5
+"""Slower modes are taken to move as slowly as that."""
+KNOWN = 0.05
+"""Likewise where displacement sensors show all modes of a body."""
+
+
+@dataclass(frozen=True)
+class FreeMotion:
+    """Of one mode: its initial displacement (order 0) or velocity (order 1), and the coordinate over time per unit.
+
+    rows are the time histories of the displacement, velocity and acceleration of the coordinate; shape is the mode's
+    at the stations. held is False of a mode whose spring acts on the high-passed displacement: the drift has what its
+    initial state does.
+    """
+
+    body: str
+    mode: int
+    order: int
+    rows: Float[np.ndarray, "3 samples"]
+    shape: Float[np.ndarray, " stations"]
+    held: bool
+
+
+Prior = tuple[Float[np.ndarray, " values"], Float[np.ndarray, " values"]]
+"""Mean and standard deviation."""
+
+
+def free_motion(
+    natural_hz: float, damping_ratio: float, order: int, time_s: Float[np.ndarray, " samples"]
+) -> Float[np.ndarray, "3 samples"]:
+    """u (order 0, of a unit displacement) or v (order 1, of a unit velocity) with its two derivatives in time."""
+    if natural_hz == 0:
+        one, zero = np.ones_like(time_s), np.zeros_like(time_s)
+        return np.stack([time_s, one, zero] if order else [one, zero, zero])
+    omega = 2 * np.pi * natural_hz
+    zeta = damping_ratio if abs(damping_ratio - 1) > 1e-6 else 1 + 1e-6
+    poles = omega * (-zeta + np.array([1, -1]) * np.emath.sqrt(zeta**2 - 1))
+    first, second = (np.exp(p * time_s) for p in poles)
+    over = poles[1] - poles[0]
+    if order:
+        rows = [(poles[1] ** k * second - poles[0] ** k * first) / over for k in range(3)]
+    else:
+        rows = [(poles[1] * poles[0] ** k * first - poles[0] * poles[1] ** k * second) / over for k in range(3)]
+    return np.asarray(np.real(rows))
+
+
+def motions_of(
+    responses: Sequence[Response], motion: Kinematics, highest_hz: float, length: int
+) -> tuple[list[FreeMotion], Prior, Prior]:
+    """The free motions of the modes that lie in the band and still ring after the first seconds; with the priors of
+    the initial values, and of those at the record's end.
+
+    The mean is what the stations show at the first sample. Where they show all modes of a body, and their zero, it is
+    known to a share; else the deviation is wide. A mode whose spring acts on the high-passed displacement moves as a
+    free one: what integration loses of it.
+    """
+    time_s = np.arange(max(motion.force_n.size, length - motion.force_n.size)) / motion.sample_rate_hz
+    motions: list[FreeMotion] = []
+    mean: list[float] = []
+    share: list[float] = []
+    size: list[float] = []
+    for response in responses:
+        hz, zeta = response.dynamics.natural_hz, response.dynamics.damping_ratios
+        shapes = response.shapes(motion.stations)
+        own = np.flatnonzero([s.body == response.body.name for s in motion.stations])
+        told = min(own.size, response.count)
+        coordinates = np.linalg.pinv(shapes[own, :told]) @ np.array(
+            [motion.displacement_m[own], motion.velocity_m_per_s[own]]
+        )
+        exact = told == response.count and motion.zero_known
+        rms_m, rms_m_per_s2 = (
+            float(np.max(rows[own].std(axis=1))) for rows in (motion.displacement_m, motion.acceleration_m_per_s2)
+        )
+        for m in range(response.count):
+            if hz[m] >= highest_hz:
+                continue
+            largest = float(np.max(np.abs(shapes[own, m])))
+            turning = 2 * np.pi * max(hz[m], LEAST_HZ)
+            moved = float(np.hypot(rms_m, rms_m_per_s2 / turning**2)) / max(largest, 1e-9)
+            for order in range(2):
+                by = free_motion(float(hz[m]), float(zeta[m]), order, time_s)
+                motions.append(
+                    FreeMotion(response.body.name, m, order, by, shapes[:, m], m not in response.dynamics.high_passed)
+                )
+                mean.append(float(coordinates[order, m, 0]) if exact else 0.0)
+                share.append(KNOWN if exact else WIDE)
+                size.append(moved * turning**order)
+    begun = (np.array(mean), np.array(share) * size)
+    return motions, begun, (np.zeros(len(mean)), WIDE * np.array(size))
+
+
+@dataclass(frozen=True)
+class InitialStates:
+    """What is known of the free motion that a record begins with, in what the sensors deliver.
+
+    delivered is the best estimate of it; the columns of root are the directions in which it is uncertain, each a
+    standard deviation long: columns = sum_i spectra_i root_ij, of the spectra of a unit of every initial value.
+    """
+
+    delivered: Complex[np.ndarray, "stations lines"]
+    spectra: Complex[np.ndarray, "values stations lines"]
+    root: Float[np.ndarray, "values values"]
+
+
+@dataclass(frozen=True)
+class Estimated:
+    """Initial values and their covariance."""
+
+    values: Float[np.ndarray, " values"]
+    covariance: Float[np.ndarray, "values values"]
+
+    def of(
+        self, spectra: Complex[np.ndarray, "values stations lines"], wanted: Int[np.ndarray, " some"]
+    ) -> InitialStates:
+        """Of some of the values, the first of which have these spectra."""
+        own = self.covariance[np.ix_(wanted, wanted)]
+        scale = np.sqrt(np.diag(own))
+        sizes, directions = np.linalg.eigh(own / (scale[:, None] * scale))
+        root = scale[:, None] * directions * np.sqrt(np.maximum(sizes, 0.0))
+        delivered = np.einsum("i,isf->sf", self.values[wanted], spectra[wanted])
+        return InitialStates(delivered, spectra[wanted], root)
+
+
+def spectra_of(
+    motions: list[FreeMotion],
+    orders: list[int],
+    in_metres: Bool[np.ndarray, "stations lines"],
+    omega: Float[np.ndarray, " lines"],
+    spectra: Callable[[Float[np.ndarray, "rows samples"]], Complex[np.ndarray, "rows lines"]],
+) -> Complex[np.ndarray, "values stations lines"]:
+    """What a unit of every initial value adds at the stations: accelerations, (i omega)^(2 - order) times the spectrum
+    of what the station's sensor measures; where lines are in metres displacements."""
+    turning = 1j * omega
+    powers = {order: turning ** (2 - order) for order in range(3)}
+    found = np.empty((len(motions), *in_metres.shape), dtype=complex)
+    for one, motion in zip(found, motions, strict=True):
+        rows = spectra(motion.rows)
+        for station, (share, order) in enumerate(zip(motion.shape, orders, strict=True)):
+            one[station] = share * np.where(in_metres[station], rows[0], powers[order] * rows[order])
+    return found
+
+
+def estimated(
+    spectra: Complex[np.ndarray, "values stations lines"],
+    mean: Float[np.ndarray, " values"],
+    deviation: Float[np.ndarray, " values"],
+    rest: Complex[np.ndarray, "stations lines"],
+    to_contacts: Complex[np.ndarray, "contacts stations lines"],
+    covariance: Complex[np.ndarray, "lines stations stations"],
+    alike: int,
+    begin: int,
+) -> Estimated:
+    """The initial values by generalised least squares from what no contact forces explain.
+
+    rest = sum_i theta_i spectra_i + sum_j to_contacts_j f_j + error, of that covariance, with the contact forces f_j
+    free at every line and the prior mean and deviation of theta. So many neighbouring lines err alike; those before
+    `begin` are not used.
+    """
+    normal, gradient = np.diag(deviation**-2), np.zeros_like(mean)
+    rest = rest - np.einsum("i,isf->sf", mean, spectra)
+    lines = rest.shape[1]
+    for first in range(begin, lines, CHUNK):
+        now = slice(first, first + CHUNK)
+        root = np.linalg.cholesky(covariance[now])
+        columns = np.concatenate([spectra[..., now], rest[None, :, now], to_contacts[..., now]]).transpose(2, 1, 0)
+        white = np.linalg.solve(root, columns)
+        known, by_contact = white[..., : len(spectra) + 1], white[..., len(spectra) + 1 :]
+        basis = np.linalg.qr(by_contact)[0]
+        free = known - basis @ (basis.conj().transpose(0, 2, 1) @ known)
+        flat = free.reshape(-1, free.shape[-1])
+        flat = np.concatenate([flat.real, flat.imag])
+        normal += 2 / alike * flat[:, :-1].T @ flat[:, :-1]
+        gradient += 2 / alike * flat[:, :-1].T @ flat[:, -1]
+    sizes, directions = np.linalg.eigh(normal * deviation[:, None] * deviation)
+    root = deviation[:, None] * directions
+    sizes = np.maximum(sizes, 1.0)  # less is rounding: the prior alone gives one
+    told = (sizes - 1) / (sizes + TOLD)
+    return Estimated(mean + root @ (told / sizes * (root.T @ gradient)), (root / sizes) @ root.T)
