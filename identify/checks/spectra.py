@@ -8,6 +8,7 @@ from jaxtyping import Complex, Float, Int
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import uniform_filter1d
 
+from identify.signals.beginning import QUIET_S, force_begins
 from identify.signals.kinematics import TAPER_S, taper
 from identify.signals.spectra import force_band
 from rig.errors import RigError
@@ -98,19 +99,14 @@ def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], most: int | No
 
 
 def chain(sensor: Sensor, omega: Float[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:
-    """From what a sensor delivers to the acceleration: (i omega)^(2 - order) e^(i omega delay) / gain."""
-    return np.asarray((1j * omega) ** (2 - sensor.measures.order) * np.exp(1j * omega * sensor.delay_s) / sensor.gain)
+    """From what a sensor delivers to the acceleration: (i omega)^(2 - order) over its response."""
+    return np.asarray((1j * omega) ** (2 - sensor.measures.order) / sensor.response(omega))
 
 
 def quiet_samples(force: Float[np.ndarray, " samples"], rate_hz: float) -> int:
     """How many samples at the start are before the force, at least a quarter second; else zero."""
-    size = np.abs(force)
-    first = size[: max(1, round(0.25 * rate_hz))]
-    noise = 6 * 1.4826 * float(np.median(first))
-    if noise >= np.sqrt(np.mean(size**2)):
-        return 0
-    before = int(np.argmax(size > max(noise, 1e-3 * float(size.max())))) - round(0.05 * rate_hz)
-    return before if before > 0.25 * rate_hz else 0
+    before = force_begins(force, rate_hz) - round(0.05 * rate_hz)
+    return before if before > QUIET_S * rate_hz else 0
 
 
 def _row(recording: Recording, sensor: Sensor) -> Float[np.ndarray, " samples"]:

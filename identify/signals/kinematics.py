@@ -16,6 +16,8 @@ from rig.model.sensing import PASSBAND
 from rig.recording import Recording
 
 TAPER_S = 0.5
+PASSED = 0.05
+"""Of the corner of a sensor's high-pass: what is lower is lost."""
 CORNER_HZ = 0.5
 """Below this an integrated acceleration is drift; it is cut off smoothly between half of it and itself."""
 
@@ -157,7 +159,7 @@ def _channel(recording: Recording, sensor: Sensor) -> Float[np.ndarray, " sample
 def _undone(
     sensor: Sensor, delivered: Float[np.ndarray, " samples"], omega: Float[np.ndarray, " lines"], length: int, lead: int
 ) -> Complex[np.ndarray, " lines"]:
-    """The spectrum of the motion that made the sensor deliver this: gain and delay taken out.
+    """The spectrum of the motion that made the sensor deliver this: its chain taken out, where it lets anything pass.
 
     Before the first sample, at the end of what the transform sees, so many samples of a lead-in.
     """
@@ -165,7 +167,8 @@ def _undone(
     padded[: delivered.size] = delivered
     if lead:
         padded[-lead:] = led_in(delivered, lead)
-    return np.asarray(rfft(padded) * np.exp(1j * omega * sensor.delay_s) / sensor.gain)
+    passes = omega >= PASSED * 2 * np.pi * sensor.high_pass_hz
+    return np.divide(rfft(padded), sensor.response(omega), out=np.zeros(omega.size, dtype=complex), where=passes)
 
 
 def integrated(omega: Float[np.ndarray, " lines"], power: int, corner_hz: float) -> Complex[np.ndarray, " lines"]:

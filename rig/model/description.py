@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 
 from rig.errors import RigError, is_plain
 from rig.files import contents
@@ -69,6 +69,7 @@ class Contact(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 class Sensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A transverse motion sensor and its chain: delivers gain times the motion of delay_s ago, plus noise.
 
+    high_pass_hz is the corner of an AC-coupled sensor's first-order high-pass; 0 of a sensor that shows constants.
     noise_density is one-sided, in the quantity's unit per sqrt(Hz). measuring_range clips at plus and minus that value;
     bits divides twice the range into 2^bits steps. None leaves either out. fibre_m is a strain gauge's distance from
     the neutral fibre; None stands for half the thickness of a beam.
@@ -79,6 +80,7 @@ class Sensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     quantity: QuantityName
     gain: float = 1.0
     delay_s: float = 0.0
+    high_pass_hz: float = 0.0
     noise_density: float = 0.0
     measuring_range: float | None = None
     bits: int | None = None
@@ -88,11 +90,19 @@ class Sensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     def measures(self) -> Quantity:
         return QUANTITIES[self.quantity]
 
+    def response(self, omega: Float[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:
+        """What it delivers of each frequency (rad/s): g exp(-i omega tau) i omega / (i omega + 2 pi f_high_pass)."""
+        chain = self.gain * np.exp(-1j * omega * self.delay_s)
+        corner = 2 * np.pi * self.high_pass_hz
+        return np.asarray(chain * (1j * omega / (1j * omega + corner)) if corner else chain)
+
     def __post_init__(self) -> None:
         if not _is_gain(self.gain):
             raise RigError(f"sensor {self.name!r}: gain is {self.gain}; give a finite value other than zero")
         if not abs(self.delay_s) <= LONGEST_DELAY_S:
             raise RigError(f"sensor {self.name!r}: delay_s is {self.delay_s}; give a finite value, -1 to 1 s")
+        if not 0 <= self.high_pass_hz < np.inf:
+            raise RigError(f"sensor {self.name!r}: high_pass_hz is {self.high_pass_hz}; give zero or above")
         if not (np.isfinite(self.noise_density) and self.noise_density >= 0):
             raise RigError(f"sensor {self.name!r}: noise_density is {self.noise_density}; give zero or above")
         if self.measuring_range is not None and not 0 < self.measuring_range < np.inf:

@@ -96,12 +96,51 @@ class FreeDecay(_Band, frozen=True, tag="free_decay"):
         return np.where(time_s < 0.5 / self.high_hz, blow, 0.0) * self.rms_n * np.sqrt(2)
 
 
-Excitation = BandLimitedGaussian | BurstRandom | Sweep | Multisine | FreeDecay
+class Hammer(_Band, frozen=True, tag="hammer"):
+    """Hits of an impact hammer: half-sines of length 1/(2 high_hz), low_hz of them a second, which varies by a fifth
+    from hit to hit, as their peaks do. With low_hz = 0 there is one hit.
+
+    The spectrum of a hit is flat within 3 dB up to 1.2 high_hz and first zero at 3 high_hz.
+    """
+
+    def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+        duration_s, rng = samples * step_s, np.random.default_rng(self.seed)
+        count = max(1, int(duration_s * self.low_hz))
+        apart_s, peaks = 1 / self.low_hz if self.low_hz else 0.0, rng.uniform(0.8, 1.2, count)
+        begin_s = (np.arange(count) + rng.uniform(0.0, 0.2, count)) * apart_s
+        time_s, force = np.arange(samples) * step_s, np.zeros(samples)
+        for first_s, peak in zip(begin_s, peaks, strict=True):
+            some = slice(int(first_s / step_s), int((first_s + 0.5 / self.high_hz) / step_s) + 2)
+            phase = 2 * np.pi * self.high_hz * (time_s[some] - first_s)
+            force[some] += peak * np.where((phase > 0) & (phase < np.pi), np.sin(phase), 0.0)
+        return _scaled(force, self.rms_n)
+
+
+class SteppedSine(_Band, frozen=True, tag="stepped_sine"):
+    """A sine whose frequency rises in equal steps from the lower to the upper end of the band, each held equally long.
+
+    The phase is continuous from step to step.
+    """
+
+    steps: int = 20
+
+    def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+        held_s, time_s = samples * step_s / self.steps, np.arange(samples) * step_s
+        step = np.minimum((time_s / held_s).astype(int), self.steps - 1)
+        frequency_hz = np.linspace(self.low_hz, self.high_hz, self.steps)
+        turns = np.concatenate([[0.0], np.cumsum(frequency_hz[:-1] * held_s)])
+        phase = 2 * np.pi * (turns[step] + frequency_hz[step] * (time_s - step * held_s))
+        return _scaled(np.sin(phase) * _rise(samples, step_s), self.rms_n)
+
+
+Excitation = BandLimitedGaussian | BurstRandom | Sweep | SteppedSine | Multisine | Hammer | FreeDecay
 _KINDS: dict[str, type[Excitation]] = {
     "gaussian": BandLimitedGaussian,
     "burst": BurstRandom,
     "sweep": Sweep,
+    "stepped_sine": SteppedSine,
     "multisine": Multisine,
+    "hammer": Hammer,
     "free_decay": FreeDecay,
 }
 

@@ -1,10 +1,11 @@
-"""From true motion to what a channel delivers: anti-aliasing, delay, gain, noise, range, quantisation."""
+"""From true motion to what a channel delivers: anti-aliasing, delay, high-pass, gain, noise, range, quantisation."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.signal import bilinear, lfilter
 from scipy.signal.windows import kaiser
 
 from rig.errors import RigError
@@ -45,6 +46,7 @@ def digitised(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> I
     filters: list[tuple[list[int], Decimator]] = []
     held, begun = np.zeros((0, 0)), 0
     truth: dict[str, Float[np.ndarray, "rows samples"]] = {}
+    high_passes = [_HighPass.of(s, rig.sample_rate_hz) for s in rig.sensors]
     for block in blocks:
         factor, size = _factor(rig, block.step_s), block.force_n.size
         reach = (HALF_WIDTH + _longest_delay(rig)) * factor
@@ -65,9 +67,32 @@ def digitised(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> I
         held = queue[:, ready * factor : width]
         if ready:
             filtered = _filtered(filters, queue, ready)
+            for row, high_pass in zip(filtered[1:], high_passes, strict=True):
+                if high_pass:
+                    row[:] = high_pass.passed(row)
             sensed = {q: _delivered_all(rig, q, filtered[1:], streams) for q in quantities_of(rig)}
             yield Samples(filtered[0], sensed, {name: rows[:, :ready] for name, rows in truth.items()})
             truth = {name: rows[:, ready:] for name, rows in truth.items()}
+
+
+@dataclass
+class _HighPass:
+    """First-order, as an AC-coupled sensor has it; it goes on from block to block."""
+
+    numerator: Float[np.ndarray, " 2"]
+    denominator: Float[np.ndarray, " 2"]
+    state: Float[np.ndarray, " 1"]
+
+    @classmethod
+    def of(cls, sensor: Sensor, sample_rate_hz: float) -> "_HighPass | None":
+        if not sensor.high_pass_hz:
+            return None
+        numerator, denominator = bilinear([1.0, 0.0], [1.0, 2 * np.pi * sensor.high_pass_hz], sample_rate_hz)
+        return cls(numerator, denominator, np.zeros(1))
+
+    def passed(self, row: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
+        values, self.state = lfilter(self.numerator, self.denominator, row, zi=self.state)
+        return np.asarray(values)
 
 
 def _filters(rig: Rig, factor: int, reach: int) -> list[tuple[list[int], Decimator]]:

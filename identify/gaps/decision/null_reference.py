@@ -199,7 +199,7 @@ def _read(path: Path, key: str) -> NullReference | None:
         found = msgspec.json.decode(contents(path), type=NullReference)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return None
-    return found if (found.key, found.checksum) == (key, _checksum(found)) else None
+    return replace(found, checksum="") if (found.key, found.checksum) == (key, _checksum(found)) else None
 
 
 def _checksum(reference: NullReference) -> str:

@@ -163,12 +163,11 @@ def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray
 
 
 def sensor_response_of(record: Record, rig: Rig) -> Complex[np.ndarray, "sensors lines"]:
-    """What each sensor makes of an acceleration: its gain and delay."""
+    """What each sensor makes of an acceleration: its gain, delay and high-pass."""
     named, omega = {s.name: s for s in rig.sensors}, record.omega
     found = np.empty((len(record.sensors), omega.size), dtype=complex)
     for row, sensor in zip(found, record.sensors, strict=True):
-        own = named[sensor.name]
-        row[:] = own.gain * (np.exp(-1j * omega * own.delay_s) if own.delay_s else 1.0)
+        row[:] = named[sensor.name].response(omega)
     return found
 
 

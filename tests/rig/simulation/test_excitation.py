@@ -100,7 +100,7 @@ def test_noise_rises_within_its_rise_time():
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"kind": "hammer"}, "no excitation 'hammer'; there are gaussian, burst, sweep, multisine, free_decay"),
+        ({"kind": "mallet"}, "no excitation 'mallet'; there are gaussian, burst, sweep, stepped_sine, multisine,"),
         ({"rms_n": -1.0}, "rms_n is -1.0"),
         ({"rms_n": float("nan")}, "rms_n is nan"),
         ({"low_hz": 80.0}, "the band 80.0 to 80.0 Hz is empty"),
@@ -151,3 +151,37 @@ def test_a_force_that_is_not_long_is_an_array():
 def test_a_long_force_beyond_the_step_is_refused():
     with pytest.raises(RigError, match="needs a step"):
         long_force(high_hz=0.3 / STEP_S)
+
+
+@pytest.mark.parametrize("kind", ["hammer", "stepped_sine"])
+def test_hits_and_steps_have_their_rms_and_are_the_same_at_any_step(kind):
+    settings = {"low_hz": 0.5, "high_hz": 80.0}
+    force = excited(kind, **settings)
+    assert np.sqrt(np.mean(force**2)) == pytest.approx(3.0, rel=1e-12)
+    fine = history(kind, step_s=STEP_S / 4, **settings)[round(4 * QUIET_S / STEP_S) :: 4]
+    np.testing.assert_allclose(fine, force, atol=2e-2 * np.abs(force).max())  # a hit lasts 13 samples
+
+
+def test_the_spectrum_of_a_hit_is_flat_to_above_its_band():
+    force = excited("hammer", low_hz=0.0)
+    frequency_hz = np.fft.rfftfreq(force.size, STEP_S)
+    size = np.abs(np.fft.rfft(force)) / np.abs(force.sum())
+    assert np.all(size[frequency_hz <= 1.15 * 80] > 10 ** (-3 / 20))
+    assert size[np.argmin(np.abs(frequency_hz - 240))] < 0.03
+
+
+def test_there_are_so_many_hits_a_second():
+    force = excited("hammer", low_hz=0.5)
+    begins = np.flatnonzero((force[1:] > 0) & (force[:-1] == 0)) * STEP_S
+    assert len(begins) == 16
+    assert np.all(np.diff(begins) > 1.5)
+    assert np.all(force >= 0)
+
+
+def test_a_stepped_sine_holds_each_frequency_and_never_jumps():
+    force = excited("stepped_sine", duration_s=41.0)
+    assert np.abs(np.diff(force)).max() < 2 * np.pi * 80 * STEP_S * 3.0 * np.sqrt(2) * 1.01
+    for step, frequency_hz in ((4, 20 + 60 * 4 / 19), (15, 20 + 60 * 15 / 19)):
+        held = force[round((2 * step + 0.2) / STEP_S) : round((2 * step + 1.8) / STEP_S)]
+        crossings = np.count_nonzero(np.diff(np.sign(held)) != 0)
+        assert crossings / 2 / 1.6 == pytest.approx(frequency_hz, abs=0.7)
