@@ -24,7 +24,9 @@ SHORTEST = 8
 TO_FORCE = 3.0
 FAR, LEAST = 4.0, 2e-3
 """So many standard deviations of tolerances and errors are too many; no tolerance is believed to be less."""
-LEAST_EXPLAINED = 0.98
+LEAST_EXPLAINED, UNRELATED = 0.95, 0.3
+"""Shares of the force: what explains less, as where a contact is hardly ever open, tells nothing; or that the two are of
+different records."""
 LATEST_S = 0.02
 
 
@@ -112,7 +114,7 @@ def _passages(is_open: Bool[np.ndarray, " fewer"], begun: int) -> list[slice]:
 def _compared(body: Body, sensor: tuple[str, ...], fit: MassFit, tolerances: Tolerances) -> list[Finding]:
     """The first that is off: whether the force drives it at all, delay, size, frequency, damping."""
     mass, damping, stiffness = fit.values
-    if fit.explained < 0.5:
+    if fit.explained < UNRELATED:
         return [
             Finding(
                 cause="force",
@@ -122,6 +124,8 @@ def _compared(body: Body, sensor: tuple[str, ...], fit: MassFit, tolerances: Tol
                 mend="check that both channels are of this record, and the quantity of the sensor",
             )
         ]
+    if fit.explained < LEAST_EXPLAINED:
+        return []
     found = []
     if abs(fit.delay_s) > 1e-4:
         found.append(

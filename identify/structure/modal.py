@@ -10,7 +10,6 @@ from identify.signals.kinematics import Kinematics
 from rig.errors import RigError
 from rig.model.description import Body, Rig, Station, contact_stations
 
-MIN_STATIONS = 4
 INVISIBLE = 1e-3
 NEARLY_INVISIBLE = 0.15
 """Shares of a shape's largest value; where it is smaller, the equation tells nothing, or little, of a contact."""
@@ -62,12 +61,11 @@ class ModalEquation:
 def transformation(rig: Rig, body: Body, motion: Kinematics) -> Transformation:
     """The least-squares inverse of the shapes at the stations, with as many modes as there are stations.
 
-    Raises RigError if a body with four modes or more has fewer than four stations or they cannot tell the modes apart.
+    Raises RigError if a body has no station, or if they cannot tell the modes apart.
     """
     rows = tuple(i for i, s in enumerate(motion.stations) if s.body == body.name)
-    needed = min(MIN_STATIONS, body.max_modes)
-    if len(rows) < needed:
-        raise RigError(f"body {body.name!r} has {len(rows)} measured stations; the modal transformation needs {needed}")
+    if not rows:
+        raise RigError(f"body {body.name!r} has no measured station; put a sensor on it")
     places = np.array([motion.stations[i].position_m for i in rows])
     modes = min(len(rows), body.max_modes)
     shapes = body.shapes(places, modes)
@@ -208,9 +206,8 @@ def _lost(
     if fitted >= all_modes:
         return np.zeros(fitted)
     natural_hz = body.frequencies_hz(all_modes)
-    response = receptance(
-        natural_hz, body.damping_ratios(all_modes), np.linspace(0.01, 1, 500) * natural_hz[fitted - 1]
-    )
+    high_hz = natural_hz[fitted - 1] or natural_hz[fitted]
+    response = receptance(natural_hz, body.damping_ratios(all_modes), np.linspace(0.01, 1, 500) * high_hz)
     pushed = [s for c in rig.contacts for s in contact_stations(c) if s.body == body.name]
     pushed += [rig.force_at] if rig.force_at.body == body.name else []
     drive = body.shapes(np.array([s.position_m for s in pushed]), all_modes)

@@ -1,0 +1,153 @@
+"""Tests as laboratories do them: other forces, sensors and beginnings, of the reference rigs.
+
+python -m scenarios.laboratory_tests --out out/laboratory_tests
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from msgspec.structs import replace as changed
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+import identify
+from rig import RigError
+from rig.commands.command_line import run
+from rig.model.description import Rig, contact_stations
+from rig.recording import Recording, read
+from rig.simulation.excitation import Excitation, excitation_of
+from rig.simulation.plants import modal
+from rig.simulation.record import record
+from rig.simulation.reference import BarrelCradle, Sdof
+from scenarios.topologies import interval
+
+NOISE = 1e-3
+"""Of every accelerometer, m/s^2/sqrt(Hz)."""
+app = typer.Typer(pretty_exceptions_enable=False)
+
+
+@dataclass(frozen=True)
+class Test:
+    """Settings of a reference rig, its force, what is changed of its rig.json, and what is cut off at its start."""
+
+    settings: BarrelCradle | Sdof
+    force: Excitation
+    change: Callable[[Rig], Rig] = lambda rig: rig
+    without_s: float = 0.0
+
+    @property
+    def rig(self) -> Rig:
+        return self.change(self.settings.rig())
+
+
+def ac_coupled(corner_hz: float) -> Callable[[Rig], Rig]:
+    """Every sensor has a high-pass of that corner, which its description says."""
+    return lambda rig: changed(rig, sensors=tuple(changed(s, high_pass_hz=corner_hz) for s in rig.sensors))
+
+
+def fewer_stations(count: int) -> Callable[[Rig], Rig]:
+    """So many on each body: those at the contacts, then from the right end."""
+
+    def change(rig: Rig) -> Rig:
+        at_contacts = {s for c in rig.contacts for s in contact_stations(c)}
+        kept = set()
+        for body in rig.bodies:
+            own = {s.station for s in rig.sensors if s.station.body == body.name}
+            kept |= set(sorted(own, key=lambda s: (s not in at_contacts, -s.position_m))[:count])
+        return changed(rig, sensors=tuple(s for s in rig.sensors if s.station in kept))
+
+    return change
+
+
+def beams(force: str = "gaussian", *, sensors: str = "acceleration", low_hz: float = 0.5, **settings: object) -> Test:
+    noise = NOISE if sensors == "acceleration" else 0.0
+    own = BarrelCradle(duration_s=30.0, sensors=sensors, noise_density=noise)
+    return Test(own, excitation_of(force, rms_n=14.0, low_hz=low_hz, high_hz=100.0), **settings)  # type: ignore[arg-type]
+
+
+def mass(force: str = "gaussian", *, sensors: str = "acceleration", low_hz: float = 0.5, **settings: object) -> Test:
+    noise = NOISE if sensors == "acceleration" else 0.0
+    own = Sdof(duration_s=40.0, step_s=2.0**-12, sensors=sensors, noise_density=noise)
+    return Test(own, excitation_of(force, rms_n=1.0, low_hz=low_hz, high_hz=15.0), **settings)  # type: ignore[arg-type]
+
+
+TESTS = {
+    "two beams, Gaussian force": beams(),
+    "two beams, burst random": beams("burst"),
+    "two beams, swept sine": beams("sweep"),
+    "two beams, stepped sine": beams("stepped_sine"),
+    "two beams, multisine": beams("multisine"),
+    "two beams, a hammer's hit every two seconds": beams("hammer"),
+    "two beams, high-pass of 0.5 Hz": beams(change=ac_coupled(0.5)),
+    "two beams, high-pass of 2 Hz": beams(change=ac_coupled(2.0)),
+    "two beams, no quiet start": beams(without_s=4.0),
+    "two beams, no quiet start, displacements": beams(sensors="displacement", without_s=4.0),
+    "two beams, three stations each": beams(change=fewer_stations(3)),
+    "two beams, two stations each": beams(change=fewer_stations(2)),
+    "one mass, Gaussian force": mass(),
+    "one mass, swept sine": mass("sweep"),
+    "one mass, stepped sine": mass("stepped_sine"),
+    "one mass, a hammer's hit every two seconds": mass("hammer"),
+    "one mass, high-pass of 0.5 Hz": mass(change=ac_coupled(0.5)),
+    "one mass, no quiet start": mass(without_s=4.0),
+    "one mass, no quiet start, displacement": mass(sensors="displacement", without_s=4.0),
+}
+
+
+def recorded(test: Test, path: Path, duration_s: float | None = None) -> Recording:
+    """By the plant `modal`."""
+    record(
+        test.rig,
+        test.force,
+        plant=modal.simulate,
+        duration_s=duration_s or test.settings.duration_s,
+        step_s=test.settings.step_s,
+        path=path,
+        progress=lambda _: None,
+    )
+    whole = read(path)
+    first = round(test.without_s * whole.rig.sample_rate_hz)
+    signals = {n: replace(s, values=np.ascontiguousarray(s.values[:, first:])) for n, s in whole.signals.items()}
+    return replace(whole, signals=signals)
+
+
+@app.command()
+def laboratory_tests(
+    out: Annotated[Path, typer.Option(help="Folder for the recordings.")] = Path("out/laboratory_tests"),
+) -> None:
+    """Identifies the contacts from every test, 30 s of two beams or 40 s of one mass."""
+    out.mkdir(parents=True, exist_ok=True)
+    table = Table(title="Tests of the reference rigs: found, with 95 % intervals (true value)")
+    for heading in ("test", "clearance, mm", "stiffness, N/mm", "findings"):
+        table.add_column(heading)
+    inside: list[bool] = []
+    for number, (name, test) in enumerate(track(TESTS.items(), console=Console(stderr=True))):
+        try:
+            report = identify.contact(recorded(test, out / f"{number}.mcap")).report
+        except RigError as error:
+            table.add_row(name, str(error))
+            continue
+        clearances, stiffnesses = [], []
+        for found, contact in zip(report.contacts, test.rig.contacts, strict=True):
+            law = contact.law
+            clearances.append(interval(found.clearance_m, 1e3, law.lower_clearance_m))
+            stiffnesses.append(interval(found.stiffness_n_per_m, 1e-3, law.stiffness_n_per_m))
+            for one, true in (
+                (found.clearance_m, law.lower_clearance_m),
+                (found.stiffness_n_per_m, law.stiffness_n_per_m),
+            ):
+                inside.append(abs(one.value - true) < 1.96 * one.standard_error)
+        findings = "; ".join(f.cause for f in report.findings)
+        table.add_row(name, "\n".join(clearances), "\n".join(stiffnesses), findings)
+    Console().print(table)
+    Console().print(f"{sum(inside)} of {len(inside)} values within their 95 % intervals", highlight=False)
+
+
+if __name__ == "__main__":
+    run(import_module("scenarios.laboratory_tests").app, "scenarios.laboratory_tests")
