@@ -101,7 +101,8 @@ def _of_channels(
         return spectra_of(recording, sensors, None)
 
     spectra = spectra_of(recording, sensors)
-    broke = breaks(rig, fine(), usable)
+    quiet = quiet_samples(recording.force_n, rig.sample_rate_hz)
+    broke = breaks(rig, fine(), usable) if quiet else []  # else it may still ring of what was before
     if any(f.cause == "jump" for f in broke):
         return broke
     coarse = gross(rig, spectra, usable, fine)
