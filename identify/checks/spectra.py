@@ -22,8 +22,6 @@ TO_FORCE = 2.0
 """Lines up to this multiple of the force's highest frequency are compared."""
 RING_S, CUT_S = 4.0, 2.5
 """Silence behind the record; what of its end is not compared, as the ringing is cut off there."""
-BEGUN_S = 2.0
-"""At the start of a record that does not begin at rest, likewise."""
 LINES = 1600
 SMOOTHED = 41
 """Levels are means over so many lines."""
@@ -96,8 +94,7 @@ def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], most: int | No
     else:
         deviation = np.array([s.noise_density * np.sqrt(rate / 2) for s in sensors])
     per_line = np.sqrt(force.size) * deviation[:, None] * np.abs(chains)
-    lasts_s = force.size / rate
-    taken_s = (begun / rate or min(BEGUN_S, 0.2 * lasts_s), max(lasts_s - CUT_S, 0.5 * lasts_s))
+    taken_s = (begun / rate, max(force.size / rate - CUT_S, 0.5 * force.size / rate))
     return Spectra(sensors, omega, found, rfft(force * ending, length)[lines], per_line, lines, length, taken_s, rate)
 
 
