@@ -25,8 +25,8 @@ TO_FORCE = 3.0
 FAR, LEAST = 4.0, 2e-3
 """So many standard deviations of tolerances and errors are too many; no tolerance is believed to be less."""
 LEAST_EXPLAINED, UNRELATED = 0.95, 0.3
-"""Shares of the force: what explains less, as where a contact is hardly ever open, tells nothing; or that the two are of
-different records."""
+"""Shares of the force: what explains less, as where a contact is hardly ever open, tells nothing; or that the two are
+of different records."""
 LATEST_S = 0.02
 
 

@@ -250,7 +250,8 @@ def print_report(report: ContactReport, console: Console) -> None:
         answered = {s.contact for s in each.stiffness}
         for name in (n for n in each.nearly_invisible if n not in answered):
             spectra.add_row(each.equation, name, "", "", "on a node: not told")
-    console.print(spectra)
+    if report.nifo:
+        console.print(spectra)
     for mode in report.modes:
         console.print(
             f"mode {mode.index} of {mode.beam}: {mode.frequency_hz:.3f} Hz, damping {100 * mode.damping_ratio:.2f} %"
