@@ -199,12 +199,12 @@ def _contacts(case: Topology, path: Path) -> tuple[str, str]:
     laws = {c.name: c.law for c in case.rig.contacts}
     smaller = {name: min(law.lower_clearance_m, law.upper_clearance_m) for name, law in laws.items()}
     return (
-        "\n".join(interval(c.clearance_m, 1e3, smaller[c.name]) for c in rows),
-        "\n".join(interval(c.stiffness_n_per_m, 1e-3, laws[c.name].stiffness_n_per_m) for c in rows),
+        "\n".join(_interval(c.clearance_m, 1e3, smaller[c.name]) for c in rows),
+        "\n".join(_interval(c.stiffness_n_per_m, 1e-3, laws[c.name].stiffness_n_per_m) for c in rows),
     )
 
 
-def interval(found: Estimate, factor: float, true: float) -> str:
+def _interval(found: Estimate, factor: float, true: float) -> str:
     return f"{factor * found.value:.4g} ± {1.96 * factor * found.standard_error:.2g} ({factor * true:.4g})"
 
 

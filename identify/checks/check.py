@@ -82,6 +82,8 @@ def _against_model(recording: Recording, use: Use, believed: Tolerances, shown: 
     usable = [i for i, s in enumerate(sensors) if s.name not in spoilt]
     try:
         if len(usable) > len(rig.contacts) + 1:
+            if not quiet_samples(recording.force_n, rig.sample_rate_hz):
+                return []  # it may ring of what was before, which no force explains
             return _of_channels(recording, sensors, usable, believed)
         if not shown and all(b.is_mass for b in rig.bodies):
             return mass_findings(rig, kinematics(recording, use), believed)

@@ -24,9 +24,10 @@ SHORTEST = 8
 TO_FORCE = 3.0
 FAR, LEAST = 4.0, 2e-3
 """So many standard deviations of tolerances and errors are too many; no tolerance is believed to be less."""
-LEAST_EXPLAINED, UNRELATED = 0.95, 0.3
-"""Shares of the force: what explains less, as where a contact is hardly ever open, tells nothing; or that the two are
-of different records."""
+UNRELATED = 0.3
+"""Force and motion are of different records where less of the force is explained."""
+EXPLAINED, PASSAGES = 0.95, 20
+"""Fewer passages in which less is explained tell nothing: the contact is hardly ever open."""
 LATEST_S = 0.02
 
 
@@ -39,6 +40,7 @@ class MassFit:
     errors: Float[np.ndarray, "3"]
     delay_s: float
     explained: float
+    passages: int
 
 
 def mass_findings(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> list[Finding]:
@@ -88,7 +90,7 @@ def open_fit(rig: Rig, motion: Kinematics, row: int) -> MassFit | None:
     if fitted(best)[0] - at_once[0] < 0.2 * (1 - at_once[0]):
         best = 0.0
     explained, values, errors, _ = fitted(best)
-    return MassFit(values, errors, best, explained)
+    return MassFit(values, errors, best, explained, len(passages))
 
 
 def _open(rig: Rig, motion: Kinematics, factor: int) -> Bool[np.ndarray, " fewer"]:
@@ -124,7 +126,9 @@ def _compared(body: Body, sensor: tuple[str, ...], fit: MassFit, tolerances: Tol
                 mend="check that both channels are of this record, and the quantity of the sensor",
             )
         ]
-    if fit.explained < LEAST_EXPLAINED:
+    ratio = mass / float(getattr(body, "mass_kg", np.nan))
+    by_chance = fit.delay_s != 0 and not 0.5 < abs(ratio) < 2
+    if by_chance or (fit.explained < EXPLAINED and fit.passages < PASSAGES):
         return []
     found = []
     if abs(fit.delay_s) > 1e-4:
@@ -137,7 +141,6 @@ def _compared(body: Body, sensor: tuple[str, ...], fit: MassFit, tolerances: Tol
                 mend="synchronise the two, or set its delay_s in rig.json",
             )
         )
-    ratio = mass / float(getattr(body, "mass_kg", np.nan))
     allowed = FAR * float(np.hypot.reduce([tolerances.mass, tolerances.gain, tolerances.force_gain, LEAST]))
     if abs(ratio - 1) > allowed + FAR * fit.errors[0] / abs(mass):
         found.append(_size(body, sensor, ratio))
