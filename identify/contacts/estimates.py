@@ -96,13 +96,19 @@ def _too_short(recording: Recording, without_s: float, until: int, factor: int, 
     )
 
 
+_INSTEAD = {
+    "base_motion": "of one mass give its motion against the base, and minus its mass times the base's acceleration as "
+    "the force; of other bodies hold the base still and measure an exciting force"
+}
+
+
 def _check_known(rig: Rig) -> None:
     """Raises RigError if the description holds something that the linear model of the identification leaves out."""
     for what in ("masses", "springs", "clamps", "loads", "base_motion", "force_sensor", "dampers", "tones"):
         if getattr(rig, what) not in ((), None, ForceSensor()):
             raise RigError(
-                f"rig.json of {rig.name!r} has {what}, which the identification does not know; it takes beams, "
-                "structures and masses on springs, without attachments"
+                f"rig.json of {rig.name!r} has {what}, which the identification does not know; "
+                + _INSTEAD.get(what, "it takes beams, structures and masses on springs, without attachments")
             )
 
 

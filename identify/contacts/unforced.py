@@ -10,7 +10,7 @@ from identify.signals.kinematics import Kinematics
 from identify.signals.spectra import force_band
 from rig.errors import RigError
 
-MOST_UNEXPLAINED = 0.05
+MOST_UNEXPLAINED = 0.03
 """Of a contact's force: in a free decay less is left, where a force acts that was not recorded more."""
 
 
