@@ -36,7 +36,9 @@ def dead(name: str, row: Row) -> Finding | None:
         cause="dead",
         channels=(name,),
         evidence=f"{name} stands at {row[0]:.4g} throughout",
-        mend="check its cable and amplifier, or take it out of rig.json",
+        mend="check its cable and amplifier, unless this is a free decay, without a force"
+        if name == "force"
+        else "check its cable and amplifier, or take it out of rig.json",
     )
 
 

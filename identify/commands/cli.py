@@ -225,9 +225,8 @@ def print_laws(report: LawReport, console: Console) -> None:
 def print_report(report: ContactReport, console: Console) -> None:
     """The answer as tables: contacts, then NIFO by modal equation; before them what speaks against it."""
     print_findings(report.findings, console)
-    table = Table(
-        title=f"Contacts of {escape(report.rig)}, modal equation {escape(report.main_equation)} (value ± standard error)"
-    )
+    rig, equation = escape(report.rig), escape(report.main_equation)
+    table = Table(title=f"Contacts of {rig}, modal equation {equation} (value ± standard error)")
     for heading in ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m"):
         table.add_column(heading, justify="left" if heading == "contact" else "right")
     for found in report.contacts:
@@ -255,10 +254,12 @@ def print_report(report: ContactReport, console: Console) -> None:
         answered = {s.contact for s in each.stiffness}
         for name in (n for n in each.nearly_invisible if n not in answered):
             spectra.add_row(escape(each.equation), escape(name), "", "", "on a node: not told")
-    console.print(spectra)
+    if report.nifo:
+        console.print(spectra)
     for mode in report.modes:
         console.print(
-            f"mode {mode.index} of {escape(mode.beam)}: {mode.frequency_hz:.3f} Hz, damping {100 * mode.damping_ratio:.2f} %"
+            f"mode {mode.index} of {escape(mode.beam)}: {mode.frequency_hz:.3f} Hz, "
+            f"damping {100 * mode.damping_ratio:.2f} %"
         )
 
 

@@ -58,6 +58,8 @@ def assumed(found: Identification) -> Iterator[str]:
         f"{motion.sample_rate_hz / 2 / found.separated.factor:.4g} Hz"
         + (", and the slow motion below is solved for within the noise of the accelerometers." if low else ".")
     )
+    if found.forms is None:
+        yield "No force was recorded: none acts during the record but those of the contacts."
     yield f"The accelerations' noise is taken from {report.noise_from}."
     if not all(isinstance(a, Joint) and a.sides_known for a in found.estimates):
         yield "The zero of the relative displacement is not known: the two stops stand equally far from it."

@@ -11,10 +11,11 @@ from identify.contacts.forces import RING_S, ContactForces, separated_forces
 from identify.contacts.joint import Joint, fit_joint
 from identify.contacts.quality import widened
 from identify.contacts.start import STIFFNESS, ContactRecord
+from identify.contacts.unforced import driven_to_hz, free_fits, is_unforced
 from identify.signals.drift import KNOT_S, Drift
 from identify.signals.kinematics import Kinematics, Use, kinematics
 from identify.signals.noise import acceleration_noise
-from identify.signals.spectra import decimated, force_band, oversampled
+from identify.signals.spectra import decimated, oversampled
 from identify.structure.modal import relative_displacements, relative_velocities
 from rig.errors import RigError
 from rig.model.description import ForceSensor, Rig, Station, contact_stations
@@ -62,8 +63,10 @@ def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Con
         raise RigError(f"rig {rig.name!r} has no contacts; describe them in rig.json")
     _check_known(rig)
     motion = kinematics(recording, use)
-    high_hz = force_band(motion.force_n, motion.sample_rate_hz)[1]
-    factor = max(1, int(motion.sample_rate_hz / 2 / min(SEPARATED_TO * high_hz, motion.trusted_hz[1])))
+    high_hz = min(SEPARATED_TO * driven_to_hz(motion), motion.trusted_hz[1])
+    factor = max(1, int(motion.sample_rate_hz / 2 / high_hz))
+    if motion.zero_known:
+        _check_displacements(rig, motion)
     noise = acceleration_noise(motion, rig)
     from_rest = recording.start_s > 0 or motion.excited_from > 0
     separated = separated_forces(rig, motion, factor, noise, tolerances, from_rest)
@@ -79,6 +82,8 @@ def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Con
     estimates = tuple(
         widened(e, parameters) if isinstance(e, Joint) else e for e in _estimates(observed, separated.slow_n_per_m)
     )
+    if is_unforced(motion):
+        estimates = free_fits([c.name for c in rig.contacts], estimates)
     return Contacts(rig, motion, separated, tuple(observed), estimates)
 
 
@@ -91,14 +96,34 @@ def _too_short(recording: Recording, without_s: float, until: int, factor: int, 
     )
 
 
+_INSTEAD = {
+    "base_motion": "of one mass give its motion against the base, and minus its mass times the base's acceleration as "
+    "the force; of other bodies hold the base still and measure an exciting force"
+}
+
+
 def _check_known(rig: Rig) -> None:
     """Raises RigError if the description holds something that the linear model of the identification leaves out."""
     for what in ("masses", "springs", "clamps", "loads", "base_motion", "force_sensor", "dampers", "tones"):
         if getattr(rig, what) not in ((), None, ForceSensor()):
             raise RigError(
-                f"rig.json of {rig.name!r} has {what}, which the identification does not know; it takes beams, "
-                "structures and masses on springs, without attachments"
+                f"rig.json of {rig.name!r} has {what}, which the identification does not know; "
+                + _INSTEAD.get(what, "it takes beams, structures and masses on springs, without attachments")
             )
+
+
+def _check_displacements(rig: Rig, motion: Kinematics) -> None:
+    """Raises RigError if a contact has no sensor, and its body fewer stations than modes: its displacement there does
+    not follow from that at the stations."""
+    for contact in rig.contacts:
+        for station in (s for s in contact_stations(contact) if motion.row(s) is None):
+            stations = sum(s.body == station.body for s in motion.stations)
+            if stations < rig.body(station.body).max_modes:
+                raise RigError(
+                    f"contact {contact.name!r} has no sensor at {station.position_m} m of {station.body!r}, and the "
+                    f"body has more modes than stations ({stations}): its displacement there cannot be told; put a "
+                    "sensor there"
+                )
 
 
 def _observed(

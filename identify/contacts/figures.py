@@ -27,7 +27,8 @@ def drawn(found: Identification, marks: Marks, marks_name: str) -> dict[str, byt
     def one(draw: Callable[..., None]) -> bytes:
         return png(lambda figure: draw(figure, found, marks, marks_name))
 
-    return {name: one(draw) for name, draw in _FIGURES.items()}
+    figures = _FIGURES if found.forms else {n: draw for n, draw in _FIGURES.items() if n not in _OF_NIFO}
+    return {name: one(draw) for name, draw in figures.items()}
 
 
 def segments_drawn(report: ContactReport, parts: Sequence[Segment]) -> bytes:
@@ -250,3 +251,5 @@ _FIGURES = {
     "stiffness": _stiffness,
     "frf": _frf,
 }
+_OF_NIFO = ("outputs", "stiffness", "frf")
+"""Figures that need a force."""

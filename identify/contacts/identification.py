@@ -14,6 +14,7 @@ from identify.contacts.quality import findings_before, fit_findings
 from identify.contacts.results import ContactReport
 from identify.contacts.start import ContactRecord
 from identify.contacts.summary import contact_report
+from identify.contacts.unforced import driven_to_hz, is_unforced, without_dead_force
 from identify.paper.nifo import Nifo, nifo
 from identify.paper.surface import Stops, Surface, clearance_from_occurrence, fit_surface
 from identify.signals.kinematics import Kinematics, Use
@@ -35,7 +36,8 @@ EQUATIONS = 4
 class Identification:
     """The report, and what it was drawn from, for figures and for further work.
 
-    eta_m is complete with its drift; answers has one entry a contact.
+    eta_m is complete with its drift; answers has one entry a contact. forms are NIFO's weak form and the paper's of
+    the main equation; None of a record without a force.
     """
 
     report: ContactReport
@@ -45,9 +47,21 @@ class Identification:
     separated: ContactForces
     estimates: tuple[ContactFit, ...]
     surface: Surface
-    weak: Nifo
-    paper: Nifo
+    forms: tuple[Nifo, Nifo] | None
     tolerances: Tolerances
+
+    @property
+    def weak(self) -> Nifo:
+        return self._form(0)
+
+    @property
+    def paper(self) -> Nifo:
+        return self._form(1)
+
+    def _form(self, index: int) -> Nifo:
+        if self.forms is None:
+            raise RigError("NIFO needs a force, and the exciting force is zero throughout")
+        return self.forms[index]
 
     @property
     def stops(self) -> tuple[Stops | None, ...]:
@@ -85,10 +99,12 @@ def identify_contact(
     with naming(findings):
         found = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY)
     names = [c.name for c in recording.rig.contacts]
+    unforced = is_unforced(found.motion)
+    findings = without_dead_force(findings) if unforced else findings
     findings += tuple(fit_findings(names, found.estimates, found.separated.nuisances.parameters))
     progress(0.5)
     rig, motion, estimates = found.rig, found.motion, found.estimates
-    low, high = force_band(motion.force_n, motion.sample_rate_hz)
+    low, high = (0.0, driven_to_hz(motion)) if unforced else force_band(motion.force_n, motion.sample_rate_hz)
     band = averaging.band_hz or (
         max(low, CLEAR_OF_CORNER * motion.trusted_hz[0], LOWEST_HZ),
         min(high, motion.trusted_hz[1]),
@@ -100,12 +116,14 @@ def identify_contact(
     stops = tuple(_stops(a) for a in estimates)
     cut = blocks(cleaned.force_n.size, motion.sample_rate_hz, averaging, band)
     equations = [e for body in rig.bodies for e in modal_equations(rig, cleaned, body, EQUATIONS)]
-    spectra = [nifo(e, cleaned.force_n, depth, cut) for e in equations if e.shape_at_force != 0]
+    forced = [e for e in equations if e.shape_at_force != 0]
+    spectra = [] if unforced else [nifo(e, cleaned.force_n, depth, cut) for e in forced]
     progress(0.7)
     coarse = _decimation(rig, motion)
     surfaces = [fit_surface(e, cleaned.force_n, eta, coarse, stops) for e in equations]
     progress(0.95)
-    weak = _main(spectra, equation)
+    weak = _main(spectra, equation) if spectra else None
+    name = weak.equation.name if weak else equation or forced[0].name
     return Identification(
         report=contact_report(
             rig,
@@ -117,7 +135,7 @@ def identify_contact(
                 None if s is None else clearance_from_occurrence(e[motion.excited_from :])
                 for e, s in zip(eta, stops, strict=True)
             ],
-            weak=weak,
+            main_equation=name,
             spectra=spectra,
             findings=findings,
         ),
@@ -126,9 +144,8 @@ def identify_contact(
         eta_m=eta,
         separated=found.separated,
         estimates=estimates,
-        surface=next(s for s in surfaces if s.equation.name == weak.equation.name),
-        weak=weak,
-        paper=nifo(weak.equation, cleaned.force_n, depth, cut, "paper"),
+        surface=next(s for s in surfaces if s.equation.name == name),
+        forms=(weak, nifo(weak.equation, cleaned.force_n, depth, cut, "paper")) if weak else None,
         tolerances=tolerances or rig.tolerances or LABORATORY,
     )
 
@@ -164,7 +181,7 @@ def _decimation(rig: Rig, motion: Kinematics) -> int:
     for body in rig.bodies:
         stations = sum(s.body == body.name for s in motion.stations)
         if body.length_m > 0 and stations < body.max_modes:
-            limits.append(0.8 * float(body.frequencies_hz(stations + 1)[-1]))
+            limits.append(0.8 * float(body.frequencies_hz(max(stations, body.rigid_modes) + 1)[-1]))
     return max(1, int(motion.sample_rate_hz / 2 / min(limits)))
 
 

@@ -4,8 +4,6 @@ from collections.abc import Iterator, Mapping
 from html import escape
 from pathlib import Path
 
-import numpy as np
-
 from identify.contacts.advice import assumed, surer
 from identify.contacts.identification import Identification
 from identify.contacts.identified_rig import identified_rig
@@ -155,10 +153,10 @@ def _methods(found: Identification) -> str:
     modes = [
         (f"{m.beam} {m.index}", f"{m.frequency_hz:.3f} Hz", f"{100 * m.damping_ratio:.2f} %") for m in report.modes
     ]
-    low, high = report.nifo[0].band_hz if report.nifo else (np.nan, np.nan)
+    by_nifo = "NIFO ({:.3g} to {:.3g} Hz) and ".format(*report.nifo[0].band_hz) if report.nifo else ""
     return (
-        "<p>With the law found, the response of the modes beyond the fitted ones is taken off; then NIFO "
-        f"({low:.3g} to {high:.3g} Hz) and the restoring force surface are applied to every modal equation. Their "
+        "<p>With the law found, the response of the modes beyond the fitted ones is taken off; then "
+        f"{by_nifo}the restoring force surface are applied to every modal equation. Their "
         "standard errors do not know the tolerances. The figures show "
         f"{escape(report.main_equation)}.</p><details><summary>All of them</summary>"
         + page.table(("equation", "contact", "stiffness by NIFO", "rms deviation", ""), nifo)

@@ -22,17 +22,17 @@ def contact_report(
     transformations: list[Transformation],
     surfaces: list[Surface],
     histogram: list[Stops | None],
-    weak: Nifo,
+    main_equation: str,
     spectra: list[Nifo],
     findings: tuple[Finding, ...] = (),
 ) -> results.ContactReport:
-    """The report; `weak` belongs to the main equation, `surfaces` and `spectra` to all."""
+    """The report; `surfaces` and `spectra` belong to all equations."""
     named = [(c.name, a) for c, a in zip(rig.contacts, estimates, strict=True)]
     return results.ContactReport(
         rig=rig.name,
         contacts=tuple(_contact(name, a) for name, a in named if isinstance(a, Joint)),
         unanswered=tuple(results.Unanswered(name, a) for name, a in named if isinstance(a, str)),
-        main_equation=weak.equation.name,
+        main_equation=main_equation,
         modes=_modes(spectra),
         nifo=tuple(_nifo_result(rig, n) for n in spectra),
         surface=results.Surfaces(

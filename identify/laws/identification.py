@@ -13,6 +13,7 @@ from identify.contacts.joint import Joint
 from identify.contacts.quality import findings_before, fit_findings
 from identify.contacts.results import Estimate, Unanswered
 from identify.contacts.start import ContactRecord
+from identify.contacts.unforced import is_unforced, without_dead_force
 from identify.laws.piecewise import FINEST, PiecewiseLinear, Sampled, polynomial, sampled, slope_jumps, straight_pieces
 from identify.laws.piecewise import unfiltered as without_low_pass
 from identify.laws.results import ContactLawEstimate, LawReport, SlidingLaw, TriedLaw
@@ -95,6 +96,7 @@ def identify_law(
     findings = findings_before(recording, use, tolerances)
     with naming(findings):
         contacts = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY)
+    findings = without_dead_force(findings) if is_unforced(contacts.motion) else findings
     findings += tuple(fit_findings(names, contacts.estimates, contacts.separated.nuisances.parameters))
     progress(0.1)
     chosen = [j for j, name in enumerate(names) if contact in (None, name)]
