@@ -207,7 +207,7 @@ def print_laws(report: LawReport, console: Console) -> None:
         console.print(f"  formula found: {escape(found.formula)}", highlight=False, soft_wrap=True)
         table = Table("law", "rms left of held-out data, N")
         for candidate in found.candidates:
-            table.add_row(candidate.law, f"{candidate.held_out_error_n:.3g}")
+            table.add_row(escape(candidate.law), f"{candidate.held_out_error_n:.3g}")
         console.print(table)
         console.print(
             f"  of a force of {found.force_rms_n:.3g} N rms; damping in the closed contact explains "
@@ -225,12 +225,16 @@ def print_laws(report: LawReport, console: Console) -> None:
 def print_report(report: ContactReport, console: Console) -> None:
     """The answer as tables: contacts, then NIFO by modal equation; before them what speaks against it."""
     print_findings(report.findings, console)
-    table = Table(title=f"Contacts of {report.rig}, modal equation {report.main_equation} (value ± standard error)")
+    rig, equation = escape(report.rig), escape(report.main_equation)
+    table = Table(title=f"Contacts of {rig}, modal equation {equation} (value ± standard error)")
     for heading in ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m"):
         table.add_column(heading, justify="left" if heading == "contact" else "right")
     for found in report.contacts:
         table.add_row(
-            found.name, _shown(found.clearance_m, 1e3), _shown(found.stiffness_n_per_m), _shown(found.damping_n_s_per_m)
+            escape(found.name),
+            _shown(found.clearance_m, 1e3),
+            _shown(found.stiffness_n_per_m),
+            _shown(found.damping_n_s_per_m),
         )
     console.print(table)
     for silent in report.unanswered:
@@ -241,20 +245,21 @@ def print_report(report: ContactReport, console: Console) -> None:
     for each in report.nifo:
         for stiffness in each.stiffness:
             spectra.add_row(
-                each.equation,
-                stiffness.contact,
+                escape(each.equation),
+                escape(stiffness.contact),
                 _shown(stiffness.mean_n_per_m),
                 f"{100 * stiffness.rms_deviation_n_per_m / abs(stiffness.mean_n_per_m.value):.2g}",
                 "nearly invisible" if stiffness.contact in each.nearly_invisible else "",
             )
         answered = {s.contact for s in each.stiffness}
         for name in (n for n in each.nearly_invisible if n not in answered):
-            spectra.add_row(each.equation, name, "", "", "on a node: not told")
+            spectra.add_row(escape(each.equation), escape(name), "", "", "on a node: not told")
     if report.nifo:
         console.print(spectra)
     for mode in report.modes:
         console.print(
-            f"mode {mode.index} of {mode.beam}: {mode.frequency_hz:.3f} Hz, damping {100 * mode.damping_ratio:.2f} %"
+            f"mode {mode.index} of {escape(mode.beam)}: {mode.frequency_hz:.3f} Hz, "
+            f"damping {100 * mode.damping_ratio:.2f} %"
         )
 
 

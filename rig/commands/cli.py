@@ -205,10 +205,10 @@ def view(
     from rig.viewer.identified import identified_laws
     from rig.viewer.viewing import open_viewer, write_rrd
 
-    target = out or file.with_suffix(".rrd")
     if magnification is not None and not 0 < magnification < np.inf:
         raise typer.BadParameter(f"{magnification} is not a finite number above zero", param_hint="--magnification")
     check_source(file)
+    target = out or file.with_suffix(".rrd")
     beside = truth or truth_path(file)
     refuse_existing(target, force, file, beside, *([] if contact is None else [contact]))
     recording = read(file)

@@ -8,6 +8,7 @@ import msgspec
 import typer
 
 from rig.commands.command_line import Force, Json, progress_bar, refuse_existing, say, working
+from rig.files import check_source
 from rig.lab.exporting import WRITERS, export
 from rig.lab.importing import import_file
 from rig.model.description import read_rig
@@ -92,9 +93,8 @@ def draw(
     """
     from rig.viewer.schematic import draw as draw_rig
 
+    check_source(file)
     target = out or file.with_suffix(".svg")
-    if target.absolute() == file.absolute():
-        raise typer.BadParameter(f"{target} is the rig itself", param_hint="--out")
-    refuse_existing(target, force)
+    refuse_existing(target, force, file)
     draw_rig(read_rig(file) if file.suffix == ".json" else read(file).rig, target)
     print(f"{target}: written; a browser shows it")

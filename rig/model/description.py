@@ -31,8 +31,8 @@ MOST = 1000
 
 def check_name(kind: str, name: str) -> None:
     """Raises RigError unless it is a name that can be shown anywhere as it is."""
-    if not (is_plain(name) and len(name) <= LONGEST_NAME):
-        raise RigError(f"{kind} {name!r}: give a name of at most {LONGEST_NAME} signs, without control characters")
+    if not (is_plain(name) and 0 < len(name) <= LONGEST_NAME):
+        raise RigError(f"{kind} {name!r}: give a name of 1 to {LONGEST_NAME} signs, without control characters")
 
 
 def _check_names(what: str, kind: str, names: Sequence[str]) -> None:

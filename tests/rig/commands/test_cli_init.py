@@ -219,7 +219,7 @@ def test_a_rig_and_a_recording_are_drawn(rig, tmp_path):
     assert (tmp_path / "rig.svg").read_bytes() == (tmp_path / "r.svg").read_bytes()
     status, _, err = rig("draw", "rig.json")
     assert (status, err) == (1, "rig: rig.svg: exists already; give another name, or --force to overwrite it\n")
-    assert rig("draw", "rig.json", "--out", "rig.json", "--force")[0] == 2
+    assert rig("draw", "rig.json", "--out", "rig.json", "--force")[0] == 1
     (tmp_path / "bad.json").write_text("{}")
     status, _, err = rig("draw", "bad.json")
     assert status == 1
