@@ -29,6 +29,8 @@ UNRELATED = 0.3
 EXPLAINED, PASSAGES = 0.95, 20
 """Fewer passages in which less is explained tell nothing: the contact is hardly ever open."""
 LATEST_S = 0.02
+LEAST_DRIVEN = 0.05
+"""Of the force's root mean square: less is no force, as after a single blow."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ def mass_findings(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> list[
 
 
 def open_fit(rig: Rig, motion: Kinematics, row: int) -> MassFit | None:
-    """None where there are too few samples with open contacts."""
+    """None where there are too few samples with open contacts, or no force acts in them."""
     high_hz = force_band(motion.force_n, motion.sample_rate_hz)[1]
     factor = max(1, int(motion.sample_rate_hz / 2 / (TO_FORCE * high_hz)))
     rate = motion.sample_rate_hz / factor
@@ -66,6 +68,8 @@ def open_fit(rig: Rig, motion: Kinematics, row: int) -> MassFit | None:
     begun = motion.excited_from // factor + 1
     passages = _passages(_open(rig, motion, factor), begun)
     if sum(p.stop - p.start for p in passages) < 50:
+        return None
+    if np.concatenate([signals[0, p] for p in passages]).std() < LEAST_DRIVEN * signals[0].std():
         return None
 
     def fitted(delay_s: float) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:

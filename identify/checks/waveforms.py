@@ -12,6 +12,8 @@ STUCK = 1e-3
 """A channel that stands at its largest or smallest value for a larger share of the record is clipped."""
 COARSE = 0.01
 """Steps of a larger share of a channel's root mean square are too coarse."""
+RECUR = 3.0
+"""Levels that recur less often are not those of a quantiser."""
 HELD = 8
 """So many equal samples in a row are held."""
 SPIKE = 25.0
@@ -57,9 +59,10 @@ def clipped(name: str, row: Row) -> Finding | None:
 
 
 def quantised(name: str, row: Row) -> Finding | None:
-    """The most common difference between neighbouring levels is large."""
-    levels = np.unique(row[:: max(1, row.size // 20_000)])
-    if levels.size > 2000 or levels.size < 3:
+    """The most common difference between neighbouring levels is large, and they recur: those of one blow do not."""
+    levels, counts = np.unique(row[:: max(1, row.size // 20_000)], return_counts=True)
+    recur = (counts.sum() - counts.max()) / levels.size
+    if levels.size > 2000 or levels.size < 3 or recur < RECUR:
         return None
     step, rms = float(np.median(np.diff(levels))), float(row.std())
     if step < COARSE * rms:

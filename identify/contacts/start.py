@@ -111,15 +111,30 @@ def touched_stops(seen: ContactRecord) -> tuple[bool, bool]:
 def regressed(seen: ContactRecord, curve: Spline) -> tuple[Law, Float[np.ndarray, " knots"]]:
     """Where the contact is clearly closed, eta + b = +-clearance + force / k: linear in clearance, 1/k and b.
 
+    A spring s on the drift adds s b to the measured force. Then b is left to Gauss-Newton at first; if that finds no
+    law, as where a record begins in motion, (1 + s / k) b is solved for.
+
     Raises RigError as `touched_stops` does, and if no force grows with the relative displacement.
     """
+    touched = touched_stops(seen)
+    for with_drift in (False, True) if seen.spring_n_per_m else (True,):
+        *knots, clearance, softness = _closed_fit(seen, curve, with_drift)
+        if np.isfinite(clearance) and softness > 0:
+            far = BEYOND * float(np.max(np.abs(seen.eta_m)))
+            lower, upper = (max(clearance, 0.0) if one else far for one in touched)
+            shared = 1 + seen.spring_n_per_m * softness * with_drift
+            return np.array([lower, upper, 1 / softness, 0.0]), np.array(knots) / shared
+    raise RigError("no force grows with this relative displacement; excite the rig more strongly, or check rig.json")
+
+
+def _closed_fit(seen: ContactRecord, curve: Spline, with_drift: bool) -> Float[np.ndarray, " unknowns"]:
+    """The drift's knots, the clearance and one over the stiffness."""
     size = np.abs(seen.force_n)
     at_force = curve.value[:: seen.factor][: size.size]
     force = seen.force_n
     closed = clearly_closed(seen)
-    if seen.spring_n_per_m:  # the drift's own force is in the measured one: leave it to Gauss-Newton
+    if not with_drift:
         at_force = csr_matrix(at_force.shape)
-    touched = touched_stops(seen)
     eta = seen.eta_m[:: seen.factor][: size.size][closed]
     columns = hstack([-at_force[closed], np.stack([np.sign(force[closed]), force[closed]], axis=1)]).tocsr()
     bent = hstack([curve.curvature, csr_matrix((curve.target.size, 2))])
@@ -131,11 +146,4 @@ def regressed(seen: ContactRecord, curve: Spline) -> tuple[Law, Float[np.ndarray
         ridge = diags(np.r_[np.full(curve.knots, 1e-12 * (rows.T @ rows).diagonal().max()), np.zeros(2)])
         found = spsolve((rows.T @ rows + ridge).tocsc(), rows.T @ target)
         weights = 1 / (1 + ((eta - columns @ found) / (OUTSIDE * fuzz_m)) ** 2)
-    *knots, clearance, softness = found
-    if not (np.isfinite(clearance) and softness > 0):
-        raise RigError(
-            "no force grows with this relative displacement; excite the rig more strongly, or check rig.json"
-        )
-    far = BEYOND * float(np.max(np.abs(seen.eta_m)))
-    lower, upper = (max(clearance, 0.0) if one else far for one in touched)
-    return np.array([lower, upper, 1 / softness, 0.0]), np.array(knots)
+    return np.asarray(found)
