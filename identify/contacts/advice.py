@@ -59,7 +59,10 @@ def assumed(found: Identification) -> Iterator[str]:
         + (", and the slow motion below is solved for within the noise of the accelerometers." if low else ".")
     )
     if found.forms is None:
-        yield "No force was recorded: none acts during the record but those of the contacts."
+        yield (
+            "No force was recorded: none acts during the record but those of the contacts, whose size rests on the "
+            "masses of rig.json."
+        )
     yield f"The accelerations' noise is taken from {report.noise_from}."
     if not all(isinstance(a, Joint) and a.sides_known for a in found.estimates):
         yield "The zero of the relative displacement is not known: the two stops stand equally far from it."
@@ -83,7 +86,7 @@ def surer(found: Identification) -> Iterator[str]:
             "Only half the total play can be told: displacement sensors that show a standing displacement too, at both "
             "sides of a contact, would tell its two sides apart."
         )
-    if found.motion.excited_from < QUIET_S * found.motion.sample_rate_hz:
+    if found.forms and found.motion.excited_from < QUIET_S * found.motion.sample_rate_hz:
         yield (
             f"The sensors' noise is taken from {found.report.noise_from}: let the record begin with a second or more "
             "without force to measure it."

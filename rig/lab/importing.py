@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -30,10 +31,13 @@ class Source(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The TOML file beside measured data. The rig is a path from the map's folder."""
+    """The TOML file beside measured data. The rig is a path from the map's folder.
+
+    force = "none" is that of a free decay, which has no column of it.
+    """
 
     rig: str = RIG_NAME
-    force: Source
+    force: Source | Literal["none"]
     sensors: dict[str, Source]
     time: Source | None = None
     sample_rate_hz: float | None = None
@@ -59,7 +63,7 @@ def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
     for wrong, what in ((given - names, "is no sensor of the rig"), (names - given, "is missing")):
         if wrong:
             raise RigError(f"{map_path}: sensor {min(wrong)!r} {what}; [sensors] needs {', '.join(sorted(names))}")
-    wanted = {"force": ("force", mapping.force)}
+    wanted = {} if mapping.force == "none" else {"force": ("force", mapping.force)}
     wanted |= {s.name: (s.quantity, mapping.sensors[s.name]) for s in rig.sensors}
     try:
         taken, factors = taken_columns(columns, wanted)
@@ -74,6 +78,7 @@ def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
     steps = (
         f"{rows.shape[1]} samples of {len(rows)} columns read from {source.name}",
         "made SI: " + ", ".join(f"{n} = {factors[n]:.9g} x column {c.name!r}" for n, c in taken.items()),
+        *(() if "force" in taken else ("no force was measured: its channel is zero",)),
         *resampled,
     )
     provenance = {
@@ -82,7 +87,8 @@ def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
         "source_sha256": hashlib.sha256(source.read_bytes()).hexdigest(),
         "map": map_path.name,
     }
-    _write(out, rig, dict(zip(taken, values, strict=True)), with_history(provenance, *steps))
+    unforced = {"force": np.zeros(values.shape[1])}
+    _write(out, rig, unforced | dict(zip(taken, values, strict=True)), with_history(provenance, *steps))
     return steps
 
 
@@ -160,14 +166,14 @@ def _found(columns: Sequence[Column], entry: Source) -> Column:
 def _check_taken(taken: Mapping[str, Column]) -> None:
     """Each column once, all of one length, every value finite."""
     first_use: dict[int, str] = {}
-    force = taken["force"]
+    first_name, reference = next(iter(taken.items()))
     for name, column in taken.items():
         if first := first_use.get(id(column)):
             raise RigError(f"column {column.name!r} is given to both {first!r} and {name!r}; each needs its own")
         first_use[id(column)] = name
-        if column.values.size != force.values.size:
+        if column.values.size != reference.values.size:
             raise RigError(
-                f"column {column.name!r} has {column.values.size} samples, the force {force.values.size}; "
+                f"column {column.name!r} has {column.values.size} samples, the {first_name} {reference.values.size}; "
                 "export them over the same time"
             )
         if not np.isfinite(column.values).all():

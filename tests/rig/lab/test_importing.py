@@ -98,6 +98,11 @@ def test_the_map_of_the_readme_works(folder):
     check(imported(folder, told, text=csv_text(values=values, names="time_s,load cell,acc 1")), values)
 
 
+def test_a_free_decay_has_no_force(folder):
+    recording = imported(folder, mapped(force="none"), text=csv_text())
+    check(recording, VALUES | {"force": np.zeros(SAMPLES)})
+
+
 def test_csv_from_another_country(folder):
     text = "Messung Müller; 20 °C\n" + csv_text(names="Zeit,Kraft,Weg,Beschl.").replace(",", ";").replace(".", ",")
     told = mapped(
