@@ -15,8 +15,12 @@ from identify.contacts import Identification, identify_contact
 from identify.contacts.identified_rig import identified_rig
 from identify.contacts.results import ContactReport, Estimate, Unanswered
 from identify.gaps.decision.answer import diagnose
+from identify.gaps.decision.null_reference import NULL_REFERENCE_SUFFIX
 from identify.gaps.decision.simulators import simulator_named
 from identify.gaps.results import Gap, Matters
+from identify.history import History, history_of
+from identify.history import page as history_page
+from identify.history.observed import observations
 from identify.laws import Laws, identify_law
 from identify.laws.results import LawReport
 from identify.pages.wording import COVERED, interval
@@ -84,6 +88,7 @@ class ContactResult:
     title: str
     laws: Mapping[str, ContactLaw]
     laws_name: str = "rig.json"
+    sources: tuple[Path, ...] = ()
 
     @property
     def report(self) -> ContactReport:
@@ -118,7 +123,7 @@ class ContactResult:
         """Writes contact.html, a page that stands alone, the figures, the identified rig.json, and contact.json."""
         from identify.contacts.report import write_results
 
-        write_results(self.found, Path(folder), self.title, self.laws, self.laws_name)
+        write_results(self.found, Path(folder), self.title, self.laws, self.laws_name, self.sources)
 
     def __str__(self) -> str:
         lines = [
@@ -186,6 +191,7 @@ class GapResult:
     corrected: Rig = field(repr=False)
     title: str
     findings: tuple[Finding, ...] = ()
+    sources: tuple[Path, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """As in gap.json."""
@@ -212,10 +218,49 @@ class GapResult:
         """Writes gap.html, a page that stands alone, gap.json and the corrected rig.json."""
         from identify.gaps.page.report import write_all
 
-        write_all(self.report, self.corrected, self.title, Path(folder))
+        write_all(self.report, self.corrected, self.title, Path(folder), self.sources)
 
     def __str__(self) -> str:
         return self.report.sentence
+
+
+@dataclass(frozen=True)
+class HistoryResult:
+    """What changed of a machine from recording to recording. `report` has what history.json has."""
+
+    report: History = field(repr=False)
+
+    @property
+    def changed(self) -> bool:
+        return any(q.changed for q in self.report.quantities)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in history.json."""
+        return dict(msgspec.to_builtins(self.report))
+
+    def table(self) -> list[Row]:
+        """A row a quantity: its mean, change from the first recording to the last, and the p-values of both tests."""
+        names = ("quantity", "mean", "first_to_last", "p_trend", "p_different")
+        return [dict(zip(names, row, strict=True)) for row in history_page.rows(self.report)]
+
+    @cached_property
+    def figures(self) -> dict[str, Picture]:
+        """All figures by their names: one."""
+        return {"history": Picture(history_page.picture(self.report))}
+
+    def figure(self, name: str = "history") -> Picture:
+        return _named(self.figures, name)
+
+    def save(self, folder: str | Path) -> None:
+        """Writes history.html, a page that stands alone, history.csv and history.json."""
+        out = Path(folder)
+        make_folder(out)
+        history_page.write_page(self.report, self.figure().png, out / "history.html")
+        write_bytes(history_page.csv_of(self.report), out / "history.csv")
+        write_json(self.report, out / "history.json")
+
+    def __str__(self) -> str:
+        return history_page.sentence(self.report)
 
 
 def check(recording: Source, *, use: Use = "auto", tolerances: Tolerances | str | None = None) -> CheckResult:
@@ -256,7 +301,8 @@ def contact(
         tolerances=_believed(tolerances),
         progress=progress,
     )
-    return ContactResult(found, _title([recording], given), {c.name: c.law for c in given.rig.contacts})
+    laws = {c.name: c.law for c in given.rig.contacts}
+    return ContactResult(found, _title([recording], given), laws, sources=_files([recording]))
 
 
 def law(
@@ -313,9 +359,10 @@ def gap(
     first = next(iter(given.values()))
     kept = None if null_reference is None else Path(null_reference)
     if kept and kept.is_dir():
-        kept /= f"{quote(first.rig.name, safe=' ')[:LONGEST_NAME]}-{simulator}.null_reference.json"
+        kept /= f"{quote(first.rig.name, safe=' ')[:LONGEST_NAME]}-{simulator}{NULL_REFERENCE_SUFFIX}"
     if kept:
-        check_target(kept, *(Path(one) for one in (*every, validation) if isinstance(one, str | Path)))
+        sources = [Path(one) for one in (*every, validation, rig) if isinstance(one, str | Path)]
+        check_target(kept, *sources, new_folder=True)
     with threadpool_limits(1):  # the matrices are small
         found, corrected = diagnose(
             list(given.values()),
@@ -328,7 +375,27 @@ def gap(
             next_experiment,
         )
         findings = [f for one in given.values() for f in check_recording(one, tolerances=_believed(tolerances))]
-    return GapResult(found, corrected, _title(every, first), tuple(dict.fromkeys(findings)))
+    return GapResult(found, corrected, _title(every, first), tuple(dict.fromkeys(findings)), _files(every))
+
+
+def compare(
+    sources: Sequence[str | Path],
+    *,
+    use: Use = "auto",
+    tolerances: Tolerances | str | None = None,
+    progress: Progress = lambda _: None,
+) -> HistoryResult:
+    """Clearances, stiffnesses, dampings and modes over recordings of one machine, and whether they changed.
+
+    The sources are recordings, or folders with a contact.json, in their order (`identify.history` says how they are
+    compared). Raises RigError if fewer than two tell anything, or they are of different rigs.
+    """
+    paths = [Path(one) for one in sources]
+    if len({path.resolve() for path in paths}) < len(paths):
+        raise RigError("a recording is given twice; give each once")
+    with threadpool_limits(1):
+        found = history_of(list(observations(paths, use, _believed(tolerances), progress)))
+    return HistoryResult(found)
 
 
 def _identity(source: Source) -> Path | int:
@@ -362,6 +429,10 @@ def _believed(tolerances: Tolerances | str | None) -> Tolerances | None:
 def _title(sources: Sequence[Source], first: Recording) -> str:
     files = ", ".join(Path(one).name for one in sources if not isinstance(one, Recording))
     return f"{first.rig.name}: {files}" if files else first.rig.name
+
+
+def _files(sources: Sequence[Source]) -> tuple[Path, ...]:
+    return tuple(Path(one) for one in sources if not isinstance(one, Recording))
 
 
 def _interval(estimates: Mapping[str, Estimate]) -> Row:

@@ -46,13 +46,19 @@ def contents(path: Path) -> bytes:
         raise RigError(f"{path}: cannot be read ({error.strerror}); check the file") from error
 
 
-def check_target(path: Path, *sources: Path) -> None:
-    """Raises RigError if no file can be written there, or it is one of those that are read, however it is spelt."""
+def check_target(path: Path, *sources: Path, new_folder: bool = False) -> None:
+    """Raises RigError if no file can be written there, or it is one of those that are read, however it is spelt.
+
+    With new_folder its folder need not be there yet: it is made before the file is.
+    """
     part = part_of(path)
     for source in sources:
+        _check_name(source)
         if any(_same(place, source) for place in (path, part)):
             raise RigError(f"{path}: would be written over {source}, which is read; give another name")
     folder = next(folder for folder in path.absolute().parents if os.path.lexists(folder))
+    if folder != path.absolute().parent and not new_folder:
+        raise RigError(f"{path}: cannot be written (there is no folder {path.parent}); make it, or choose another")
     if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
         why = "cannot be written to" if folder.is_dir() else "is no folder"
         raise RigError(f"{path}: cannot be written ({folder} {why}); choose another place")
@@ -64,7 +70,7 @@ def part_of(path: Path) -> Path:
     if not path.name or path.name == "..":
         raise RigError(f"{path}: is a folder; name a file in it")
     part = path.with_name(path.name + ".part")
-    if len(os.fsencode(part.name)) > LONGEST_NAME_BYTES:
+    if any(len(os.fsencode(name)) > LONGEST_NAME_BYTES for name in part.parts):
         raise RigError(f"{path}: cannot be written (its name is too long); give a shorter one")
     for place in (path, part):
         if place.is_symlink():

@@ -54,7 +54,7 @@ def make(
     """Records the cases and seals their answers; run again after an interruption, it goes on."""
     key_path, hash_path = out / "sealed" / "key.json", out / "key.sha256"
     plans = planned(out, world, seed, cases, duration, nulls_only)
-    refuse_existing(hash_path, force)
+    refuse_existing(hash_path, force, new_folder=True)
     (out / "recordings").mkdir(parents=True, exist_ok=True)
     (out / "sealed" / "work").mkdir(parents=True, exist_ok=True)
     answers = run_tasks(made, plans, Case, out / "sealed" / "tasks", dask)

@@ -9,6 +9,7 @@ from rich.table import Table
 
 from identify.contacts import Identification, identify_contact
 from identify.contacts.report import write_results
+from identify.pages.wording import COVERED
 from identify.signals.kinematics import Use
 from rig.commands.command_line import progress_bar
 from rig.model.contact_laws import ContactLaw
@@ -61,17 +62,17 @@ def identified_against_true(path: Path, *, use: Use, out: Path, equation: str | 
 
 def shown(title: str, comparison: Comparison) -> None:
     """The table of identified against true; the standard errors allow for what a laboratory does not know exactly."""
-    table = Table(title=f"{title} (standard errors with laboratory tolerances)")
-    for heading in ("contact", "quantity", "true", "identified", "± std. error", "off by, %"):
+    table = Table(title=f"{title} (± 95 % with laboratory tolerances)")
+    for heading in ("contact", "quantity", "true", "identified", "± 95 %", "off by, %"):
         table.add_column(heading, justify="left" if heading in ("contact", "quantity") else "right")
     for estimate in comparison.found.report.contacts:
         law, errors = comparison.true[estimate.name], comparison.errors_percent(estimate.name)
         gap, stiffness = estimate.clearance_m, estimate.stiffness_n_per_m
-        for name, true, value, error, off in (
-            ("clearance, mm", 1e3 * law.clearance_m, 1e3 * gap.value, 1e3 * gap.standard_error, errors[0]),
-            ("stiffness, N/m", law.stiffness_n_per_m, stiffness.value, stiffness.standard_error, errors[1]),
+        for name, true, value, reach, off in (
+            ("clearance, mm", 1e3 * law.clearance_m, 1e3 * gap.value, 1e3 * COVERED * gap.standard_error, errors[0]),
+            ("stiffness, N/m", law.stiffness_n_per_m, stiffness.value, COVERED * stiffness.standard_error, errors[1]),
         ):
-            table.add_row(estimate.name, name, f"{true:.6g}", f"{value:.6g}", f"{error:.1g}", f"{off:+.4f}")
+            table.add_row(estimate.name, name, f"{true:.6g}", f"{value:.6g}", f"{reach:.2g}", f"{off:+.4f}")
     Console().print(table)
 
 

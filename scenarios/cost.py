@@ -25,8 +25,9 @@ from identify.contacts import identify_contact
 from identify.contacts.estimates import find_contacts
 from identify.paper.nifo import nifo
 from identify.paper.surface import fit_surface
+from identify.signals.finely import OVERSAMPLING
 from identify.signals.kinematics import kinematics
-from identify.signals.spectra import OVERSAMPLING, Averaging, blocks
+from identify.signals.spectra import Averaging, blocks
 from rig.commands.command_line import progress_bar, run
 from rig.model.tolerances import LABORATORY
 from rig.recording import read

@@ -80,7 +80,7 @@ def f16(
     force: Force = False,
 ) -> None:
     """Fits a rig to the lowest level, diagnoses levels 3 and 5 against it, and judges the corrected rigs."""
-    refuse_existing(out / "f16.json", force)
+    refuse_existing(out / "f16.json", force, new_folder=True)
     start = start_of(data)
     believed, notes = start.described()
     write_start(believed, start.map_text(believed), out)

@@ -63,7 +63,7 @@ def friction_damper(
     force: Force = False,
 ) -> None:
     """Finds the damper's law at every tension: sliding force, backlash and stiffness, with intervals."""
-    refuse_existing(out / "friction_damper.json", force)
+    refuse_existing(out / "friction_damper.json", force, new_folder=True)
     files = sorted((p for p in data.glob("*.json") if NAME.fullmatch(p.name)), key=_order)
     if not files:
         raise RigError(f"{data}: holds no file like 0.5Hz20lbtension.json; give the folder of the data set")

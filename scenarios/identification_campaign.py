@@ -20,6 +20,7 @@ from rich.table import Table
 
 from identify.contacts.estimates import Contacts, find_contacts
 from identify.contacts.joint import Joint
+from identify.pages.wording import COVERED
 from rig.commands.command_line import run
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Rig
@@ -198,7 +199,7 @@ def _errors(found: list[FoundContact], quantity: str) -> tuple[np.ndarray, np.nd
 
 def _coverage(found: list[FoundContact]) -> str:
     sigmas = np.concatenate([_errors(found, quantity)[1] for quantity in QUANTITIES])
-    return f"{100 * np.mean(np.abs(sigmas) < 1.96):.1f} % of {sigmas.size}"
+    return f"{100 * np.mean(np.abs(sigmas) < COVERED):.1f} % of {sigmas.size}"
 
 
 def figures_of(found: list[FoundContact], quantity: str) -> tuple[str, ...]:
@@ -208,7 +209,7 @@ def figures_of(found: list[FoundContact], quantity: str) -> tuple[str, ...]:
     return (
         f"{np.median(np.abs(off)):.3f}{unit}",
         f"{np.quantile(np.abs(off), 0.95):.3f}{unit}",
-        f"{100 * np.mean(np.abs(sigmas) < 1.96):.0f} %",
+        f"{100 * np.mean(np.abs(sigmas) < COVERED):.0f} %",
         str(refused),
     )
 
@@ -221,7 +222,7 @@ def draw(found: list[FoundContact], path: Path, kind: str) -> None:
         for row, quantity in zip(axes, ("clearance", "stiffness"), strict=True):
             off, sigmas = _errors(found, quantity)
             row[0].errorbar(
-                np.arange(off.size), off, 1.96 * np.abs(off / sigmas), fmt=".", color="#1f5fa8", elinewidth=0.8
+                np.arange(off.size), off, COVERED * np.abs(off / sigmas), fmt=".", color="#1f5fa8", elinewidth=0.8
             )
             row[0].axhline(0, color="k", lw=0.8)
             row[0].set(xlabel="contact", ylabel=f"error of the {quantity}, %")

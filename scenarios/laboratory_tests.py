@@ -18,8 +18,10 @@ from rich.table import Table
 
 import identify
 from identify.contacts.results import Estimate
+from identify.pages.wording import COVERED
 from rig import RigError
 from rig.commands.command_line import run
+from rig.effects import effect_named
 from rig.model.description import BaseMotion, Rig, contact_stations
 from rig.model.quantities import QUANTITIES
 from rig.recording import Recording, read
@@ -33,6 +35,12 @@ from scenarios.jitter import jittered
 
 NOISE = 1e-3
 """Of every accelerometer, m/s^2/sqrt(Hz)."""
+WIDER, STIFFER = "contact_clearance:factor=1.2", "contact_stiffness:factor=1.3"
+HEAVIER, HELD = "added_mass:mass_kg=0.1", "linear_spring:stiffness_n_per_m=1000"
+SOFTER, LOSSY = "youngs_modulus:factor=0.95", "structural_damping:factor=3"
+"""Effects of the library, each well above its limit."""
+VALIDATES = 1.5
+"""The level of the record that validates a diagnosis, over that of the one that is fitted."""
 app = typer.Typer(pretty_exceptions_enable=False)
 
 
@@ -40,7 +48,8 @@ app = typer.Typer(pretty_exceptions_enable=False)
 class Test:
     """Settings of a reference rig, its force, what is changed of its rig.json, and what is cut off at its start.
 
-    The force channel of one that is unforced is zero. A base that shakes is not in rig.json: of one mass the recording
+    effect is what the machine has in the two records that are diagnosed, and rig.json not. The force channel of one
+    that is unforced is zero. A base that shakes is not in rig.json: of one mass the recording
     holds the motion against it, and minus the mass times its acceleration as the force, else the motion alone.
     """
 
@@ -50,6 +59,7 @@ class Test:
     without_s: float = 0.0
     unforced: bool = False
     base: BaseMotion | None = None
+    effect: str = WIDER
 
     @property
     def rig(self) -> Rig:
@@ -117,31 +127,33 @@ LET_GO: dict[str, Any] = {"force": "free_decay", "rms_n": 60.0, "high_hz": 5.0, 
 """A blow of 10 ms and of 100 ms at 1 s, which the record does not hold."""
 TESTS = {
     "two beams, Gaussian force": beams(),
-    "two beams, burst random": beams("burst"),
-    "two beams, swept sine": beams("sweep"),
-    "two beams, stepped sine": beams("stepped_sine"),
-    "two beams, multisine": beams("multisine"),
-    "two beams, a hammer's hit every two seconds": beams("hammer"),
-    "two beams, high-pass of 0.5 Hz": beams(change=ac_coupled(0.5)),
-    "two beams, high-pass of 2 Hz": beams(change=ac_coupled(2.0)),
-    "two beams, no quiet start": beams(without_s=4.0),
+    "two beams, burst random": beams("burst", effect=HELD),
+    "two beams, swept sine": beams("sweep", effect=SOFTER),
+    "two beams, stepped sine": beams("stepped_sine", effect=STIFFER),
+    "two beams, multisine": beams("multisine", effect=LOSSY),
+    "two beams, a hammer's hit every two seconds": beams("hammer", effect=HEAVIER),
+    "two beams, high-pass of 0.5 Hz": beams(change=ac_coupled(0.5), effect=HEAVIER),
+    "two beams, high-pass of 2 Hz": beams(change=ac_coupled(2.0), effect=SOFTER),
+    "two beams, no quiet start": beams(without_s=4.0, effect=HELD),
     "two beams, no quiet start, displacements": beams(sensors="displacement", without_s=4.0),
-    "two beams, three stations each": beams(change=fewer_stations(3)),
-    "two beams, two stations each": beams(change=fewer_stations(2)),
+    "two beams, three stations each": beams(change=fewer_stations(3), effect=STIFFER),
+    "two beams, two stations each": beams(change=fewer_stations(2), effect=HEAVIER),
     "two beams, one measured blow": beams("free_decay", rms_n=500.0, high_hz=50.0),
     "two beams, free decay, no force measured": beams(**RELEASED),
     "two beams, free decay, displacements": beams(sensors="displacement", **RELEASED),
     "one mass, Gaussian force": mass(),
     "one mass, swept sine": mass("sweep"),
-    "one mass, stepped sine": mass("stepped_sine"),
-    "one mass, a hammer's hit every two seconds": mass("hammer"),
-    "one mass, high-pass of 0.5 Hz": mass(change=ac_coupled(0.5)),
+    "one mass, stepped sine": mass("stepped_sine", effect=HEAVIER),
+    "one mass, a hammer's hit every two seconds": mass("hammer", effect=STIFFER),
+    "one mass, high-pass of 0.5 Hz": mass(change=ac_coupled(0.5), effect=HEAVIER),
     "one mass, no quiet start": mass(without_s=4.0),
-    "one mass, no quiet start, displacement": mass(sensors="displacement", without_s=4.0),
+    "one mass, no quiet start, displacement": mass(sensors="displacement", without_s=4.0, effect=HEAVIER),
     "one mass, one measured blow": mass("free_decay", rms_n=60.0, high_hz=5.0),
     "one mass, free decay, no force measured": mass(**LET_GO),
     "one mass, free decay, displacement": mass(sensors="displacement", **LET_GO),
-    "one mass, base excitation, motion against the base": mass(rms_n=0.0, base=shaken(1.0), without_s=1.0),
+    "one mass, base excitation, motion against the base": mass(
+        rms_n=0.0, base=shaken(1.0), without_s=1.0, effect=STIFFER
+    ),
     "one mass, base excitation, displacement": mass(sensors="displacement", rms_n=0.0, base=shaken(1.0), without_s=1.0),
 }
 REFUSED = {
@@ -156,14 +168,29 @@ REFUSED = {
 """What a record does not tell; `identify contact` says in one sentence why."""
 
 
-def recorded(test: Test, path: Path, duration_s: float | None = None, jitter: int | None = None) -> Recording:
-    """By the plant `modal`; with a seed of jitter, of a rig as a laboratory builds it, which rig.json does not know."""
+def recorded(
+    test: Test,
+    path: Path,
+    duration_s: float | None = None,
+    jitter: int | None = None,
+    *,
+    effect: str = "",
+    seed: int = 1,
+    level: float = 1.0,
+) -> Recording:
+    """By the plant `modal`; with a seed of jitter, of a rig as a laboratory builds it, which rig.json does not know.
+
+    Nor does it know the effect, if one is named. The excitation has another seed and another level if asked.
+    """
     rig, step_s, duration_s = test.rig, test.settings.step_s, duration_s or test.settings.duration_s
-    actual = rig if jitter is None else jittered(rig, np.random.default_rng(jitter))
-    actual = changed(actual, base_motion=test.base) if test.base else actual
+    actual = effect_named(effect).applied_to(rig) if effect else rig
+    actual = actual if jitter is None else jittered(actual, np.random.default_rng(jitter))
+    if test.base:
+        rms = level * test.base.acceleration_rms_m_per_s2
+        actual = changed(actual, base_motion=changed(test.base, seed=seed, acceleration_rms_m_per_s2=rms))
     record(
         rig,
-        test.force,
+        changed(test.force, seed=seed, rms_n=level * test.force.rms_n),
         plant=modal.simulate,
         duration_s=duration_s,
         step_s=step_s,
@@ -191,15 +218,22 @@ def laboratory_tests(
     out: Annotated[Path, typer.Option(help="Folder for the recordings.")] = Path("out/laboratory_tests"),
     jitter: Annotated[int | None, typer.Option(help="Seed of what rig.json has wrong; none without it.")] = None,
     only: Annotated[str, typer.Option(help="Tests with this in their name.")] = "",
+    diagnose: Annotated[bool, typer.Option("--diagnose", help="Diagnose an effect of each, in place of that.")] = False,
 ) -> None:
-    """Identifies the contacts from every test, 30 s of two beams or 40 s of one mass."""
+    """Identifies the contacts from every test, 30 s of two beams or 40 s of one mass.
+
+    With --diagnose an effect of each instead, which rig.json does not know, from two records.
+    """
     out.mkdir(parents=True, exist_ok=True)
+    if diagnose:
+        _diagnosed(out, jitter, only)
+        return
     table = Table(title="Tests of the reference rigs: errors with 95 % intervals")
     for heading in ("test", "clearance off by, %", "stiffness off by, %", "findings"):
         table.add_column(heading)
     inside: list[bool] = []
-    tests = [(name, test) for name, test in (TESTS | REFUSED).items() if only in name]
-    for number, (name, test) in enumerate(track(tests, console=Console(stderr=True))):
+    tests = [(k, *one) for k, one in enumerate((TESTS | REFUSED).items()) if only in one[0]]
+    for number, name, test in track(tests, console=Console(stderr=True)):
         try:
             own = None if jitter is None else jitter + number
             report = identify.contact(recorded(test, out / f"{number}.mcap", jitter=own)).report
@@ -214,6 +248,44 @@ def laboratory_tests(
         table.add_row(name, *told, "; ".join(f.cause for f in report.findings))
     Console().print(table)
     Console().print(f"{sum(inside)} of {len(inside)} values within their 95 % intervals", highlight=False)
+
+
+def _diagnosed(out: Path, jitter: int | None, only: str) -> None:
+    """The table of the effects."""
+    table = Table(title="Tests of the reference rigs: the effect that rig.json lacks, with 95 % intervals")
+    for heading in ("test", "effect", "verdict", "found", "closes, %"):
+        table.add_column(heading)
+    tests = [(k, *one) for k, one in enumerate((TESTS | REFUSED).items()) if only in one[0]]
+    for number, name, test in track(tests, console=Console(stderr=True)):
+        row = (name, test.effect, *gap_of(test, out / str(number), None if jitter is None else jitter + number))
+        Console(stderr=True).print(" | ".join(row), highlight=False, soft_wrap=True)
+        table.add_row(*row)
+    Console().print(table)
+
+
+def gap_of(test: Test, path: Path, jitter: int | None, duration_s: float | None = None) -> tuple[str, str, str]:
+    """Verdict, likeliest cause with its parameters, and what it closes; or why there is none."""
+    try:
+        fit, validation = (
+            recorded(
+                test,
+                path.with_name(f"{path.name}_{seed}.mcap"),
+                duration_s,
+                jitter,
+                effect=test.effect,
+                seed=seed,
+                level=level,
+            )
+            for seed, level in ((2, 1.0), (3, VALIDATES))
+        )
+        found = identify.gap(fit, validation).report
+    except RigError as error:
+        return str(error), "", ""
+    if not found.causes:
+        return found.verdict, "", ""
+    best = found.causes[0]
+    numbers = "; ".join(f"{v.value:.4g} ± {COVERED * v.standard_error:.2g}" for v in best.parameters.values())
+    return found.verdict, f"{' + '.join(best.effects)} {numbers}", f"{100 * best.explained:.0f}"
 
 
 def _off(found: Estimate, true: float) -> tuple[float, float]:

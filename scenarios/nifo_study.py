@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.paper.nifo import Form, Nifo, nifo
+from identify.signals.finely import penetration
 from identify.signals.kinematics import kinematics
-from identify.signals.spectra import Averaging, Blocks, Term, blocks, decimated, penetration
+from identify.signals.spectra import Averaging, Blocks, Term, blocks, decimated
 from identify.structure.modal import ModalEquation, modal_equations, relative_displacements, without_higher_modes
 from rig.model.description import Rig
 from rig.recording import Recording, Signals, channel_groups

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
+from identify.pages.wording import COVERED
 from scenarios.nifo_study import NifoEstimate, NifoOutcome, Study, estimated
 from scenarios.tasks import run_tasks
 
@@ -98,7 +99,7 @@ def _table(title: str, varied: str, points: Sequence[Point]) -> Table:
     """A row for each record, a column for each form and contact."""
     table = Table(
         title=title,
-        caption="error of the spectral mean ± standard error (rms spread over frequency), %; free: of force and "
+        caption="error of the spectral mean ± 95 % (rms spread over frequency), %; free: of force and "
         "penetrations, the amplitude that is no linear response to the others",
     )
     columns = dict.fromkeys((p.found.form, p.found.contact) for p in points)
@@ -114,7 +115,7 @@ def _table(title: str, varied: str, points: Sequence[Point]) -> Table:
         closed = ", ".join(f"{100 * share:.0f}" for share in shares)
         found = (
             "\n".join(
-                f"{p.found.off_percent:.4f} ± {p.found.error_percent:.4f} ({p.found.spread_percent:.3g})"
+                f"{p.found.off_percent:.4f} ± {COVERED * p.found.error_percent:.4f} ({p.found.spread_percent:.3g})"
                 for p in own
                 if (p.found.form, p.found.contact) == column
             )

@@ -11,6 +11,7 @@ from scipy.optimize import minimize
 from scipy.special import expit
 from scipy.stats import norm
 
+from identify.pages.wording import COVERED
 from scenarios.calibration import calibrated
 from scenarios.scoreboard import ScoredCase, confusion, detection_limits, parameter_errors
 
@@ -136,7 +137,7 @@ def _parameters(compared: Sequence[ScoredCase]) -> Figure:
     figure = Figure(figsize=(7.5, 1.6 + 0.22 * max(len(names), 8)), layout="constrained")
     by_name, together = figure.subplots(1, 2, width_ratios=(2, 1))
     values = np.array([z for _, z in errors])
-    by_name.axvspan(-1.96, 1.96, color=GREY, alpha=0.15, lw=0)
+    by_name.axvspan(-COVERED, COVERED, color=GREY, alpha=0.15, lw=0)
     by_name.plot(np.clip(values, -6, 6), [names.index(name) for name, _ in errors], "o", color=BLUE, ms=4, alpha=0.7)
     by_name.set_yticks(range(len(names)), names)
     by_name.set(xlim=(-6.3, 6.3), xlabel="error / standard error (beyond 6 at the edge)")

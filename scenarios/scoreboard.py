@@ -9,6 +9,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from identify.gaps.results import Gap
+from identify.pages.wording import COVERED
 from scenarios.blind_diagnosis import Found
 from scenarios.score_places import description_right, place_fields, place_right
 from scenarios.true_effect import Best, named_now
@@ -145,7 +146,7 @@ def scored(compared: Sequence[ScoredCase]) -> Score:
         _rate("null: an effect named", (c.gap.verdict in NAMING for c in nulls)),
         _rate("null: any verdict but no gap", (c.gap.verdict != "no_gap" for c in nulls)),
         _rate("place right, of single effects right", (place_right(c.effects[0], c.gap.causes[0]) for c in placed)),
-        _rate("parameter in its 95 % interval", (abs(z) < 1.96 for _, z in parameter_errors(compared))),
+        _rate("parameter in its 95 % interval", (abs(z) < COVERED for _, z in parameter_errors(compared))),
     )
     closures = [c.gap.causes[0].explained / c.best.closes for c in compared if c.right and c.above]
     made = list(

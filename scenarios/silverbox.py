@@ -77,7 +77,7 @@ def silverbox(
     force: Force = False,
 ) -> None:
     """Diagnoses measured multisines, and judges the corrected rig on a record that was not used before."""
-    refuse_existing(out / "silverbox.json", force)
+    refuse_existing(out / "silverbox.json", force, new_folder=True)
     parts = zip(("fit", "validation", "arrow"), recordings(measured(data)), strict=True)
     out.mkdir(parents=True, exist_ok=True)
     fit, validation, arrow = (written(recording, out / f"{name}.mcap") for name, recording in parts)

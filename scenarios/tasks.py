@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from rig.commands.command_line import progress_bar
 from rig.errors import RigError
+from rig.extras import needs_extra
 from rig.files import write_bytes
 
 Parameters = TypeVar("Parameters", bound=msgspec.Struct)
@@ -72,10 +73,8 @@ def _executor(dask: str | None) -> Iterator[Executor]:
         finally:
             processes.shutdown(cancel_futures=True)
         return
-    try:
+    with needs_extra("cluster", "--dask"):
         from distributed import Client
-    except ModuleNotFoundError as error:
-        raise RigError("--dask needs the extra cluster: pip install '.[cluster]'") from error
     local = {"n_workers": os.cpu_count(), "threads_per_worker": 1, "dashboard_address": None}
     try:
         client = Client(**local) if dask == "local" else Client(dask, timeout=10)

@@ -18,6 +18,7 @@ from rich.table import Table
 
 import identify
 from identify.contacts.results import Estimate
+from identify.pages.wording import COVERED
 from rig import RigError
 from rig.commands.command_line import run
 from rig.effects import effect_named
@@ -205,7 +206,7 @@ def _contacts(case: Topology, path: Path) -> tuple[str, str]:
 
 
 def _interval(found: Estimate, factor: float, true: float) -> str:
-    return f"{factor * found.value:.4g} ± {1.96 * factor * found.standard_error:.2g} ({factor * true:.4g})"
+    return f"{factor * found.value:.4g} ± {COVERED * factor * found.standard_error:.2g} ({factor * true:.4g})"
 
 
 def _gap(case: Topology, out: Path, number: int) -> str:
@@ -221,7 +222,7 @@ def _gap(case: Topology, out: Path, number: int) -> str:
     if not found.causes:
         return found.verdict
     best = found.causes[0]
-    numbers = "; ".join(f"{v.value:.4g} ± {1.96 * v.standard_error:.2g}" for v in best.parameters.values())
+    numbers = "; ".join(f"{v.value:.4g} ± {COVERED * v.standard_error:.2g}" for v in best.parameters.values())
     return f"{' + '.join(best.effects)} {numbers}"
 
 

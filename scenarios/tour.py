@@ -12,6 +12,7 @@ import typer
 
 from identify.contacts import identify_contact
 from identify.gaps.decision.answer import Simulator, diagnose
+from identify.pages.wording import interval
 from rig.commands.command_line import progress_bar, run
 from rig.effects.added_mass import AddedMass
 from rig.files import write_bytes
@@ -74,8 +75,8 @@ def tour(
     with progress_bar("identifying") as progress:
         (stop,) = identify_contact(first, progress=progress).report.contacts
     gap, stiffness = stop.clearance_m, stop.stiffness_n_per_m
-    print(f"4. clearance {1e3 * gap.value:.4f} ± {1e3 * gap.standard_error:.1g} mm, true is 1 mm")
-    print(f"   stiffness {stiffness.value:.0f} ± {stiffness.standard_error:.1g} N/m, true is 10000 N/m")
+    print(f"4. clearance {interval(1e3 * gap.value, 1e3 * gap.standard_error, 'mm')} (95 %), true is 1 mm")
+    print(f"   stiffness {interval(stiffness.value, stiffness.standard_error, 'N/m')}, true is 10000 N/m")
 
     # 5. Let it differ. An effect is a function from rig to rig: here 50 g of cable and bracket hang on the mass that
     #    nobody counted. The recordings still carry the rig that is believed.

@@ -1,4 +1,4 @@
-"""A short slice of the fuzzing: python -m tests.fuzz --cases 10000 is the whole."""
+"""A short slice of the fuzzing: python -m tests.fuzz --cases 20000 is the whole."""
 
 import subprocess
 import sys

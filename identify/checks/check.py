@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from identify.checks import waveforms
+from identify.checks import background, waveforms
 from identify.checks.broken import broken_finding
 from identify.checks.continuity import breaks
 from identify.checks.findings import Finding, merged
@@ -36,11 +36,9 @@ def check_recording(
 ) -> tuple[Finding, ...]:
     """What of the channels, the clock or rig.json cannot be right; empty of a sound recording.
 
-    First each channel's samples by themselves, then all channels against the linear model of rig.json. A segment of a
-    longer record, which does not begin at rest, is not checked.
+    First each channel's samples by themselves, then all channels against the linear model of rig.json, but of a segment
+    of a longer record, which does not begin at rest.
     """
-    if recording.start_s > 0:
-        return ()
     believed = tolerances or recording.rig.tolerances or LABORATORY
     found = _waveforms(recording, use)
     found += _against_model(recording, use, believed, found)
@@ -138,13 +136,13 @@ def _waveforms(recording: Recording, use: Use) -> list[Finding]:
                 waveforms.held(name, row, force),
             ]
             if group != "force":
-                checks += [waveforms.hum(name, rate, row, force), waveforms.noise(name, rate, row, force)]
+                checks += [background.hum(name, rate, row, force), background.noise(name, rate, row, force)]
             if group == "acceleration":
-                checks += [waveforms.drift(name, rate, row), waveforms.offset(name, row)]
+                checks += [background.drift(name, rate, row), background.offset(name, row)]
             elif group != "force" and (quiet := quiet_samples(force, rate)):
-                checks.append(waveforms.offset(name, row[:quiet], float(row.std())))
-            if group in FIRST_S:
-                moving.append(waveforms.not_at_rest(name, rate, row, FIRST_S[group]))
+                checks.append(background.offset(name, row[:quiet], float(row.std())))
+            if group in FIRST_S and recording.start_s == 0:
+                moving.append(background.not_at_rest(name, rate, row, FIRST_S[group]))
             found += [f for f in checks if f is not None][:1]
     told = {c for f in found for c in f.channels}
     for i, name in enumerate(names):

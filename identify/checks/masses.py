@@ -3,7 +3,9 @@
     m a + c v + k x = F
 
 with the measured force, or 0 where none acts. Fitted to the samples in the middle of the gaps, each passage with a
-constant of its own (slow motion that accelerometers miss), m, c and k are compared with rig.json.
+constant of its own (slow motion that accelerometers miss), m, c and k are compared with rig.json. What is left of the
+force is noise of the acceleration, or passages that are mixed with closed contacts: both lower the mass by about its
+share, and closed contacts raise the spring.
 """
 
 from dataclasses import dataclass
@@ -26,8 +28,9 @@ FAR, LEAST = 4.0, 2e-3
 """So many standard deviations of tolerances and errors are too many; no tolerance is believed to be less."""
 UNRELATED = 0.3
 """Force and motion are of different records where less of the force is explained."""
-EXPLAINED, PASSAGES = 0.95, 20
-"""Fewer passages in which less is explained tell nothing: the contact is hardly ever open."""
+CLOCK, BESIDE, MOST_FAST = 3.5, 2.0, 0.03
+"""A clock is asked for by so many standard deviations at least, and leaves no more of mass and frequency; none is off
+by more than that share."""
 LATEST_S = 0.02
 LEAST_DRIVEN = 0.05
 """Of the force's root mean square: less is no force, as after a single blow."""
@@ -42,7 +45,6 @@ class MassFit:
     errors: Float[np.ndarray, "3"]
     delay_s: float
     explained: float
-    passages: int
 
 
 def mass_findings(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> list[Finding]:
@@ -54,8 +56,9 @@ def mass_findings(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> list[
     fit = open_fit(rig, motion, row)
     if fit is None:
         return []
-    name = (motion.sensors[row].name,)
-    return list(_compared(body, name, fit, tolerances))
+    sensor = motion.sensors[row]
+    clock = _clock(body, sensor.measures.order, fit, tolerances)
+    return [clock] if clock else list(_compared(body, (sensor.name,), fit, tolerances))
 
 
 def open_fit(rig: Rig, motion: Kinematics, row: int) -> MassFit | None:
@@ -94,7 +97,7 @@ def open_fit(rig: Rig, motion: Kinematics, row: int) -> MassFit | None:
     if fitted(best)[0] - at_once[0] < 0.2 * (1 - at_once[0]):
         best = 0.0
     explained, values, errors, _ = fitted(best)
-    return MassFit(values, errors, best, explained, len(passages))
+    return MassFit(values, errors, best, explained)
 
 
 def _open(rig: Rig, motion: Kinematics, factor: int) -> Bool[np.ndarray, " fewer"]:
@@ -130,10 +133,11 @@ def _compared(body: Body, sensor: tuple[str, ...], fit: MassFit, tolerances: Tol
                 mend="check that both channels are of this record, and the quantity of the sensor",
             )
         ]
-    ratio = mass / float(getattr(body, "mass_kg", np.nan))
+    ratio = mass / float(getattr(body, "mass_kg", np.nan)) / fit.explained
     by_chance = fit.delay_s != 0 and not 0.5 < abs(ratio) < 2
-    if by_chance or (fit.explained < EXPLAINED and fit.passages < PASSAGES):
+    if by_chance:
         return []
+    mixed = 1 - fit.explained
     found = []
     if abs(fit.delay_s) > 1e-4:
         found.append(
@@ -153,7 +157,8 @@ def _compared(body: Body, sensor: tuple[str, ...], fit: MassFit, tolerances: Tol
     if natural_hz:
         shown = float(np.sqrt(max(square, 0.0))) / (2 * np.pi)
         error = 0.5 * float(np.hypot(fit.errors[2] / abs(stiffness), fit.errors[0] / abs(mass)))
-        if abs(shown / natural_hz - 1) > FAR * float(np.hypot(np.sqrt(2) * tolerances.frequency, LEAST)) + FAR * error:
+        allowed = FAR * float(np.hypot(np.sqrt(2) * tolerances.frequency, LEAST))
+        if abs(shown / natural_hz - 1) > allowed + mixed + FAR * error:
             found.append(
                 Finding(
                     cause="frequency",
@@ -179,6 +184,31 @@ def _compared(body: Body, sensor: tuple[str, ...], fit: MassFit, tolerances: Tol
                 )
             )
     return found[:1] if found and found[0].cause in ("delay", "polarity", "units") else found
+
+
+def _clock(body: Body, order: int, fit: MassFit, tolerances: Tolerances) -> Finding | None:
+    """Times that are all too short by a factor s show a frequency s times too high, and a mass s^(order - 2) times the
+    true one, by a sensor of that derivative: one question, asked of both."""
+    mass, _, stiffness = fit.values
+    natural_hz = float(body.frequencies_hz(1)[0])
+    if order > 1 or not natural_hz or mass <= 0 or stiffness <= 0:
+        return None
+    ratio = mass / float(getattr(body, "mass_kg", np.nan)) / fit.explained
+    off = np.log([ratio, np.sqrt(stiffness / mass) / (2 * np.pi * natural_hz)])
+    by_clock, own = np.array([order - 2, 1]), np.array([fit.errors[0] / mass, 0.5 * fit.errors[2] / stiffness])
+    of_mass = float(np.hypot.reduce([tolerances.mass, tolerances.gain, tolerances.force_gain, LEAST]))
+    deviation = np.hypot([of_mass, np.hypot(np.sqrt(2) * tolerances.frequency, LEAST)], own)
+    along, size = by_clock / deviation @ (off / deviation), float(np.linalg.norm(by_clock / deviation))
+    fast = along / size**2
+    beside = np.abs(off - fast * by_clock) / deviation
+    if fit.delay_s or not CLOCK / size < abs(fast) < MOST_FAST or beside.max() > BESIDE:
+        return None
+    return Finding(
+        cause="clock",
+        evidence=f"{body.name} moves as if all times were {100 * abs(fast):.2g} % too "
+        f"{'short' if fast > 0 else 'long'}",
+        mend="check the sampling rate, and weigh the mass: one that is off by twice that share looks alike",
+    )
 
 
 def _size(body: Body, sensor: tuple[str, ...], ratio: float) -> Finding:

@@ -10,9 +10,11 @@ hold. The largest is freed, and the rest are asked again.
 """
 
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from jaxtyping import Complex, Float
+from scipy.ndimage import uniform_filter1d
 
 from identify.checks.candidates import Suspect, candidates_of
 from identify.checks.prediction import ROUGH, LinearCheck, Predicted
@@ -27,9 +29,10 @@ BROKEN, CLOCK, FAR = 5.0, 2.7, 4.0
 """A parameter is off if the record asks for it by so many standard deviations, and for so many tolerances."""
 MOST, NEXT = 4, 0.25
 """No more are named, and none that is asked for by less than this share of the first."""
+STEADY = 2.0
+"""Motion that lasts for half of the record is taken to last for all of it."""
 FLOOR = 0.003
 """No model is believed to fit better than to this share of what a body does at a line."""
-Columns = Complex[np.ndarray, "some sensors lines"]
 
 
 @dataclass(frozen=True)
@@ -71,22 +74,22 @@ def broken(
     )
     if not changes:
         return [], np.zeros(0)
-    columns = np.stack([_whole(c, measured.shape) for c in changes])
     candidates, added = candidates_of(changes, bodies, sensors, by_force, omega, tolerances)
-    project = Projector(check, kept)
+    project, count = Projector(check, kept), len(changes)
     left = project(measured - by_force)
-    own, beside = project.of(columns), project.of(added)
-    whole = np.concatenate([own, beside])
+    columns = np.empty((len(candidates), *left.shape), left.dtype)
+    for column, spectra in zip(columns, chain((_whole(c, measured.shape) for c in changes), added), strict=True):
+        column[:] = project(spectra)
     found: list[Broken] = []
     free: list[int] = []
-    weights = np.ones(left.shape[1])
+    weights = np.ones(left.shape[1], left.dtype)
     for _ in range(MOST + 1):
-        pulls, z, size = _scores(left, own, whole, free, weights)
+        pulls, z, size = _scores(left, columns, count, free, weights)
         for _ in range(3):  # lines that nothing explains weigh little
-            unexplained = left - np.tensordot(pulls, own, axes=1) - _along(whole, free, size.free)
+            unexplained = left - _along(columns[:count], pulls) - _along(columns[free], size.free)
             per_line = np.mean(unexplained**2, axis=0)
-            weights = 1 / np.sqrt(1 + per_line / max(4 * float(np.median(per_line)), 1.0))
-            pulls, z, size = _scores(left, own, whole, free, weights)
+            weights = 1 / np.sqrt(1 + per_line / max(4 * np.median(per_line), np.float32(1)))
+            pulls, z, size = _scores(left, columns, count, free, weights)
         ranked = sorted(range(len(candidates)), key=lambda k: -abs(z[k]))
         least = NEXT * abs(found[0].pull) if found else 0.0
         asked = [
@@ -104,8 +107,8 @@ def broken(
     return found, pulls
 
 
-def _along(whole: np.ndarray, free: list[int], values: np.ndarray) -> np.ndarray | float:
-    return np.tensordot(values, whole[free], axes=1) if free else 0.0
+def _along(columns: np.ndarray, values: np.ndarray) -> np.ndarray:
+    return np.tensordot(values.astype(columns.dtype), columns, axes=1)
 
 
 @dataclass(frozen=True)
@@ -115,18 +118,22 @@ class _Sizes:
 
 
 def _scores(
-    left: np.ndarray, own: np.ndarray, whole: np.ndarray, free: list[int], weights: np.ndarray
+    left: np.ndarray, columns: np.ndarray, count: int, free: list[int], weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, _Sizes]:
-    """The pulls, each candidate's score and its size, with the free ones without a prior."""
-    wide = np.concatenate([own, whole[free]]) if free else own
-    flat, rows, target = ((x * weights).reshape(*x.shape[:-2], -1) for x in (wide, whole, left))
-    prior = np.r_[np.ones(len(own)), np.full(len(free), 1e-9)]
-    inverse = np.linalg.inv(flat @ flat.T + np.diag(prior))
-    across = rows @ flat.T
-    best = inverse @ (flat @ target)
-    asked = rows @ target - across @ best
-    room = np.maximum(np.sum(rows**2, axis=1) - np.einsum("ij,jk,ik->i", across, inverse, across), 1e-12)
-    return best[: len(own)], asked / np.sqrt(room), _Sizes(asked / room, best[len(own) :])
+    """The pulls of the first `count`, each candidate's score and its size, with the free ones without a prior."""
+    fitted = [*range(count), *free]
+    products, along = np.zeros((len(columns), len(columns))), np.zeros(len(columns))
+    for sensor, target in enumerate(left * weights):
+        rows = columns[:, sensor] * weights
+        products += rows @ rows.T
+        along += rows @ target
+    prior = np.r_[np.ones(count), np.full(len(free), 1e-9)]
+    inverse = np.linalg.inv(products[np.ix_(fitted, fitted)] + np.diag(prior))
+    across = products[:, fitted]
+    best = inverse @ along[fitted]
+    asked = along - across @ best
+    room = np.maximum(np.diag(products) - np.einsum("ij,jk,ik->i", across, inverse, across), 1e-12)
+    return best[:count], asked / np.sqrt(room), _Sizes(asked / room, best[count:])
 
 
 def _broken(candidate: Suspect) -> float:
@@ -150,18 +157,26 @@ class Projector:
         unknown = (check.accelerance[1:][:, kept] / self._scale).transpose(2, 1, 0)
         self._basis = np.linalg.qr(unknown)[0] if unknown.shape[2] else None
         self._spectra = check.spectra
+        moving = self._spectra.in_time(check.spectra.acceleration[kept] / self._scale)
+        self._counted = np.float32(
+            np.sqrt(min(1.0, COUNTED_HZ * lasting_s(moving, self._spectra.per_s) / len(moving.T)))
+        )
 
     def __call__(self, rows: Complex[np.ndarray, "sensors lines"]) -> Float[np.ndarray, "sensors times"]:
-        return np.asarray(self.of(rows[None])[0])
-
-    def of(self, columns: Columns) -> Float[np.ndarray, "some sensors times"]:
-        weighted = columns / self._scale
+        weighted = rows / self._scale
         if self._basis is not None:
-            inputs = np.einsum("lsi,ksl->kil", self._basis.conj(), weighted, optimize=True)
-            weighted = weighted - np.einsum("lsi,kil->ksl", self._basis, inputs, optimize=True)
-        found = self._spectra.in_time(weighted)
-        begin, end = self._spectra.taken_s
-        return np.asarray(found * np.float32(np.sqrt(min(1.0, COUNTED_HZ * (end - begin) / found.shape[-1]))))
+            inputs = np.einsum("lsi,sl->il", self._basis.conj(), weighted, optimize=True)
+            weighted = weighted - np.einsum("lsi,il->sl", self._basis, inputs, optimize=True)
+        return np.asarray(self._spectra.in_time(weighted) * self._counted)
+
+
+def lasting_s(moving: Float[np.ndarray, "sensors times"], per_s: float) -> float:
+    """For how long the record tells something, s: all of it, unless most of the motion falls into less than half.
+
+    Of its power p over time, over a second each, (sum of p)^2 / sum of p^2 is the time for which it lasts.
+    """
+    power = uniform_filter1d(np.mean(moving**2, axis=0, dtype=float), max(1, round(per_s)))
+    return float(min(power.size, STEADY * np.sum(power) ** 2 / np.sum(power**2)) / per_s)
 
 
 def _whole(change: Change, shape: tuple[int, ...]) -> Complex[np.ndarray, "sensors lines"]:

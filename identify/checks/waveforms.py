@@ -1,4 +1,4 @@
-"""What a channel's samples show by themselves, without any model of the rig."""
+"""What a channel's samples show by themselves, without any model of the rig; see also `background`."""
 
 from collections.abc import Iterator
 
@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.checks.findings import Finding, named
-from identify.checks.spectra import quiet_samples
 
 STUCK = 1e-3
 """A channel that stands at its largest or smallest value for a larger share of the record is clipped."""
@@ -18,15 +17,7 @@ HELD = 8
 """So many equal samples in a row are held."""
 SPIKE = 25.0
 """A sample that is off what its neighbours say by more than so many times the usual is a spike."""
-HUMS = 3.0
-"""Mains hum of more than so many times the neighbouring lines, and a hundredth of the channel, counts."""
-HUM_SHARE = 2e-3
-SLOW_HZ, SLOW = 0.25, 0.05
-OFFSET = 0.05
-MOVING = 0.3
 IMPACT, APART, MOST_SPIKES = 8.0, 2.0, 60
-ALIKE = 1.5
-NOISY = 0.05
 
 Row = Float[np.ndarray, " samples"]
 
@@ -135,110 +126,12 @@ def _alone(off: Row, k: int) -> bool:
     return bool(off[k] > 1.3 * beside.max() and beside.min() > 0.45 * off[k] and next_ones.max() < 0.35 * off[k])
 
 
-def noise(name: str, rate_hz: float, row: Row, force: Row) -> Finding | None:
-    """In the quiet start."""
-    quiet = quiet_samples(force, rate_hz)
-    share = float(row[:quiet].std() / row.std()) if quiet else 0.0
-    if share < NOISY:
-        return None
-    fast, usual = (float(np.diff(part).std() / part.std()) for part in (row[:quiet], row[quiet:]))
-    if fast < ALIKE * usual:
-        return Finding(
-            cause="force",
-            channels=("force", name),
-            evidence=f"{name} moves as it does later, with {100 * share:.2g} % of its root mean square, before "
-            "the force begins",
-            mend="check that the force is of this record and on its clock, or let the rig come to rest first",
-        )
-    return Finding(
-        cause="noise",
-        channels=(name,),
-        evidence=f"{name} shows {100 * share:.2g} % of its root mean square before the force begins",
-        mend="find the noise or the motion (cable, amplifier, range), or let the rig come to rest first",
-    )
-
-
 def _moving_mean(values: Row, width: int) -> Row:
     """Of both sides, without the middle."""
     sums = np.cumsum(np.r_[0.0, values])
     low = np.clip(np.arange(values.size) - width // 2, 0, values.size)
     high = np.clip(np.arange(values.size) + width // 2 + 1, 0, values.size)
     return np.asarray((sums[high] - sums[low] - values) / np.maximum(high - low - 1, 1))
-
-
-def mains(rate_hz: float, row: Row, force: Row) -> tuple[float, float] | None:
-    """Frequency and amplitude of a mains tone that stands out, in the quiet start if there is one; else None."""
-    quiet = quiet_samples(force, rate_hz)
-    part = row[:quiet] if quiet > 0.4 * rate_hz else row
-    own = part - part.mean()
-    size = np.abs(np.fft.rfft(own * np.hanning(own.size))) * 4 / own.size
-    hz = np.fft.rfftfreq(own.size, 1 / rate_hz)
-    width = hz[1]
-    for base in (50.0, 60.0):
-        near = np.abs(hz - base) <= max(0.15, 1.5 * width)
-        beside = (np.abs(hz - base) > max(0.6, 3 * width)) & (np.abs(hz - base) < max(3.0, 9 * width))
-        if not (near.any() and beside.any()):
-            continue
-        height, usual = float(size[near].max()), float(np.sqrt(np.mean(size[beside] ** 2)))
-        if height > 2 * HUMS * usual and height > HUM_SHARE * float(row.std()):
-            return float(hz[near][np.argmax(size[near])]), height
-    return None
-
-
-def hum(name: str, rate_hz: float, row: Row, force: Row) -> Finding | None:
-    found = mains(rate_hz, row, force)
-    if found is None:
-        return None
-    hz, height = found
-    return Finding(
-        cause="hum",
-        channels=(name,),
-        evidence=f"{name} holds a tone of {hz:.3g} Hz, {100 * height / float(row.std() * np.sqrt(2)):.2g} % of its "
-        "size, that the force does not make: mains hum",
-        mend="ground the cables at one end, keep them away from mains cables, and record again",
-    )
-
-
-def offset(name: str, row: Row, usual: float | None = None) -> Finding | None:
-    """Of samples whose mean is zero: those of an acceleration, or of any motion before the force begins."""
-    mean, rms = (float(row.mean()), float(row.std())) if usual is None else (float(row.mean()), usual)
-    if abs(mean) < OFFSET * rms:
-        return None
-    return Finding(
-        cause="offset",
-        channels=(name,),
-        evidence=f"{name} has a constant part of {mean:.3g}, {100 * abs(mean) / rms:.2g} % of its root mean square",
-        mend="take the mean off, or couple it AC",
-    )
-
-
-def drift(name: str, rate_hz: float, row: Row) -> Finding | None:
-    """Slow motion that an acceleration of a moving rig cannot have."""
-    length = row.size
-    size = np.abs(np.fft.rfft((row - row.mean()) * np.hanning(length))) ** 2
-    slow = int(SLOW_HZ * length / rate_hz) + 1
-    share = float(np.sqrt(np.sum(size[1:slow]) / np.sum(size)))
-    if share < SLOW:
-        return None
-    return Finding(
-        cause="drift",
-        channels=(name,),
-        evidence=f"{name} drifts: {100 * share:.2g} % of its root mean square lies below {SLOW_HZ:g} Hz",
-        mend="let the amplifier warm up, keep it from temperature changes, or high-pass it",
-    )
-
-
-def not_at_rest(name: str, rate_hz: float, row: Row, first_s: float) -> Finding | None:
-    """It moves by a part of its usual within the record's first moments."""
-    first = row[: max(8, round(first_s * rate_hz))]
-    if first.std() < MOVING * row.std():
-        return None
-    return Finding(
-        cause="not at rest",
-        channels=(name,),
-        evidence=f"{name} moves already at the record's first samples",
-        mend="begin the record with a second at rest, before the force; of a cut record, the beginning is missing",
-    )
 
 
 def copies(names: list[str], rows: list[Row]) -> Iterator[Finding]:

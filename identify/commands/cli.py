@@ -8,19 +8,32 @@ from typing import Annotated, Any, get_args
 import msgspec
 import typer
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 import identify
 from identify.checks import Finding
 from identify.commands.gap import gap
+from identify.commands.history import compare, history
+from identify.contacts.curves import WRITERS, save_curves
 from identify.contacts.identified_rig import identified_rig
 from identify.contacts.pooled import LARGE_BYTES, SEGMENT_S, identify_long
 from identify.contacts.results import ContactReport, Estimate, Segments
 from identify.laws.results import LawReport
+from identify.pages.wording import interval
 from identify.signals.kinematics import Use
 from identify.signals.spectra import POWERS, Averaging
-from rig.commands.command_line import Force, Json, progress_bar, refuse_existing, run, working
+from rig.commands.command_line import (
+    Force,
+    Json,
+    Version,
+    literal_console,
+    progress_bar,
+    refuse_existing,
+    run,
+    say,
+    working,
+)
 from rig.files import make_folder, write_bytes, write_json
 from rig.model.description import to_json
 from rig.model.tolerances import tolerances_named
@@ -33,10 +46,12 @@ app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_e
 
 
 app.command()(gap)
+app.command()(compare)
+app.command()(history)
 
 
 @app.callback()
-def _group() -> None:
+def _group(version: Version = False) -> None:
     """Finds clearances and contact stiffnesses in recordings made by `rig record` or by a laboratory."""
 
 
@@ -68,7 +83,7 @@ def check(
     else:
         print(f"{file}: {'nothing wrong was found' if found.sound else f'{len(found.findings)} findings'}")
         for finding in found.findings:
-            print(f"  {finding.sentence}")
+            say(f"  {finding.sentence}")
     if not found.sound:
         raise typer.Exit(1)
 
@@ -76,9 +91,9 @@ def check(
 def print_findings(findings: Sequence[Finding], console: Console) -> None:
     """First of all, where there are any."""
     if findings:
-        console.print("[bold red]Not to be relied on:[/bold red]", highlight=False)
+        console.print("Not to be relied on:", style="bold red")
     for finding in findings:
-        console.print(f"  {escape(finding.sentence)}", highlight=False, soft_wrap=True)
+        console.print(f"  {finding.sentence}", soft_wrap=True)
 
 
 @app.command()
@@ -103,7 +118,11 @@ def contact(
     band: Annotated[tuple[float, float] | None, typer.Option(help="Band of NIFO, Hz; otherwise the force's.")] = None,
     segment: Annotated[
         float | None,
-        typer.Option(help="Identify so many seconds at a time and pool them, as is done with files of over 1 GB."),
+        typer.Option(help="Identify so many seconds at a time and pool them, as is done with files of over 64 MB."),
+    ] = None,
+    export: Annotated[
+        str | None,
+        typer.Option(help=f"Write the curves of the figures to the folder too, as {', '.join(WRITERS)}."),
     ] = None,
     as_json: Json = False,
     force: Force = False,
@@ -116,10 +135,13 @@ def contact(
         raise typer.BadParameter(f"{use!r} is none of {', '.join(get_args(Use))}", param_hint="--use")
     if window not in POWERS:
         raise typer.BadParameter(f"{window!r} is none of {', '.join(POWERS)}", param_hint="--window")
+    if export is not None and (export not in WRITERS or out is None):
+        sentence = "needs --out, its folder" if export in WRITERS else f"{export!r} is none of {', '.join(WRITERS)}"
+        raise typer.BadParameter(sentence, param_hint="--export")
     averaging = Averaging(averages=averages, block_s=block, overlap=overlap, window=window, band_hz=band)
     if out is not None:
         for name in ("contact.json", "contact.html", "rig.json"):
-            refuse_existing(out / name, force, file)
+            refuse_existing(out / name, force, file, new_folder=True)
     if segment is None and file.exists() and file.stat().st_size > LARGE_BYTES:
         segment = SEGMENT_S
     settings = {
@@ -132,18 +154,22 @@ def contact(
         if segment is not None:
             report = _by_segments(file, segment, out, progress, settings)
         else:
-            report = _whole(file, out, progress, settings)
+            report = _whole(file, out, progress, settings, export)
     if as_json:
         sys.stdout.buffer.write(msgspec.json.encode(report) + b"\n")
     else:
-        print_report(report, Console())
+        print_report(report, literal_console())
 
 
-def _whole(file: Path, out: Path | None, progress: Callable[[float], None], settings: dict[str, Any]) -> ContactReport:
+def _whole(
+    file: Path, out: Path | None, progress: Callable[[float], None], settings: dict[str, Any], export: str | None
+) -> ContactReport:
     drawn = 1.0 if out is None else DRAWN_FROM
     found = identify.contact(file, progress=lambda share: progress(drawn * share), **settings)
     if out is not None:
         found.save(out)
+        if export is not None:
+            save_curves(found.found, out, export)
     return found.report
 
 
@@ -176,7 +202,7 @@ def law(
 ) -> None:
     """The contact law found, not assumed: a formula for the separated force of every contact, by symbolic regression.
 
-    Needs the package pyoperon: pip install 'rig-identify[symbolic]'.
+    Needs the extra `symbolic`; see rig doctor.
 
     Example: identify law barrel_cradle.mcap --contact contact_1 --out results
     """
@@ -184,7 +210,7 @@ def law(
         raise typer.BadParameter(f"{use!r} is none of {', '.join(get_args(Use))}", param_hint="--use")
     if out is not None:
         for name in ("law.json", "law.png"):
-            refuse_existing(out / name, force, file)
+            refuse_existing(out / name, force, file, new_folder=True)
     with progress_bar(f"searching the laws of {file.name}") as progress:
         found = identify.law(
             file, contact=contact, use=msgspec.convert(use, Use), seconds=seconds, seed=seed, progress=progress
@@ -194,80 +220,70 @@ def law(
     if as_json:
         sys.stdout.buffer.write(msgspec.json.encode(found.report) + b"\n")
     else:
-        print_laws(found.report, Console())
+        print_laws(found.report, literal_console())
 
 
 def print_laws(report: LawReport, console: Console) -> None:
     """A sentence for every contact, then what was found and how it compares; before them what speaks against it."""
     print_findings(report.findings, console)
     for found in report.laws:
-        console.print(
-            f"[bold]{escape(found.contact)}[/bold]: {escape(found.verdict)}.", highlight=False, soft_wrap=True
-        )
-        console.print(f"  formula found: {escape(found.formula)}", highlight=False, soft_wrap=True)
+        console.print(Text.assemble((found.contact, "bold"), f": {found.verdict}."), soft_wrap=True)
+        console.print(f"  formula found: {found.formula}", soft_wrap=True)
         table = Table("law", "rms left of held-out data, N")
         for candidate in found.candidates:
-            table.add_row(escape(candidate.law), f"{candidate.held_out_error_n:.3g}")
+            table.add_row(candidate.law, f"{candidate.held_out_error_n:.3g}")
         console.print(table)
         console.print(
             f"  of a force of {found.force_rms_n:.3g} N rms; damping in the closed contact explains "
             f"{100 * found.hysteresis_share:.2g} % of the scatter's variance"
             + ("" if found.repeatable else "; time ended the search, so the seed will not repeat it exactly"),
-            highlight=False,
             soft_wrap=True,
         )
     for silent in report.unanswered:
-        console.print(
-            f"{escape(silent.name)}: not told by this record: {escape(silent.reason)}", highlight=False, soft_wrap=True
-        )
+        console.print(f"{silent.name}: not told by this record: {silent.reason}", soft_wrap=True)
 
 
 def print_report(report: ContactReport, console: Console) -> None:
     """The answer as tables: contacts, then NIFO by modal equation; before them what speaks against it."""
     print_findings(report.findings, console)
-    rig, equation = escape(report.rig), escape(report.main_equation)
-    table = Table(title=f"Contacts of {rig}, modal equation {equation} (value ± standard error)")
+    table = Table(title=f"Contacts of {report.rig}, modal equation {report.main_equation} (value ± 95 %)")
     for heading in ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m"):
         table.add_column(heading, justify="left" if heading == "contact" else "right")
     for found in report.contacts:
         table.add_row(
-            escape(found.name),
+            found.name,
             _shown(found.clearance_m, 1e3),
             _shown(found.stiffness_n_per_m),
             _shown(found.damping_n_s_per_m),
         )
     console.print(table)
     for silent in report.unanswered:
-        console.print(f"{silent.name}: not told by this record: {silent.reason}", markup=False)
-    spectra = Table(title="NIFO by modal equation: spectral mean ± standard error, rms spread over frequency")
+        console.print(f"{silent.name}: not told by this record: {silent.reason}")
+    spectra = Table(title="NIFO by modal equation: spectral mean ± 95 %, rms spread over frequency")
     for heading in ("equation", "contact", "stiffness, N/m", "spread, %", ""):
         spectra.add_column(heading)
     for each in report.nifo:
         for stiffness in each.stiffness:
             spectra.add_row(
-                escape(each.equation),
-                escape(stiffness.contact),
+                each.equation,
+                stiffness.contact,
                 _shown(stiffness.mean_n_per_m),
                 f"{100 * stiffness.rms_deviation_n_per_m / abs(stiffness.mean_n_per_m.value):.2g}",
                 "nearly invisible" if stiffness.contact in each.nearly_invisible else "",
             )
         answered = {s.contact for s in each.stiffness}
         for name in (n for n in each.nearly_invisible if n not in answered):
-            spectra.add_row(escape(each.equation), escape(name), "", "", "on a node: not told")
+            spectra.add_row(each.equation, name, "", "", "on a node: not told")
     if report.nifo:
         console.print(spectra)
     for mode in report.modes:
         console.print(
-            f"mode {mode.index} of {escape(mode.beam)}: {mode.frequency_hz:.3f} Hz, "
-            f"damping {100 * mode.damping_ratio:.2f} %"
+            f"mode {mode.index} of {mode.beam}: {mode.frequency_hz:.3f} Hz, damping {100 * mode.damping_ratio:.2f} %"
         )
 
 
 def _shown(estimate: Estimate, scale: float = 1.0) -> str:
-    """Value and standard error, to two digits of the error."""
-    value, error = scale * estimate.value, scale * estimate.standard_error
-    digits = max(0, 1 - int(f"{error:.0e}".split("e")[1])) if error > 0 else 6
-    return f"{value:.{digits}f} ± {error:.{digits}f}"
+    return interval(scale * estimate.value, scale * estimate.standard_error, "1")
 
 
 def main() -> None:

@@ -6,12 +6,10 @@ from typing import Annotated
 
 import msgspec
 import typer
-from rich.console import Console
-from rich.markup import escape
 
 from identify.api import gap as diagnosed
 from identify.gaps.results import Matters
-from rig.commands.command_line import Force, Json, progress_bar, refuse_existing
+from rig.commands.command_line import Force, Json, literal_console, progress_bar, refuse_existing
 
 
 def gap(
@@ -71,7 +69,7 @@ def gap(
     if out is not None:
         sources = [*real, *(path for path in (validate, null_reference, rig) if path)]
         for name in ("gap.json", "gap.html", "rig.json"):
-            refuse_existing(out / name, force, *sources)
+            refuse_existing(out / name, force, *sources, new_folder=True)
     stages = {"null_reference": (0.0, 0.6), "causes": (0.6, 0.4)}
     with progress_bar(f"diagnosing {', '.join(path.name for path in real)}") as progress:
 
@@ -97,9 +95,9 @@ def gap(
     else:
         from identify.gaps.page.screen import shown
 
-        console = Console()
+        console = literal_console()
         console.print(shown(found.report))
         if found.findings:
-            console.print("[bold]the check of the recordings says:[/bold]", highlight=False)
+            console.print("the check of the recordings says:", style="bold")
         for finding in found.findings:
-            console.print(f"  {escape(finding.sentence)}", highlight=False, soft_wrap=True)
+            console.print(f"  {finding.sentence}", soft_wrap=True)

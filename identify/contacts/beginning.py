@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 
 from identify.contacts.lines import Lines
+from identify.contacts.station_errors import StationErrors
 from identify.signals.kinematics import CORNER_HZ, Kinematics
 from identify.structure.initial_state import InitialStates, estimated, motions_of, spectra_of
 from identify.structure.response import Response
@@ -41,7 +42,7 @@ def initial_states(
     in_metres: Bool[np.ndarray, "stations lines"],
     lines: Lines,
     delivered: Complex[np.ndarray, "inputs stations lines"],
-    covariance: Complex[np.ndarray, "lines stations stations"],
+    errors: StationErrors,
 ) -> InitialStates:
     """The free motion of the modes at the record's start, from the record as it is, cut off at both ends.
 
@@ -62,9 +63,8 @@ def initial_states(
         np.concatenate([at_start[1], at_end[1]]),
         measured - delivered[0] * sharp.spectra(motion.force_n),
         -delivered[1:],
-        covariance,
+        errors.parts(0 if motion.zero_known else int(np.count_nonzero(lines.omega < 2 * 2 * np.pi * CORNER_HZ))),
         alike=lines.alike,
-        begin=0 if motion.zero_known else int(np.count_nonzero(lines.omega < 2 * 2 * np.pi * CORNER_HZ)),
     )
     tapered = spectra_of(motions, orders, in_metres, lines.omega, lambda rows: lines.spectra(rows[:, :samples]))
     return found.of(tapered, np.flatnonzero(held))

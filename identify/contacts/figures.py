@@ -10,6 +10,7 @@ from identify.contacts.identification import Identification
 from identify.contacts.joint import Joint
 from identify.contacts.results import ContactReport, Segment
 from identify.pages.style import BLUE, GREEN, GREY, RED, png
+from identify.pages.wording import COVERED
 from identify.structure.modal import receptance
 from rig.model.contact_laws import penetration_m
 
@@ -41,8 +42,8 @@ def segments_drawn(report: ContactReport, parts: Sequence[Segment]) -> bytes:
             middle_s = [(p.start_s + p.end_s) / 2 for p, _ in found]
             for axes, what, scale in zip(column, ("clearance_m", "stiffness_n_per_m"), (1e3, 1.0), strict=True):
                 each, mean = [getattr(c, what) for _, c in found], getattr(whole, what)
-                ends = scale * (mean.value + 1.96 * mean.standard_error * np.array([-1, 1]))
-                errors = [1.96 * scale * e.standard_error for e in each]
+                ends = scale * (mean.value + COVERED * mean.standard_error * np.array([-1, 1]))
+                errors = [COVERED * scale * e.standard_error for e in each]
                 values = [scale * e.value for e in each]
                 axes.errorbar(middle_s, values, errors, fmt="none", color=GREY, lw=0.8, alpha=0.5, label="their 95 %")
                 axes.plot(middle_s, values, "k.", ms=3, label="segments")
@@ -127,9 +128,9 @@ def _section(figure: Any, found: Identification, marks: Marks, marks_name: str) 
         count = min(eta.size, left.size)
         thin = slice(None, None, max(1, count // 6000))
         force = (left + rows[j])[:count] / scale
-        axes.plot(1e3 * eta[:count][thin], force[thin], ".", ms=1.5, color=BLUE, alpha=0.5, label="measured")
         order = np.argsort(eta[:count])
-        axes.plot(1e3 * eta[order], (rows[j][:count] / scale)[order], color=RED, lw=1.2, label="dead zone as fitted")
+        axes.plot(1e3 * eta[order], (rows[j][:count] / scale)[order], color=RED, lw=2.5, label="dead zone as fitted")
+        axes.plot(1e3 * eta[:count][thin], force[thin], ".", ms=1.5, color=BLUE, alpha=0.5, label="measured")
         _mark_stops(axes, found, j, marks, marks_name)
         axes.set(xlabel=f"η of {contact.name}, mm", title=contact.name)
     axes_row[0].set_ylabel("contact force, N")
@@ -213,19 +214,23 @@ def _stiffness(figure: Any, found: Identification, marks: Marks, marks_name: str
 
 
 def _frf(figure: Any, found: Identification, _marks: Marks, _marks_name: str) -> None:
-    """Figures 8 and 9: the linear FRF's magnitude and phase."""
-    upper, lower = figure.subplots(2, 1, sharex=True)
+    """Figures 8 and 9: what the linear mode alone adds to the FRF at the force's place, H phi_F^2, and its phase."""
+    upper, middle, lower = figure.subplots(3, 1, sharex=True)
     weak, paper = found.weak, found.paper
+    per_kg = weak.equation.shape_at_force**2
     for frf, frequency, colour, style, label in (
         (paper.frf, paper.frequency_hz, GREY, "-", "NIFO, the paper's form"),
         (weak.frf, weak.frequency_hz, BLUE, "-", "NIFO, weak form"),
         (weak.true_frf(), weak.frequency_hz, "k", ":", "mode of rig.json"),
     ):
-        upper.semilogy(frequency, np.abs(frf), color=colour, ls=style, lw=1.2, label=label)
+        receptance_m_per_n = per_kg * np.abs(frf)
+        upper.semilogy(frequency, receptance_m_per_n, color=colour, ls=style, lw=1.2, label=label)
+        middle.semilogy(frequency, (2 * np.pi * frequency) ** 2 * receptance_m_per_n, color=colour, ls=style, lw=1.2)
         lower.plot(frequency, np.degrees(np.angle(1j * frf)) - 90, color=colour, ls=style, lw=1.2)
-    upper.set_ylabel("|H|, s²")
-    upper.legend(loc="upper right")
-    lower.set(xlabel="frequency, Hz", ylabel="phase, degrees", ylim=(-200, 20), yticks=(-180, -90, 0))
+    upper.set_ylabel("receptance,\nm/N")
+    middle.set_ylabel("accelerance,\nm/s²/N")
+    upper.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+    lower.set(xlabel="frequency, Hz", ylabel="phase,\ndegrees", ylim=(-200, 20), yticks=(-180, -90, 0))
     figure.suptitle(f"Linear FRF of modal equation {weak.equation.name}")
 
 

@@ -3,19 +3,19 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Bool, Complex, Float
 from scipy.fft import next_fast_len
 
 from identify.contacts.beginning import as_sensed, initial_states, settled_s
 from identify.contacts.lines import Lines
+from identify.contacts.modal_motion import has_hidden_modes, told_motion, whole_motion
 from identify.contacts.nuisance_signals import NuisanceSignals, drawn_noise, nuisance_signals, weighed
+from identify.contacts.station_errors import StationErrors, forces_by_stations
 from identify.signals.kinematics import TAPER_S, Kinematics
 from identify.signals.spectra import decimated
-from identify.structure.modal import transformation
-from identify.structure.nuisance import BodyMotion, Change, Observed, changes_of
+from identify.structure.nuisance import Observed, changes_of
 from identify.structure.response import Response, across
 from identify.structure.slow_motion import responses_of, slow_damping, slow_stiffness
-from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.modes import Modes, modes_of
 from rig.model.tolerances import Tolerances
@@ -68,57 +68,37 @@ def separated_forces(
     responses = responses_of(rig, lines.omega, motion.zero_known)
     floats = {r.body.name: bool(np.any(r.dynamics.natural_hz == 0)) for r in responses}
     in_metres = np.array([[motion.zero_known and not floats[s.body]] for s in motion.stations]) & lines.slow
-    scale = np.where(in_metres, -1 / lines.omega**2, 1.0).astype(complex)
-    force = lines.spectra(motion.force_n)
-    displaced = lines.spectra(motion.displacement_m)
-    accelerations = lines.spectra(motion.acceleration_m_per_s2) if from_rest else as_sensed(motion, lines)
-    measured = np.where(in_metres, displaced, accelerations)
-    accelerated = measured / scale
-    drives = _accelerances(rig, motion, responses)
-    observed = Observed(
-        sensors=motion.sensors,
-        displaced_by=motion.displaced_by,
-        tolerances=tolerances,
-        omega=lines.omega,
-        sensor_response=scale,
-        explained=measured,
-        by_force=drives[0] * force,
-        displaced=displaced,
-        bodies=tuple(_body_motion(rig, r, motion, accelerated) for r in responses),
-    )
-    changes = tuple(changes_of(observed))
+    drives, force = _accelerances(rig, motion, responses), lines.spectra(motion.force_n)
+    observed = _observed(rig, motion, lines, responses, in_metres, tolerances, drives[0] * force, from_rest)
+    measured, scale = observed.explained, observed.sensor_response
     noises = (samples * noise**2)[:, None] * np.abs(scale) ** 2
-    noise_drawn = drawn_noise(noises, 1e-12 * float(np.mean(np.abs(measured) ** 2)), lines)
-    noise_m = -noise_drawn / scale / lines.omega**2
-    by_noise = changes_of(
-        replace(
-            observed,
-            explained=noise_drawn,
-            by_force=np.zeros_like(observed.by_force),
-            displaced=noise_m,
-            bodies=tuple(_body_motion(rig, r, motion, noise_drawn / scale) for r in responses),
-        )
-    )
-    covariance = _covariance(noises, measured, changes, lines)
-    to_force = _least_squares(-drives[1:] * scale, covariance)
-    rest, begun = measured - scale * observed.by_force, None
-    if not from_rest:
-        begun = initial_states(responses, motion, in_metres, lines, scale * drives, covariance)
-        rest = rest - begun.delivered
+    floor = 1e-12 * float(np.mean(np.abs(measured) ** 2))
+    noisy = _noise_alone(rig, motion, observed, drawn_noise(noises, floor, lines))
+    begun = None
+    for again in (True, False) if any(has_hidden_modes(r, motion) for r in responses) else (False,):
+        changes = tuple(change.in_single_precision for change in changes_of(observed))
+        errors = StationErrors(noises, floor, changes, lines.alike)
+        to_force = forces_by_stations(-drives[1:] * scale, errors)
+        rest = measured - scale * observed.by_force
+        if not from_rest:
+            begun = initial_states(responses, motion, in_metres, lines, scale * drives, errors)
+            rest = rest - begun.delivered
+        if again:
+            observed = _with_hidden_modes(rig, motion, observed, force, weighed(to_force, rest))
+            of_noise = weighed(to_force, noisy.explained)
+            noisy = _with_hidden_modes(rig, motion, noisy, np.zeros_like(force), of_noise)
     left_out_s = LEFT_OUT_S if any(b.length_m for b in rig.bodies) else TAPER_S
     kept = (samples - round(left_out_s * rate)) // factor
     signs = np.array([[float(s == c.at) - float(s == c.against) for s in motion.stations] for c in rig.contacts])
-    nuisances = nuisance_signals(changes, by_noise, noise_drawn, noise_m, to_force, signs, lines, kept)
+    nuisances = nuisance_signals(changes, noisy, to_force, signs, lines, kept)
     found = lines.in_time(weighed(to_force, rest), kept)
+    slow_n_per_m = slow_stiffness(rig, responses)
     if rig.bodies[0].is_mass and len(rig.bodies) == len(rig.contacts) == 1:
         found = _on_mass(modes_of(rig, rig.bodies[0]), motion, factor)[:, :kept]
-        begun = None
-    slow_n_per_m = slow_stiffness(rig, responses)
-    if begun:
-        by_values = np.array([lines.in_time(weighed(to_force, one), kept) for one in begun.spectra])
-        by_values = by_values.reshape(-1, len(rig.contacts), kept)
-        by_values = np.tensordot(begun.root.T, by_values, 1)
+    elif begun:
         begin = min(round(settled_s(rig, slow_n_per_m) * rate / factor), kept - 1)
+        by_values = lines.in_time(np.einsum("jsf,isf->ijf", to_force, begun.spectra), kept)
+        by_values = np.tensordot(begun.root.T, by_values, 1)
         felt = np.sqrt(np.mean(by_values[..., begin:] ** 2, axis=(1, 2))) > LEFT_SHARE * found.std()
         nuisances = nuisances.beside("initial state", by_values[felt])
     return ContactForces(
@@ -130,51 +110,65 @@ def separated_forces(
     )
 
 
+def _observed(
+    rig: Rig,
+    motion: Kinematics,
+    lines: Lines,
+    responses: tuple[Response, ...],
+    in_metres: Bool[np.ndarray, "stations lines"],
+    tolerances: Tolerances,
+    by_force: Complex[np.ndarray, "stations lines"],
+    from_rest: bool,
+) -> Observed:
+    """What was measured: accelerations, in_metres displacements."""
+    displaced = lines.spectra(motion.displacement_m)
+    accelerations = lines.spectra(motion.acceleration_m_per_s2) if from_rest else as_sensed(motion, lines)
+    measured = np.where(in_metres, displaced, accelerations)
+    scale = np.where(in_metres, -1 / lines.omega**2, 1.0).astype(complex)
+    return Observed(
+        sensors=motion.sensors,
+        displaced_by=motion.displaced_by,
+        tolerances=tolerances,
+        omega=lines.omega,
+        sensor_response=scale,
+        explained=measured,
+        by_force=by_force,
+        displaced=displaced,
+        bodies=tuple(told_motion(rig, r, motion, measured / scale) for r in responses),
+    )
+
+
+def _noise_alone(
+    rig: Rig, motion: Kinematics, observed: Observed, noise: Complex[np.ndarray, "stations lines"]
+) -> Observed:
+    accelerations = noise / observed.sensor_response
+    return replace(
+        observed,
+        explained=noise,
+        by_force=np.zeros_like(observed.by_force),
+        displaced=-accelerations / observed.omega**2,
+        bodies=tuple(told_motion(rig, b.response, motion, accelerations) for b in observed.bodies),
+    )
+
+
+def _with_hidden_modes(
+    rig: Rig,
+    motion: Kinematics,
+    observed: Observed,
+    force: Complex[np.ndarray, " lines"],
+    contact_forces: Complex[np.ndarray, "contacts lines"],
+) -> Observed:
+    accelerations = observed.explained / observed.sensor_response
+    moved = (whole_motion(rig, b.response, motion, accelerations, force, contact_forces) for b in observed.bodies)
+    return replace(observed, bodies=tuple(moved))
+
+
 def _on_mass(mass: Modes, motion: Kinematics, factor: int) -> Float[np.ndarray, "contacts fewer"]:
     """F - m a - c v - k x, which needs no quiet start."""
     per_mass = float(mass.shapes(np.zeros(1), 1)[0, 0] ** 2)
     natural, ratio = 2 * np.pi * float(mass.frequencies_hz(1)[0]), float(mass.damping_ratios(1)[0])
     own = motion.acceleration_m_per_s2[:1] + 2 * ratio * natural * motion.velocity_m_per_s[:1]
     return decimated(motion.force_n - (own + natural**2 * motion.displacement_m[:1]) / per_mass, factor)
-
-
-def _covariance(
-    noise: Float[np.ndarray, "stations lines"],
-    measured: Complex[np.ndarray, "stations lines"],
-    changes: tuple[Change, ...],
-    lines: Lines,
-) -> Complex[np.ndarray, "lines stations stations"]:
-    """Of the stations' errors: the sensors' noise, and what every tolerance does at the response that was measured."""
-    stations = len(measured)
-    found = np.zeros((stations, stations, measured.shape[1]), dtype=complex)
-    index = np.arange(stations)
-    found[index, index] = noise
-    for change in changes:
-        rows = np.array(change.sensors)
-        products = change.delivered[:, None] * change.delivered[None].conj()
-        found[rows[:, None], rows[None]] += lines.smoothed(products)
-    least = 1e-9 * np.einsum("iif->f", found).real.mean() / stations
-    found[index, index] += max(least, 1e-12 * float(np.mean(np.abs(measured) ** 2)))
-    return np.ascontiguousarray(np.transpose(found, (2, 0, 1)))
-
-
-def _least_squares(
-    to_contacts: Complex[np.ndarray, "contacts stations lines"],
-    covariance: Complex[np.ndarray, "lines stations stations"],
-) -> Complex[np.ndarray, "contacts stations lines"]:
-    """Generalised least squares, frequency by frequency, of all stations' accelerations A on the contact forces f:
-
-        A = G_F F - sum_j G_j f_j + error
-
-    with G the accelerances of the rig's description (all modes): what each station's A - G_F F adds to each force.
-    """
-    by_contact = np.ascontiguousarray(np.transpose(to_contacts, (2, 1, 0)))
-    weighted = np.linalg.solve(covariance, by_contact)
-    normal = weighted.conj().transpose(0, 2, 1) @ by_contact
-    condition = np.linalg.cond(normal[len(normal) // 4])
-    if not np.isfinite(condition) or condition > 1e12:
-        raise RigError("the stations cannot tell the contact forces apart; measure more stations on both bodies")
-    return np.ascontiguousarray(np.transpose(np.linalg.inv(normal) @ weighted.conj().transpose(0, 2, 1), (1, 2, 0)))
 
 
 def _accelerances(
@@ -187,14 +181,3 @@ def _accelerances(
             for r in responses
         )
     )
-
-
-def _body_motion(
-    rig: Rig, response: Response, motion: Kinematics, measured: Complex[np.ndarray, "stations lines"]
-) -> BodyMotion:
-    """The modal accelerations that the stations tell; those of higher modes are left out."""
-    transform = transformation(rig, response.body, motion)
-    found = np.zeros((response.count, measured.shape[1]), dtype=complex)
-    told = len(transform.inverse)
-    found[:told] = transform.inverse @ measured[list(transform.rows)]
-    return BodyMotion(response, found, np.arange(response.body.rigid_modes, told))

@@ -7,18 +7,19 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.checks import naming
-from identify.contacts.estimates import ContactFit, find_contacts
+from identify.contacts.estimates import LOOSE, ContactFit, find_contacts
 from identify.contacts.forces import ContactForces
 from identify.contacts.joint import Joint, law_force_n
-from identify.contacts.quality import findings_before, fit_findings
+from identify.contacts.quality import equation_findings, findings_before, fit_findings
 from identify.contacts.results import ContactReport
 from identify.contacts.start import ContactRecord
 from identify.contacts.summary import contact_report
 from identify.contacts.unforced import driven_to_hz, is_unforced, without_dead_force
 from identify.paper.nifo import Nifo, nifo
 from identify.paper.surface import Stops, Surface, clearance_from_occurrence, fit_surface
+from identify.signals.finely import penetration
 from identify.signals.kinematics import Kinematics, Use
-from identify.signals.spectra import Averaging, blocks, force_band, penetration
+from identify.signals.spectra import Averaging, blocks, force_band
 from identify.structure.modal import modal_equations, transformation, without_higher_modes
 from rig.errors import RigError
 from rig.model.description import Rig
@@ -118,6 +119,7 @@ def identify_contact(
     equations = [e for body in rig.bodies for e in modal_equations(rig, cleaned, body, EQUATIONS)]
     forced = [e for e in equations if e.shape_at_force != 0]
     spectra = [] if unforced else [nifo(e, cleaned.force_n, depth, cut) for e in forced]
+    findings += tuple(equation_findings(names, estimates, spectra))
     progress(0.7)
     coarse = _decimation(rig, motion)
     surfaces = [fit_surface(e, cleaned.force_n, eta, coarse, stops) for e in equations]
@@ -132,8 +134,7 @@ def identify_contact(
             transformations=[transformation(rig, body, motion) for body in rig.bodies],
             surfaces=surfaces,
             histogram=[
-                None if s is None else clearance_from_occurrence(e[motion.excited_from :])
-                for e, s in zip(eta, stops, strict=True)
+                None if s is None else _by_histogram(e[motion.excited_from :]) for e, s in zip(eta, stops, strict=True)
             ],
             main_equation=name,
             spectra=spectra,
@@ -173,6 +174,12 @@ def _stops(found: ContactFit) -> Stops | None:
         return None
     (lower, upper, _, _), (of_lower, of_upper, _, _) = found.values.tolist(), found.errors.tolist()
     return Stops(lower, upper, of_lower, of_upper, found.clearance_error_m)
+
+
+def _by_histogram(eta_m: Float[np.ndarray, " samples"]) -> Stops | None:
+    """The stops by the histogram; None where it hardly tells them, as of a decay, which rests most of the time."""
+    found = clearance_from_occurrence(eta_m)
+    return found if found.clearance_error_m < LOOSE * found.clearance_m else None
 
 
 def _decimation(rig: Rig, motion: Kinematics) -> int:

@@ -2,6 +2,7 @@
 of rig.json, together."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -12,12 +13,13 @@ from scipy.stats import norm, t
 from identify.contacts.start import LAW, STIFFNESS, ContactRecord, Law, clearly_closed, regressed, touched_stops
 from identify.signals.descent import Step, descended
 from identify.signals.drift import Spline, spline
+from identify.signals.finely import finely
 from identify.signals.scores import PARTS, part_scores
-from identify.signals.spectra import decimated, oversampled
+from identify.signals.spectra import decimated
 from rig.errors import RigError
 from rig.model.contact_laws import DeadZone
 
-STEPS, SETTLED = 30, 1e-7
+STEPS, ROUNDS, SETTLED = 30, 3, 1e-7
 FINE_HZ = 16384.0
 """The contact force is evaluated at this rate at least, so that its kinks do not alias."""
 MOST_PULL = 25.0
@@ -79,6 +81,10 @@ class Joint:
         """The standard error of a linear function of the parameters, such as `STIFFNESS`."""
         return float(np.sqrt(of @ self.covariance @ of))
 
+    def own_error(self, of: Law) -> float:
+        """The part of it that another record does not repeat."""
+        return float(np.sqrt(of @ (self.covariance - self.of_tolerances) @ of))
+
 
 def _clearance(touched: tuple[bool, bool]) -> Law:
     lower, upper = np.array(touched) / sum(touched)
@@ -86,8 +92,8 @@ def _clearance(touched: tuple[bool, bool]) -> Law:
 
 
 def law_force_n(
-    law: Law, eta_m: Float[np.ndarray, " samples"], rate_m_per_s: Float[np.ndarray, " samples"]
-) -> Float[np.ndarray, " samples"]:
+    law: Law, eta_m: Float[np.ndarray, "*samples"], rate_m_per_s: Float[np.ndarray, "*samples"]
+) -> Float[np.ndarray, "*samples"]:
     """Stiffness and damping times what a `DeadZone` makes of one of each; the damping may have any sign."""
     _, _, stiffness, damping = law
     by_stiffness, by_damping = _by_stiffness_and_damping(law, eta_m, rate_m_per_s)
@@ -95,8 +101,8 @@ def law_force_n(
 
 
 def _by_stiffness_and_damping(
-    law: Law, eta_m: Float[np.ndarray, " samples"], rate: Float[np.ndarray, " samples"]
-) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
+    law: Law, eta_m: Float[np.ndarray, "*samples"], rate: Float[np.ndarray, "*samples"]
+) -> tuple[Float[np.ndarray, "*samples"], Float[np.ndarray, "*samples"]]:
     lower, upper, _, _ = law.tolist()
     spring, damper = (
         DeadZone(lower_clearance_m=lower, upper_clearance_m=upper, stiffness_n_per_m=k, damping_n_s_per_m=c)
@@ -131,8 +137,7 @@ def fit_joint(seen: ContactRecord) -> Joint:
     law, knots = regressed(seen, curve)
     none = np.zeros(len(seen.nuisance_n))
     begun = (knots, np.zeros_like(knots)) if curve.knots else (knots,)  # rarely, the regression's drift leads astray
-    fitted = [_fitted(seen, curve, tie, _linearised(seen, curve, law, begin, none)) for begin in begun]
-    state, weights = min(fitted, key=lambda one: float(np.sum(one[0].residual ** 2)))
+    state, weights = _fitted(seen, curve, tie, [_linearised(seen, curve, law, begin, none) for begin in begun])
     if _curvature_pull(curve, state) > MOST_PULL:
         raise RigError(
             "the drift that would explain it is larger than the noise of the accelerometers allows; check their noise "
@@ -233,14 +238,14 @@ def _linearised(
     parts = np.stack([stiffness * below, -stiffness * above, by_stiffness, by_damping, stiffness * outside])
     *by_law, tangent = decimated(parts, seen.factor)[:, : seen.force_n.size]
     fine = max(1, round(FINE_HZ / seen.sample_rate_hz))
-    finer = oversampled(np.stack([eta, velocity]), fine)
-    fitted = decimated(law_force_n(law, *finer), fine * seen.factor)[: seen.force_n.size]
+    fitted = finely(partial(law_force_n, law), np.stack([eta, velocity]), fine)
+    fitted = decimated(fitted, seen.factor)[: seen.force_n.size]
     at_force = curve.value[:: seen.factor][: seen.force_n.size]
     held = seen.spring_n_per_m * at_force + seen.damper_n_s_per_m * curve.rate[:: seen.factor][: seen.force_n.size]
     kept, drift_kept = 1 - pulls @ seen.noise_in_n, 1 - pulls[seen.moving] @ seen.noise_in_m
     fast = (seen.force_n - pulls @ seen.nuisance_n - fitted) / kept
     by_drift = diags(tangent) @ at_force
-    by_pulls = seen.nuisance_n.T - fast[:, None] * seen.noise_in_n
+    by_pulls = seen.nuisance_n.T - np.outer(fast, seen.noise_in_n).astype(np.float32)
     moved = outside * (stiffness * seen.nuisance_m + damping * seen.nuisance_m_per_s)
     by_pulls[:, seen.moving] -= decimated(moved, seen.factor)[:, : seen.force_n.size].T
     by_pulls[:, seen.moving] -= np.outer(by_drift @ knots, seen.noise_in_m)
@@ -250,7 +255,7 @@ def _linearised(
         pulls=pulls,
         residual=fast - held @ knots,
         by_law=np.stack(by_law, axis=1) / kept,
-        by_pulls=by_pulls / kept,
+        by_pulls=by_pulls / np.float32(kept),
         by_eta=tangent,
         by_knots=drift_kept / kept * by_drift + held,
     )
@@ -269,11 +274,15 @@ def _drift(
 
 
 def _fitted(
-    seen: ContactRecord, curve: Spline, tie: Float[np.ndarray, "4 free"], state: _State
+    seen: ContactRecord, curve: Spline, tie: Float[np.ndarray, "4 free"], starts: list[_State]
 ) -> tuple[_State, Weights]:
-    """Descends, with the weights renewed from the scatter that is left until they stand."""
-    weights = _weights(seen, state, 0.02 * float(np.std(seen.force_n)))
-    for _ in range(4):
+    """Descends from each start, and from the best again with the weights renewed from the scatter that is left, until
+    they stand."""
+    rough_n = 0.02 * float(np.std(seen.force_n))
+    ends = [_descended(seen, curve, start, tie, _weights(seen, start, rough_n)) for start in starts]
+    state = min(ends, key=lambda end: float(np.sum(end.residual**2)))
+    weights = _weights(seen, state, _scatter(state))
+    for _ in range(ROUNDS):
         state = _descended(seen, curve, state, tie, weights)
         before, weights = weights, _weights(seen, state, _scatter(state))
         if np.allclose(weights, before, rtol=0.1):
@@ -354,7 +363,8 @@ def _normal(
     seen: ContactRecord, state: _State, curve: Spline, to_law: Float[np.ndarray, "4 free"], weights: Weights
 ) -> tuple[csc_matrix, Float[np.ndarray, " unknowns"]]:
     by_knots, by_others = _jacobian(state, to_law)
-    by_knots, by_others, left = diags(weights) @ by_knots, weights[:, None] * by_others, weights * state.residual
+    by_others *= weights[:, None]
+    by_knots, left = diags(weights) @ by_knots, weights * state.residual
     prior = np.r_[np.full(state.pulls.size, seen.sample_ratio), np.zeros(to_law.shape[1])]
     of_others = by_others.T @ by_others + np.diag(prior)
     gradient = by_others.T @ left

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float
-from scipy.ndimage import uniform_filter1d
 
 from identify.signals.kinematics import CORNER_HZ, TAPER_S, taper
 
@@ -45,6 +44,3 @@ class Lines:
     def alike(self) -> int:
         """So many neighbouring lines are taken to be alike."""
         return max(1, round(SMOOTHED_HZ * self.length / self.rate_hz))
-
-    def smoothed(self, products: Complex[np.ndarray, "*rows lines"]) -> Complex[np.ndarray, "*rows lines"]:
-        return np.asarray(uniform_filter1d(products, self.alike, axis=-1))

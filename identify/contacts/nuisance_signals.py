@@ -1,6 +1,6 @@
 """What the nuisance parameters add to the contact forces and to the relative displacements, over time."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,7 +8,7 @@ from jaxtyping import Complex, Float
 
 from identify.contacts.lines import Lines
 from identify.signals.drift import KNOT_S
-from identify.structure.nuisance import THE_RECORD, Change, Kind, Nuisance
+from identify.structure.nuisance import THE_RECORD, Change, Kind, Nuisance, Observed, changes_of
 from identify.structure.response import times
 
 ToForce = Complex[np.ndarray, "contacts stations lines"]
@@ -16,7 +16,8 @@ ToForce = Complex[np.ndarray, "contacts stations lines"]
 
 @dataclass(frozen=True)
 class NuisanceSignals:
-    """What one standard deviation of each nuisance parameter adds to the forces and to the relative displacements.
+    """What one standard deviation of each nuisance parameter adds to the forces and to the relative displacements, in
+    single precision.
 
     They hold the sensors' noise, too: a share of that of the forces, and of the relative displacements (noise_in_n and
     noise_in_m).
@@ -33,8 +34,8 @@ class NuisanceSignals:
         none = np.zeros(force_n.shape[:2])
         return NuisanceSignals(
             (*self.parameters, *(Nuisance(kind, THE_RECORD, i + 1) for i in range(len(force_n)))),
-            np.concatenate([self.force_n, force_n]),
-            np.concatenate([self.eta_m, np.zeros_like(force_n)]),
+            np.concatenate([self.force_n, force_n.astype(np.float32)]),
+            np.concatenate([self.eta_m, np.zeros(force_n.shape, np.float32)]),
             np.concatenate([self.noise_in_n, none]),
             np.concatenate([self.noise_in_m, none]),
         )
@@ -56,20 +57,18 @@ class NuisanceSignals:
 
 def nuisance_signals(
     changes: Sequence[Change],
-    by_noise: Iterable[Change],
-    noise: Complex[np.ndarray, "stations lines"],
-    noise_m: Complex[np.ndarray, "stations lines"],
+    noise: Observed,
     to_force: ToForce,
     signs: Float[np.ndarray, "contacts stations"],
     lines: Lines,
     kept: int,
 ) -> NuisanceSignals:
-    """Over `kept` samples; by_noise are the changes of noise alone, noise_m is that noise integrated twice."""
+    """Over `kept` samples; noise is what the sensors' noise alone would show."""
     count = (len(changes), len(signs), kept)
-    forces, eta = np.empty(count), np.zeros(count)
+    forces, eta = np.empty(count, np.float32), np.zeros(count, np.float32)
     in_n, in_m = np.zeros(count[:2]), np.zeros(count[:2])
-    noise_n, noise_eta = weighed(to_force, noise), times(signs, noise_m)
-    for i, (change, noisy) in enumerate(zip(changes, by_noise, strict=True)):
+    noise_n, noise_eta = weighed(to_force, noise.explained), times(signs, noise.displaced)
+    for i, (change, noisy) in enumerate(zip(changes, changes_of(noise), strict=True)):
         to_own, own_signs = to_force[:, change.sensors], signs[:, change.sensors]
         forces[i] = lines.in_time(weighed(to_own, change.delivered), kept)
         in_n[i] = _share(noise_n, weighed(to_own, noisy.delivered))

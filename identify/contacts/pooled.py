@@ -16,7 +16,7 @@ from rig.errors import RigError
 from rig.model.tolerances import Tolerances
 from rig.recording.segments import segments
 
-LARGE_BYTES = 1 << 30
+LARGE_BYTES = 1 << 26
 """Files of more are identified segment by segment, ..."""
 SEGMENT_S = 40.0
 """... of this length, which takes less memory than that."""
@@ -65,7 +65,8 @@ def together(reports: Sequence[ContactReport]) -> ContactReport:
     merged = _merged([msgspec.to_builtins(r) for r in reports])
     answered = {c["name"] for c in merged["contacts"]}
     merged["unanswered"] = [u for u in merged["unanswered"] if u["name"] not in answered]
-    merged["findings"] = list(dict.fromkeys(f for r in reports for f in r.findings))
+    found = [f for r in reports for f in r.findings]
+    merged["findings"] = list({(f.cause, f.channels, f.of): f for f in reversed(found)}.values())[::-1]
     merged["main_equation"] = max((r.main_equation for r in reports), key=[r.main_equation for r in reports].count)
     return msgspec.convert(merged, ContactReport)
 
@@ -77,22 +78,29 @@ def pooled(estimates: Sequence[Estimate]) -> Estimate:
     with their number n, the rest of their variance does not: error^2 = v / n + mean of s_i^2 - v (1 - sqrt(2 / n)),
     with v taken lower in the rest by as much as it is uncertain, and the rest not below zero. Weighted, n is
     1 / sum of w_i^2 and v = n / (n - 1) sum of w_i (x_i - mean)^2. No mean is less certain than one of them unless they
-    scatter more than they should.
+    scatter more than they should. The mean's own error is that of independent ones, or that of the scatter if larger.
     """
     values, errors = np.array([(e.value, e.standard_error) for e in estimates]).T
-    if len(estimates) == 1 or not np.all(errors > 0):
+    if len(estimates) == 1:
+        return estimates[0]
+    if not np.all(errors > 0):
         return Estimate(float(values.mean()), float(errors.max()))
     weights = errors**-2 / np.sum(errors**-2)
     mean, count, single = weights @ values, 1 / (weights @ weights), weights @ errors**2
     scatter = count / (count - 1) * weights @ (values - mean) ** 2
     shared = max(0.0, single - scatter * max(0.0, 1 - np.sqrt(2 / count)))
-    return Estimate(float(mean), float(np.sqrt(max(scatter / count, min(scatter / count + shared, single)))))
+    own = [e.own_error for e in estimates if e.own_error is not None]
+    return Estimate(
+        float(mean),
+        float(np.sqrt(max(scatter / count, min(scatter / count + shared, single)))),
+        float(np.sqrt(max(scatter / count, weights**2 @ np.square(own)))) if len(own) == len(estimates) else None,
+    )
 
 
 def _merged(parts: Sequence[Any]) -> Any:
     first = parts[0]
     if isinstance(first, dict):
-        if first.keys() == {"value", "standard_error"}:
+        if {"value", "standard_error"} <= first.keys():
             return msgspec.to_builtins(pooled([Estimate(**p) for p in parts]))
         keys = dict.fromkeys(key for p in parts for key in p)
         merged = {key: _merged([p[key] for p in parts if key in p]) for key in keys}

@@ -8,7 +8,11 @@ import numpy as np
 from identify.checks import check_recording
 from identify.checks.findings import Cause, Finding
 from identify.contacts.joint import Joint
+from identify.contacts.start import STIFFNESS
+from identify.pages.wording import interval
+from identify.paper.nifo import Nifo
 from identify.signals.kinematics import Use
+from identify.structure.modal import NEARLY_INVISIBLE
 from identify.structure.nuisance import Kind, Nuisance
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording
@@ -21,17 +25,20 @@ WHOLE: tuple[Kind, ...] = ("frequency", "mass", "force gain")
 UNLIKE = 3.7
 """The halves of a record differ by so many standard errors; of sixteen parts that all agree, 4 is the most."""
 UNEXPLAINED = 0.3
+SURE, APART, ERRORS = 0.1, 0.1, 5.0
+"""A modal equation in which a stiffness varies over frequency by less than that share is sure of it: if it is further
+from the joint fit's, and by so many standard errors, the two do not agree."""
 NEGATIVE = 5.0
 CAUSES: dict[Kind, Cause] = {
     "gain": "gain",
     "position": "station",
     "delay": "delay",
-    "high-pass": "filtered",
     "force gain": "gain",
     "mass": "mass",
     "frequency": "frequency",
     "damping": "damping",
 }
+"""Not of an unknown high-pass: the slow motion that accelerometers miss has its shape."""
 
 
 def findings_before(recording: Recording, use: Use, tolerances: Tolerances | None) -> tuple[Finding, ...]:
@@ -70,7 +77,7 @@ def fit_findings(
             of = parameter.of + ("" if parameter.mode is None else f" {parameter.mode}")
             yield Finding(
                 cause=CAUSES[parameter.kind],
-                channels=(parameter.of,) if parameter.kind in ("gain", "position", "delay", "high-pass") else (),
+                channels=(parameter.of,) if parameter.kind in ("gain", "position", "delay") else (),
                 of=of,
                 evidence=f"the contacts' fit asks for the {parameter.kind} of {of} to be {pull:+.2g} tolerances off",
                 mend="check it (a clock that is off shifts all frequencies alike), or widen its tolerance",
@@ -78,11 +85,29 @@ def fit_findings(
     for name, fit in joints:
         damping, error = float(fit.values[-1]), float(fit.errors[-1])
         if damping < -NEGATIVE * error:
-            yield _of_fit(name, f"{name} comes out with a negative damping of {damping:.3g} ± {error:.2g} N s/m")
+            yield _of_fit(name, f"{name} comes out with a negative damping of {interval(damping, error, 'N s/m')}")
         if max(np.abs(fit.halves)) > UNLIKE:
             yield _of_fit(name, f"{name} differs between the halves of the record by more than scatter makes")
         if fit.unexplained > UNEXPLAINED:
             yield _of_fit(name, f"no clearance and stiffness explain {100 * fit.unexplained:.2g} % of {name}'s force")
+
+
+def equation_findings(names: Sequence[str], fits: Sequence[Joint | str], spectra: Sequence[Nifo]) -> Iterator[Finding]:
+    """Contacts of which a modal equation by itself, by NIFO, is sure that they are other than all stations say."""
+    for one in spectra:
+        for j, mean, error, deviation in zip(
+            one.contacts, one.mean_n_per_m, one.stiffness_error_n_per_m, one.deviation_n_per_m, strict=True
+        ):
+            fit, clear = fits[j], one.equation.visibility[j] >= NEARLY_INVISIBLE
+            if not isinstance(fit, Joint) or not clear or deviation > SURE * abs(mean):
+                continue
+            found, of_found = fit.stiffness_n_per_m, fit.error(STIFFNESS)
+            if abs(mean - found) > max(APART * found, ERRORS * float(np.hypot(error, of_found))):
+                yield _of_fit(
+                    names[j],
+                    f"{one.equation.name} by itself gives {names[j]} {interval(mean, error, 'N/m')}, all stations "
+                    f"together {interval(found, of_found, 'N/m')} (± 95 %)",
+                )
 
 
 def _of_fit(contact: str, evidence: str) -> Finding:

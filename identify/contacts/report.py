@@ -1,6 +1,6 @@
 """An identification on disk: contact.json, the identified rig.json, the figures, and contact.html, a page."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
 
@@ -27,7 +27,9 @@ _CAPTIONS = {
 Laws = Mapping[str, ContactLaw]
 
 
-def write_results(found: Identification, out: Path, title: str, laws: Laws, laws_name: str) -> None:
+def write_results(
+    found: Identification, out: Path, title: str, laws: Laws, laws_name: str, sources: Sequence[Path] = ()
+) -> None:
     """Writes contact.html, the figures, the identified rig.json and, last of all, contact.json.
 
     `laws` has for every contact what stands beside the identified values, and `laws_name` says what they are: the true
@@ -40,13 +42,19 @@ def write_results(found: Identification, out: Path, title: str, laws: Laws, laws
     figures = drawn(found, marks, laws_name)
     for name, png in figures.items():
         write_bytes(png, out / f"{name}.png")
-    write_page(found, figures, title, laws, laws_name, out / "contact.html")
+    write_page(found, figures, title, laws, laws_name, out / "contact.html", sources)
     write_bytes(to_json(identified_rig(found.rig, found.report)), out / "rig.json")
     write_json(found.report, out / "contact.json")
 
 
 def write_page(
-    found: Identification, figures: Mapping[str, bytes], title: str, laws: Laws, laws_name: str, path: Path
+    found: Identification,
+    figures: Mapping[str, bytes],
+    title: str,
+    laws: Laws,
+    laws_name: str,
+    path: Path,
+    sources: Sequence[Path] = (),
 ) -> None:
     """Writes the page; figures are PNG files, by the names of `identify.contacts.figures`."""
     report = found.report
@@ -75,6 +83,7 @@ def write_page(
             ("Beside it: the paper's methods", _methods(found)),
         ],
         foot="Every identified value of this page stands in contact.json, unrounded, with its standard error.",
+        sources=sources,
     )
 
 
@@ -150,6 +159,8 @@ def _methods(found: Identification) -> str:
     ways = [(f"surface of {s.equation}", c) for s in report.surface.surfaces for c in s.clearances]
     ways += [("histogram", c) for c in report.surface.histogram]
     clearances = [(c.contact, way, _said(c.clearance_m, "mm", 1e3)) for way, c in ways]
+    told = {c.contact for c in report.surface.histogram}
+    clearances += [(c.name, "histogram", "not told") for c in report.contacts if c.name not in told]
     modes = [
         (f"{m.beam} {m.index}", f"{m.frequency_hz:.3f} Hz", f"{100 * m.damping_ratio:.2f} %") for m in report.modes
     ]

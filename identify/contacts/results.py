@@ -5,11 +5,16 @@ import msgspec
 from identify.checks.findings import Finding
 
 
-class Estimate(msgspec.Struct, frozen=True):
-    """A value with the standard error of its estimate, both in the unit that the field's name says."""
+class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A value with the standard error of its estimate, both in the unit that the field's name says.
+
+    own_error is the part of it that is this record's own (scatter and noise); the rest, which comes from what rig.json
+    may have wrong, is the same in all records of a machine, and tells nothing of whether the machine changed.
+    """
 
     value: float
     standard_error: float
+    own_error: float | None = None
 
 
 class ContactEstimate(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

@@ -94,10 +94,13 @@ def clearly_closed(seen: ContactRecord) -> Bool[np.ndarray, " fewer"]:
 def touched_stops(seen: ContactRecord) -> tuple[bool, bool]:
     """Whether the lower stop is clearly touched, and the upper one.
 
-    Raises RigError if neither is, or one alone where nothing shows how far it stands from the rest position.
+    Raises RigError if the relative displacement stands still, if neither is, or one alone where nothing shows how far
+    it stands from the rest position.
     """
     closed = clearly_closed(seen)
     lower, upper = (bool(np.mean(closed & side) >= LEAST_CLOSED) for side in (seen.force_n < 0, seen.force_n > 0))
+    if not np.ptp(seen.eta_m):
+        raise RigError("its relative displacement stands still; look for a dead displacement sensor")
     if not (lower or upper):
         raise RigError("it hardly ever closes in this record; excite the rig more strongly")
     if not ((lower and upper) or seen.sides_known):

@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from identify.checks.findings import Finding
 from identify.contacts import results
 from identify.contacts.estimates import ContactFit
@@ -48,12 +50,13 @@ def contact_report(
 
 
 def _contact(name: str, found: Joint) -> results.ContactEstimate:
-    lower, upper, stiffness, damping = (
-        results.Estimate(float(value), float(error)) for value, error in zip(found.values, found.errors, strict=True)
+    lower, upper, stiffness, damping, clearance = (
+        results.Estimate(float(of @ found.values), found.error(of), found.own_error(of))
+        for of in (*np.eye(len(found.values)), found.clearance)
     )
     return results.ContactEstimate(
         name=name,
-        clearance_m=results.Estimate(found.clearance_m, found.clearance_error_m),
+        clearance_m=clearance,
         stiffness_n_per_m=stiffness,
         damping_n_s_per_m=damping,
         lower_clearance_m=lower if found.sides_known and found.touched[0] else None,

@@ -9,6 +9,11 @@ from rig.recording import Recording, Signals, channel_groups
 
 STUCK = 1e-3
 """A channel that stands at its largest or smallest value for more than this share of the record is clipped."""
+WITHOUT_FORCE = (
+    "the exciting force is zero throughout: identify gap compares the motion with what rig.json makes of a measured "
+    "force; measure the force of a shaker or a hammer (of one mass on a shaking base: minus its mass times the base's "
+    "acceleration), or take identify contact, which reads free decays"
+)
 
 
 def sound_channels(recording: Recording, without: tuple[str, ...] = ()) -> tuple[Recording, dict[str, str]]:
@@ -20,6 +25,8 @@ def sound_channels(recording: Recording, without: tuple[str, ...] = ()) -> tuple
     for name, signals in recording.signals.items():
         for channel, row in zip(signals.channels.names, signals.values, strict=True):
             fault = fault_of(row)
+            if name == "force" and not np.any(row):
+                raise RigError(WITHOUT_FORCE)
             if fault and name == "force":
                 raise RigError(f"the force channel is {fault}; the diagnosis needs the force: mend it and record again")
             if fault and channel not in without:

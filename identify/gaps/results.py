@@ -15,12 +15,16 @@ Verdict = Literal["no_gap", "explained", "partly_explained", "unknown"]
 
 
 class Value(msgspec.Struct, frozen=True):
-    """A fitted parameter of an effect; at_limit says that it stands at an end of the range that was searched."""
+    """A fitted parameter of an effect; at_limit says that it stands at an end of the range that was searched.
+
+    instead says, of a number that the record does not tell, what it tells in its place: such a number is not shown.
+    """
 
     value: float
     standard_error: float
     unit: str
     at_limit: bool = False
+    instead: str = ""
 
 
 class Left(msgspec.Struct, frozen=True, kw_only=True):

@@ -26,7 +26,12 @@ NOTHING = 0.01
 
 
 def interval(found: Value) -> str:
-    """value ± 1.96 standard errors, to two digits of the latter; with a word where the range ends there."""
+    """value ± 1.96 standard errors, to two digits of the latter; with a word where the range ends there.
+
+    Of a number that the record does not tell: what it tells instead.
+    """
+    if found.instead:
+        return found.instead
     said = wording.interval(found.value, found.standard_error, found.unit)
     return f"{said} (at the limit of its range)" if found.at_limit else said
 
@@ -42,7 +47,7 @@ def cause_name(cause: Cause) -> str:
 
 def closes(cause: Cause) -> str:
     """The fraction of the gap that it closes, with its interval: "97.0 % (95.1 to 98.2 %)"."""
-    if not closes_some(cause):
+    if not closes_some(cause) and cause.explained < MOST:
         return "nothing"
     low, high = (percent(end).removesuffix(" %") for end in cause.interval_95)
     return f"{percent(cause.explained)} ({low} to {high} %)"

@@ -104,7 +104,7 @@ def identify_law(
     silent: list[Unanswered] = []
     for done, j in enumerate(chosen):
         answer, seen = contacts.estimates[j], contacts.observed[j]
-        if isinstance(answer, str) and seen.drift is not None:
+        if isinstance(answer, str) and (seen.drift is not None or not np.ptp(seen.eta_m)):
             silent.append(Unanswered(names[j], answer))
         else:
             found.append(_law(contacts, j, seconds / len(chosen), seed))

@@ -14,6 +14,7 @@ from identify.signals.spectra import decimated
 FINE_HZ = 4096.0
 """A law is evaluated at this rate at least, so that its knees do not alias."""
 HATS = 81
+MOST_KNEES = 8
 STIFFENING = 1e-3
 WORSE = 1.02
 """A knee is left out if the error of the fit without it is at most this multiple."""
@@ -100,7 +101,10 @@ class PiecewiseLinear:
 
 
 def slope_jumps(law: Function, low_m: float, high_m: float, share: float = 0.03) -> Float[np.ndarray, " knees"]:
-    """Where the slope of a law changes within a few thousandths of the range by more than a share of its own range."""
+    """Where the slope of a law changes within a few thousandths of the range by more than a share of its own range.
+
+    The largest of them, where there are many: the slope of a law that is nearly constant is all rounding.
+    """
     eta = np.linspace(low_m, high_m, 4001)
     slope = np.gradient(law(eta), eta)
     reach = 8
@@ -109,6 +113,7 @@ def slope_jumps(law: Function, low_m: float, high_m: float, share: float = 0.03)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], there.astype(int), [0]])))
     middle = eta[reach // 2 : -reach // 2]
     runs = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a <= 3 * reach]
+    runs = sorted(sorted(runs, key=lambda run: -float(change[slice(*run)].sum()))[:MOST_KNEES])
     return np.array([np.average(middle[a:b], weights=change[a:b]) for a, b in runs])
 
 

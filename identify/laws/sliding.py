@@ -44,11 +44,13 @@ class SlidingFriction:
         """The force along the course of eta, all samples from the first on."""
         half, k = self.backlash_m / 2, self.stiffness_n_per_m
         low, high = -half - self.lower_n / k, half + self.upper_n / k
-        at, course = 0.0, []
-        for step in np.diff(eta, prepend=eta[0]).tolist():
-            at = min(max(at + step, low), high)
-            course.append(at)
-        s = np.array(course)
+        turns = np.flatnonzero(np.diff(np.sign(np.diff(eta)))) + 1
+        begins = np.concatenate([[0], turns])  # from one of them to the next eta only grows, or only falls
+        at = [0.0]
+        for step in np.diff(eta[begins]).tolist():
+            at.append(min(max(at[-1] + step, low), high))
+        run = np.repeat(np.arange(begins.size), np.diff(begins, append=eta.size))
+        s = np.clip(np.array(at)[run] + eta - eta[begins][run], low, high)
         return np.asarray(k * (s - np.clip(s, -half, half)))
 
 

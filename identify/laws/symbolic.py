@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from rig.errors import RigError
+from rig.extras import needs_extra
 
 POPULATION = 400
 GENERATIONS = 120
@@ -145,12 +145,8 @@ class FormulaSearch:
 
 def pyoperon() -> Any:
     """The module pyoperon.sklearn; raises RigError if it is not installed."""
-    try:
+    with needs_extra("symbolic", "the search for a law (pyoperon)"):
         return importlib.import_module("pyoperon.sklearn")
-    except ImportError:
-        raise RigError(
-            "the search for a law needs the package pyoperon; install it with: pip install 'rig-identify[symbolic]'"
-        ) from None
 
 
 def search(

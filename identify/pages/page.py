@@ -1,8 +1,12 @@
 """A page that stands alone: one HTML file with its style and its pictures, readable on a phone, light or dark."""
 
+import hashlib
+import sys
 from base64 import b64encode
 from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
 from html import escape
+from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
@@ -56,10 +60,12 @@ def write(
     sentence: str,
     sections: Iterable[tuple[str, str]],
     foot: str,
+    sources: Sequence[Path] = (),
 ) -> None:
     """Writes the page, which needs no other file: beside first, then renamed.
 
-    A section is its heading and its HTML; everything else is plain text.
+    A section is its heading and its HTML; everything else is plain text. Below the foot stand date, version, command,
+    and the recordings that it was made of with the beginning of their SHA-256.
     """
     page = _PAGE.format(
         title=escape(title),
@@ -68,9 +74,16 @@ def write(
         verdict=escape(verdict),
         sentence=escape(sentence),
         sections="\n".join(f"<section><h2>{escape(heading)}</h2>\n{html}</section>" for heading, html in sections),
-        foot=escape(foot),
+        foot=f"{escape(foot)}<br>{escape(_made(sources))}",
     )
     write_bytes(page.encode(), path)
+
+
+def _made(sources: Sequence[Path]) -> str:
+    hashes = (f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()[:12]}" for path in sources)
+    command = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    parts = (f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", f"rig-identify {version('rig-identify')}", command)
+    return "Made " + ", ".join([*parts, *hashes]) + "."
 
 
 def picture(name: str, png: bytes) -> str:

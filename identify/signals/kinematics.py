@@ -89,7 +89,8 @@ def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNE
     sensors = [s for s in rig.sensors if use in ("auto", s.quantity) and s.measures.translates]
     if not sensors:
         wanted = "sensors of motion" if use == "auto" else f"{use} sensors"
-        raise RigError(f"the recording has no {wanted}; it has {', '.join(sorted(recording.signals))}")
+        instead = "; measure accelerations, velocities or displacements" if use == "auto" else ""
+        raise RigError(f"the recording has no {wanted}; it has {', '.join(sorted(recording.signals))}{instead}")
     stations = tuple(dict.fromkeys(s.station for s in sensors))
     chosen = {s: {sensor.measures.order: sensor for sensor in sensors if sensor.station == s} for s in stations}
     integrates = any(0 not in have for have in chosen.values())

@@ -1,4 +1,4 @@
-"""Blocks, windows and their spectra; and a contact law evaluated without aliasing."""
+"""Blocks, windows and their spectra, and other sampling rates."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,10 +11,8 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.signal import resample
 
 from rig.errors import RigError
-from rig.model.contact_laws import penetration_m
 
 POWERS = {"hann": 2, "sin4": 4, "sin6": 6}
-OVERSAMPLING = 8
 RAMP = 512
 
 
@@ -137,11 +135,6 @@ def window(name: str, length: int, sample_rate_hz: float) -> Float[np.ndarray, "
     )
 
 
-def penetration(eta_m: Float[np.ndarray, " samples"], lower_m: float, upper_m: float) -> Float[np.ndarray, " samples"]:
-    """The dead zone of a band-limited relative displacement, band-limited again, so that its kinks do not alias."""
-    return decimated(penetration_m(oversampled(eta_m, OVERSAMPLING), lower_m, upper_m), OVERSAMPLING)[: eta_m.size]
-
-
 def oversampled(signals: Float[np.ndarray, "*rows samples"], times: int) -> Float[np.ndarray, "*rows more"]:
     """Band-limited signals at `times` their rate."""
     ramps = _ramped(signals, 1)
@@ -188,11 +181,13 @@ def force_band(
 ) -> tuple[float, float]:
     """The band that holds all but `share` of the force's power at either end, Hz.
 
-    Raises RigError if the force is zero.
+    Raises RigError if the force is zero or constant.
     """
     power = np.cumsum(np.abs(np.fft.rfft(force_n)) ** 2)
     if not power[-1] > 0:
         raise RigError("the exciting force is zero throughout; record its channel, or give --band")
     low, high = np.searchsorted(power, [share * power[-1], (1 - share) * power[-1]])
+    if not high:
+        raise RigError("the exciting force is constant; record one that vibrates, or take its mean off")
     step = sample_rate_hz / force_n.size
     return float(low * step), float(high * step)

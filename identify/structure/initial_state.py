@@ -7,7 +7,7 @@ With the poles p of q'' + 2 zeta omega q' + omega^2 q = 0, a mode moves by q_0 u
 in addition to what the forces cause from rest. All q_0 and q_0' are linear in what the sensors deliver.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +16,6 @@ from jaxtyping import Bool, Complex, Float, Int
 from identify.signals.kinematics import Kinematics
 from identify.structure.response import Response
 
-CHUNK = 512
-"""Lines that are worked on at once."""
 TOLD = 10.0
 """What tells no more than a tenth of that, as a multiple of the prior, is hardly believed."""
 WIDE = 3.0
@@ -170,22 +168,19 @@ def estimated(
     deviation: Float[np.ndarray, " values"],
     rest: Complex[np.ndarray, "stations lines"],
     to_contacts: Complex[np.ndarray, "contacts stations lines"],
-    covariance: Complex[np.ndarray, "lines stations stations"],
+    errors: Iterable[tuple[slice, Complex[np.ndarray, "some stations stations"]]],
     alike: int,
-    begin: int,
 ) -> Estimated:
     """The initial values by generalised least squares from what no contact forces explain.
 
-    rest = sum_i theta_i spectra_i + sum_j to_contacts_j f_j + error, of that covariance, with the contact forces f_j
-    free at every line and the prior mean and deviation of theta. So many neighbouring lines err alike; those before
-    `begin` are not used.
+    rest = sum_i theta_i spectra_i + sum_j to_contacts_j f_j + error, with the contact forces f_j free at every line and
+    the prior mean and deviation of theta. errors are the lines that are used, part by part, with their covariances; so
+    many neighbouring lines err alike.
     """
     normal, gradient = np.diag(deviation**-2), np.zeros_like(mean)
     rest = rest - np.einsum("i,isf->sf", mean, spectra)
-    lines = rest.shape[1]
-    for first in range(begin, lines, CHUNK):
-        now = slice(first, first + CHUNK)
-        root = np.linalg.cholesky(covariance[now])
+    for now, covariance in errors:
+        root = np.linalg.cholesky(covariance)
         columns = np.concatenate([spectra[..., now], rest[None, :, now], to_contacts[..., now]]).transpose(2, 1, 0)
         white = np.linalg.solve(root, columns)
         known, by_contact = white[..., : len(spectra) + 1], white[..., len(spectra) + 1 :]

@@ -5,7 +5,7 @@ With D = omega_m^2 - omega^2 + 2 i zeta_m omega_m omega of a mode, an error dD o
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -72,6 +72,11 @@ class Change:
     sensors: list[int]
     delivered: Complex[np.ndarray, "some lines"]
     displaced: Complex[np.ndarray, "some lines"] | None = None
+
+    @property
+    def in_single_precision(self) -> "Change":
+        displaced = None if self.displaced is None else self.displaced.astype(np.complex64)
+        return replace(self, delivered=self.delivered.astype(np.complex64), displaced=displaced)
 
 
 def changes_of(observed: Observed) -> Iterator[Change]:

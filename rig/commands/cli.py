@@ -4,6 +4,7 @@ import json
 import os
 from collections.abc import Mapping
 from functools import reduce
+from inspect import getdoc
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,14 +12,25 @@ import msgspec
 import numpy as np
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
-from rig.commands.cli_files import draw, export_, import_, recover
+from rig.commands.cli_files import draw, export_, fmu, import_, recover
 from rig.commands.cli_init import init
-from rig.commands.command_line import Force, Json, StoppedError, progress_bar, refuse_existing, run, say, working
+from rig.commands.command_line import (
+    Force,
+    Json,
+    StoppedError,
+    Version,
+    literal_console,
+    progress_bar,
+    refuse_existing,
+    run,
+    say,
+    working,
+)
 from rig.effects import effect_named, effects
 from rig.errors import RigError
+from rig.extras import needs_extra
 from rig.files import check_source
 from rig.model.description import Station, read_rig
 from rig.recording import Recording, Signals, read, read_truth, truth_path
@@ -26,6 +38,7 @@ from rig.simulation.own import Drive, OwnRig, own_rig, plant_for
 from rig.simulation.plants import PLANTS, plant_named
 from rig.simulation.record import record as record_rig
 from rig.simulation.reference import REFERENCES, BarrelCradle, Sdof, reference
+from rig_start.doctor import doctor as installation
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 
@@ -33,22 +46,28 @@ File = Annotated[Path, typer.Argument(help="The recording, an .mcap file.")]
 
 
 @app.callback()
-def _group() -> None:
+def _group(version: Version = False) -> None:
     """A virtual test rig: simulates a structure with clearances and records it as a laboratory would."""
 
 
 def _settings_text(title: str, kinds: Mapping[str, type[msgspec.Struct]]) -> str:
     """Every setting with its default, for the help."""
-    return "\n\n".join(
-        f"{title} {name}: " + ", ".join(f"{f.name}={f.default}" for f in msgspec.structs.fields(kind))
-        for name, kind in kinds.items()
-    )
+    return "\n\n".join(f"{title} {name}: {_defaults(kind)}" for name, kind in kinds.items())
+
+
+def _defaults(kind: type[msgspec.Struct]) -> str:
+    return ", ".join(f"{f.name}={f.default}" for f in msgspec.structs.fields(kind))
+
+
+def _sentence(kind: type) -> str:
+    """The first of its docstring."""
+    return " ".join((getdoc(kind) or "").partition("\n\n")[0].split())
 
 
 _EPILOG = (
     _settings_text("Settings of", {**REFERENCES, "FILE.json": Drive}),
     "None stands for a value that follows from the rig: rms_n moves the contacts by some clearances.",
-    _settings_text("Effect", effects()),
+    *(f"Effect {name}: {_defaults(kind)}. {_sentence(kind)}" for name, kind in effects().items()),
 )
 
 
@@ -152,7 +171,7 @@ def info(file: File, as_json: Json = False) -> None:
     if as_json:
         print(json.dumps(_summary(recording)))
         return
-    console, rig = Console(markup=False, highlight=False), recording.rig
+    console, rig = literal_console(), recording.rig
     say(f"{file}: rig {rig.name}, {recording.duration_s:g} s at {rig.sample_rate_hz:g} Hz")
     bodies = _table("Bodies", "body", "kind", "first frequencies, Hz")
     for body in rig.bodies:
@@ -202,8 +221,9 @@ def view(
 
     Example: rig view barrel_cradle.mcap --contact results/contact.json --out barrel_cradle.rrd
     """
-    from rig.viewer.identified import identified_laws
-    from rig.viewer.viewing import open_viewer, write_rrd
+    with needs_extra("view", "rig view (rerun)"):
+        from rig.viewer.identified import identified_laws
+        from rig.viewer.viewing import open_viewer, write_rrd
 
     if magnification is not None and not 0 < magnification < np.inf:
         raise typer.BadParameter(f"{magnification} is not a finite number above zero", param_hint="--magnification")
@@ -225,7 +245,14 @@ app.command()(recover)
 app.command("import")(import_)
 app.command("export")(export_)
 app.command()(draw)
+app.command()(fmu)
 app.add_typer(init, name="init")
+
+
+@app.command()
+def doctor() -> None:
+    """Say what is installed, and whether another package or program has taken the name rig or identify."""
+    raise typer.Exit(installation())
 
 
 def _summary(recording: Recording) -> dict[str, Any]:

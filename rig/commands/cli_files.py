@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 import msgspec
+import numpy as np
 import typer
 
 from rig.commands.command_line import Force, Json, progress_bar, refuse_existing, say, working
@@ -98,3 +99,23 @@ def draw(
     refuse_existing(target, force, file)
     draw_rig(read_rig(file) if file.suffix == ".json" else read(file).rig, target)
     print(f"{target}: written; a browser shows it")
+
+
+def fmu(
+    file: Annotated[Path, typer.Argument(help="A rig.json, identified or corrected, or a recording.")],
+    out: Annotated[Path, typer.Option(help="The .fmu to write.")],
+    step: Annotated[float, typer.Option(help="Of the plant, s; communication steps are multiples of it.")] = 2.0**-14,
+    force: Force = False,
+) -> None:
+    """Write a rig as an FMU 3.0 (Co-Simulation): force in, sensors and contacts out.
+
+    Example: rig fmu results/rig.json --out rig.fmu
+    """
+    from rig.simulation.fmu import export_fmu
+
+    if not 0 < step < np.inf:
+        raise typer.BadParameter(f"{step} is not a finite number above zero", param_hint="--step")
+    check_source(file)
+    refuse_existing(out, force, file)
+    export_fmu(read_rig(file) if file.suffix == ".json" else read(file).rig, out, step)
+    print(f"{out}: written; its force is the value at the end of the next step")

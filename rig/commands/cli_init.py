@@ -41,7 +41,7 @@ def _command(name: str, kind: Kind) -> Callable[..., None]:
 
     def command(out: Path, force: bool, as_json: bool, **words: str | None) -> None:
         for path in (out / RIG_NAME, out / MAP_NAME):
-            refuse_existing(path, force)
+            refuse_existing(path, force, new_folder=True)
         start = _started(kind, helps, {k: v for k, v in words.items() if v is not None})
         with working(f"describing a rig of the kind {name}"):
             rig, notes = start.described()

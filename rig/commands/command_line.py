@@ -6,6 +6,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
+from importlib.metadata import version
 from io import TextIOWrapper
 from pathlib import Path
 from typing import Annotated
@@ -21,6 +22,18 @@ from rig.files import check_target, part_of
 INTERRUPTED = 130
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output, and nothing else.")]
+
+
+def _say_version(asked: bool) -> bool:
+    if asked:
+        print("rig-identify", version("rig-identify"))
+        raise typer.Exit
+    return asked
+
+
+Version = Annotated[
+    bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Say the version, and no more.")
+]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
 
 
@@ -83,13 +96,18 @@ def say(text: str) -> None:
     print(text if is_plain(text) else one_line(text))
 
 
+def literal_console() -> Console:
+    """What prints tables on standard output, with the names in them as they are: no markup, no emoji, no colours."""
+    return Console(markup=False, emoji=False, highlight=False)
+
+
 @contextmanager
 def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
     """A bar with the time left on standard error; call what it gives with the fraction done. Silent when piped."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
-        task = bar.add_task(description, total=1.0)
+        task = bar.add_task(one_line(description), total=1.0)
         yield lambda fraction: bar.update(task, completed=fraction)
 
 
@@ -97,16 +115,16 @@ def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
 def working(description: str) -> Iterator[None]:
     """A sign of life on standard error where nobody knows how long it takes. Silent when piped."""
     console = Console(stderr=True)
-    with console.status(Text(description)) if console.is_terminal else nullcontext():
+    with console.status(Text(one_line(description))) if console.is_terminal else nullcontext():
         yield
 
 
-def refuse_existing(path: Path, force: bool, *sources: Path) -> None:
+def refuse_existing(path: Path, force: bool, *sources: Path, new_folder: bool = False) -> None:
     """Raises RigError if the path exists and overwriting was not asked for.
 
-    And always if it cannot be written, or is one of the sources by whatever name.
+    And always if it cannot be written, or is one of the sources by whatever name; see `check_target`.
     """
-    check_target(path, *sources)
+    check_target(path, *sources, new_folder=new_folder)
     part = part_of(path)
     if path.exists() and not force:
         raise RigError(f"{path}: exists already; give another name, or --force to overwrite it")

@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from rig.extras import needs_extra
 from rig.files import atomic_write, write_bytes
+from rig.lab.containers import write_hdf5, write_mdf
 from rig.model.description import to_json
 from rig.model.quantities import QUANTITIES
 from rig.recording import RIG_NAME, Recording
@@ -32,7 +34,7 @@ def export(
 ) -> None:
     """Writes every channel in SI, and with `map_path` also the map and rig.json beside it.
 
-    CSV holds 17 digits, UFF 58 (binary) and .mat the doubles themselves, so nothing is lost. Raises RigError if a file
+    CSV holds 17 digits, all others the doubles themselves, so nothing is lost. Raises RigError if a file
     cannot be written.
     """
     with atomic_write(out) as part:
@@ -62,7 +64,8 @@ def _write_csv(recording: Recording, path: Path, progress: Callable[[float], Non
 
 
 def _write_uff(recording: Recording, path: Path, _: Callable[[float], None]) -> None:
-    import pyuff
+    with needs_extra("lab", f"{path}: a UFF file"):
+        import pyuff
 
     time_s = recording.signals["force"].time_s
     datasets = [
@@ -87,7 +90,12 @@ def _write_uff(recording: Recording, path: Path, _: Callable[[float], None]) -> 
         for group, number, name, row in _rows(recording)
     ]
     path.unlink(missing_ok=True)
-    pyuff.UFF(str(path)).write_sets(datasets, mode="add")  # its "overwrite" loses the first binary header
+    try:
+        pyuff.UFF(str(path)).write_sets(datasets, mode="add")  # its "overwrite" loses the first binary header
+    except Exception as error:  # pyuff's own, which does not tell what the disk said
+        if isinstance(error.__context__, OSError):
+            raise error.__context__ from error
+        raise
 
 
 def _write_mat(recording: Recording, path: Path, _: Callable[[float], None]) -> None:
@@ -100,8 +108,22 @@ def _write_mat(recording: Recording, path: Path, _: Callable[[float], None]) -> 
     savemat(path, variables, appendmat=False, do_compression=True)
 
 
+def _write_hdf5(recording: Recording, path: Path, _: Callable[[float], None]) -> None:
+    write_hdf5(recording, path)
+
+
+def _write_mdf(recording: Recording, path: Path, _: Callable[[float], None]) -> None:
+    write_mdf(recording, path)
+
+
 Writer = Callable[[Recording, Path, Callable[[float], None]], None]
-WRITERS: dict[str, Writer] = {"csv": _write_csv, "uff": _write_uff, "mat": _write_mat}
+WRITERS: dict[str, Writer] = {
+    "csv": _write_csv,
+    "uff": _write_uff,
+    "mat": _write_mat,
+    "h5": _write_hdf5,
+    "mf4": _write_mdf,
+}
 
 
 def map_of(groups: Mapping[str, Channels], form: str) -> str:

@@ -12,9 +12,10 @@ from jaxtyping import Float
 from rig.errors import RigError
 from rig.files import check_target, contents
 from rig.lab.clock import RATE_TOLERANCE, even
-from rig.lab.tables import Column, TextForm, columns_of
+from rig.lab.column import Column
+from rig.lab.tables import TextForm, columns_of
 from rig.lab.units import si_factor
-from rig.model.description import Rig, read_rig
+from rig.model.description import Rig, read_rig, refuse_several
 from rig.recording import RIG_NAME, channel_groups, with_history, writing
 
 
@@ -59,6 +60,24 @@ def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
     """
     mapping, rig = _read_map(map_path, out)
     columns = columns_of(source, mapping.csv)
+    digest = hashlib.sha256(source.read_bytes()).hexdigest()
+    return _import(columns, {"source": source.name, "source_sha256": digest}, str(source), mapping, rig, map_path, out)
+
+
+def import_columns(columns: Sequence[Column], source: str, map_path: Path, out: Path) -> tuple[str, ...]:
+    """As `import_file` of columns that are there already; source says what they are."""
+    return _import(columns, {"source": source}, source, *_read_map(map_path, out), map_path, out)
+
+
+def _import(
+    columns: Sequence[Column],
+    origin: Mapping[str, str],
+    source: str,
+    mapping: Map,
+    rig: Rig,
+    map_path: Path,
+    out: Path,
+) -> tuple[str, ...]:
     names, given = {s.name for s in rig.sensors}, set(mapping.sensors)
     for wrong, what in ((given - names, "is no sensor of the rig"), (names - given, "is missing")):
         if wrong:
@@ -76,15 +95,14 @@ def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
     except RigError as error:
         raise RigError(f"{source}: {error}") from error
     steps = (
-        f"{rows.shape[1]} samples of {len(rows)} columns read from {source.name}",
+        f"{rows.shape[1]} samples of {len(rows)} columns read from {origin['source']}",
         "made SI: " + ", ".join(f"{n} = {factors[n]:.9g} x column {c.name!r}" for n, c in taken.items()),
         *(() if "force" in taken else ("no force was measured: its channel is zero",)),
         *resampled,
     )
     provenance = {
         "made_by": "rig import",
-        "source": source.name,
-        "source_sha256": hashlib.sha256(source.read_bytes()).hexdigest(),
+        **origin,
         "map": map_path.name,
     }
     unforced = {"force": np.zeros(values.shape[1])}
@@ -138,8 +156,11 @@ def _write(
 
 
 def _read_map(path: Path, out: Path) -> tuple[Map, Rig]:
+    text = contents(path)
     try:
-        mapping = msgspec.toml.decode(contents(path), type=Map)
+        given = msgspec.toml.decode(text)
+        refuse_several(given, "force", str(path))
+        mapping = msgspec.convert(given, Map)
     except RigError:
         raise
     except (msgspec.DecodeError, ValueError, RecursionError) as error:

@@ -27,6 +27,11 @@ _NUMERIC_CLASSES = range(6, 16)
 _COMPLEX = 1 << 11
 
 
+def most_bytes(size: int) -> int:
+    """What a file of that size may hold in all; more is no data."""
+    return max(SMALL_BYTES, MOST_TIMES * size)
+
+
 def arrays_of(path: Path) -> Iterator[tuple[str, np.ndarray]]:
     """Name and values of every real numeric array, named as MATLAB does: `a`, `run.a`, `run(2).a`, `c{3}`.
 
@@ -38,12 +43,12 @@ def arrays_of(path: Path) -> Iterator[tuple[str, np.ndarray]]:
     if content.startswith(b"MATLAB 7.3"):
         from rig.lab.matlab_hdf5 import arrays_of_hdf5
 
-        yield from arrays_of_hdf5(path, max(SMALL_BYTES, MOST_TIMES * len(content)))
+        yield from arrays_of_hdf5(path, most_bytes(len(content)))
         return
     if order is None or not content.startswith(b"MATLAB 5.0"):
         yield from _version_4(content)
         return
-    left = max(SMALL_BYTES, MOST_TIMES * len(content))
+    left = most_bytes(len(content))
     at = _HEADER_BYTES
     while at < len(content):
         kind, body, at = _element(content, at, order)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from rig.errors import RigError
+from rig.extras import needs_extra
 
 
 def arrays_of_hdf5(path: Path, most_bytes: int) -> Iterator[tuple[str, np.ndarray]]:
@@ -15,13 +16,8 @@ def arrays_of_hdf5(path: Path, most_bytes: int) -> Iterator[tuple[str, np.ndarra
     Raises RigError if h5py is not installed or the arrays have more than most_bytes in all, and what h5py raises on a
     damaged file.
     """
-    try:
+    with needs_extra("lab", f"{path}: a MATLAB file of version 7.3 (save(..., '-v7') stores it as an older one)"):
         import h5py
-    except ImportError as error:
-        raise RigError(
-            f"{path}: is a MATLAB file of version 7.3; install h5py to read it (pip install 'rig-identify[hdf5]'), or "
-            "store it by save(..., '-v7')"
-        ) from error
     with h5py.File(path, "r") as file:
         left = most_bytes
         for name in file:

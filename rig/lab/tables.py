@@ -1,33 +1,24 @@
-"""Measured data as columns, from the files in which laboratories keep them: CSV, UFF, MATLAB and TDMS."""
+"""Measured data as columns, from the files in which laboratories keep them: CSV, UFF, MATLAB, TDMS and HDF5."""
 
 import csv
 import logging
 import struct
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 
 import msgspec
 import numpy as np
-from jaxtyping import Float
 
 from rig.errors import RigError
+from rig.extras import needs_extra
 from rig.files import check_source
-from rig.lab.matlab import arrays_of
+from rig.lab.column import Column
+from rig.lab.containers import read_hdf5
+from rig.lab.matlab import arrays_of, most_bytes
 
 _SEGMENT_HEAD_BYTES = 28  # of TDMS
 _BIG_ENDIAN = 1 << 6
-
-
-@dataclass(frozen=True)
-class Column:
-    """One channel of a file; unit and sample rate are None where the file does not say them."""
-
-    name: str
-    values: Float[np.ndarray, " samples"]
-    unit: str | None = None
-    sample_rate_hz: float | None = None
 
 
 class TextForm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -136,7 +127,8 @@ def _is_number(cell: str, decimal: str) -> bool:
 
 
 def _uff(path: Path, _: TextForm) -> Iterable[Column]:
-    import pyuff
+    with needs_extra("lab", f"{path}: a UFF file"):
+        import pyuff
 
     file = pyuff.UFF(str(path))
     for place, kind in enumerate(file.get_set_types()):
@@ -166,8 +158,9 @@ def _mat(path: Path, _: TextForm) -> Iterable[Column]:
 
 
 def _tdms(path: Path, _: TextForm) -> Iterable[Column]:
-    from nptdms import TdmsFile
-    from nptdms.log import log_manager
+    with needs_extra("lab", f"{path}: a TDMS file"):
+        from nptdms import TdmsFile
+        from nptdms.log import log_manager
 
     log_manager.set_level(logging.CRITICAL)  # what it finds is said by an error, or is no fault
     content = BytesIO(path.read_bytes())  # a read from it takes no more memory than there is to read
@@ -199,6 +192,10 @@ def _check_segments(path: Path, content: memoryview) -> None:
         raise RigError(f"{path}: is cut off; export it again")
 
 
+def _hdf5(path: Path, _: TextForm) -> Iterable[Column]:
+    return read_hdf5(path, most_bytes(path.stat().st_size))
+
+
 def _rate(interval_s: float) -> float | None:
     return 1 / interval_s if interval_s > 0 else None
 
@@ -210,4 +207,6 @@ READERS: dict[str, Callable[[Path, TextForm], Iterable[Column]]] = {
     ".unv": _uff,
     ".mat": _mat,
     ".tdms": _tdms,
+    ".h5": _hdf5,
+    ".hdf5": _hdf5,
 }

@@ -12,6 +12,7 @@ from rig.errors import RigError, is_plain
 from rig.files import contents
 from rig.model.beam import Beam
 from rig.model.contact_laws import AnyLaw, DeadZone
+from rig.model.largest import check_largest
 from rig.model.oscillator import Oscillator
 from rig.model.quantities import QUANTITIES, Quantity, QuantityName
 from rig.model.structure import Structure
@@ -280,6 +281,11 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         for sensor in self.sensors:
             self._check_station(f"sensor {sensor.name!r}", sensor.station)
             self.fibre_m(sensor)
+            if not sensor.high_pass_hz < self.sample_rate_hz / 2:
+                raise RigError(
+                    f"sensor {sensor.name!r}: high_pass_hz is {sensor.high_pass_hz}; give less than half the "
+                    f"sample_rate_hz of {self.sample_rate_hz:g}"
+                )
         for contact in self.contacts:
             for station in contact_stations(contact):
                 self._check_station(f"contact {contact.name!r}", station)
@@ -395,13 +401,25 @@ def _with_laws_named(read: Any) -> Any:
     return read
 
 
+def refuse_several(given: Any, field: str, source: str) -> None:
+    """Raises RigError if a description names several forces."""
+    if isinstance(given, dict) and isinstance(given.get(field), list):
+        raise RigError(
+            f"{source}: {field} names {len(given[field])} forces, and a recording holds one; drive with one shaker at "
+            "a time, and take each as a recording of its own"
+        )
+
+
 def from_json(text: bytes, source: str) -> Rig:
     """The rig described by a JSON text; `source` names it in the error.
 
     Raises RigError with the place and the reason if the text is no valid rig.
     """
     try:
-        return msgspec.convert(_with_laws_named(msgspec.json.decode(text)), Rig)
+        given = _with_laws_named(msgspec.json.decode(text))
+        refuse_several(given, "force_at", source)
+        check_largest(given, source)
+        return msgspec.convert(given, Rig)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise RigError(f"{source}: not a rig description: {error}; see rig/recording/README.md") from error
 

@@ -114,6 +114,18 @@ def modes_of(rig: Rig, body: Body) -> Modes:
     return FiniteElementModes(body, nodes_m, natural_hz, vectors)
 
 
+def given_beside(body: Body, position_m: float) -> tuple[float, ...]:
+    """The places on either side at which a modal basis gives shapes; none where the shapes are known.
+
+    They are known at those places, of a body described by its mass and stiffness everywhere.
+    """
+    if not isinstance(body, Structure) or body.gives(position_m):
+        return ()
+    places = body.positions_m
+    after = int(np.searchsorted(places, position_m))
+    return tuple(float(x) for x in places[max(after - 1, 0) : after + 1])
+
+
 def coupled(rig: Rig, body: Structure) -> CoupledModes:
     """Over the modes q of a basis, masses m and springs k, k_r at places with the shapes p and slopes s:
 

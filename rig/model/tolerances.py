@@ -118,5 +118,5 @@ def tolerances_named(text: str) -> Tolerances:
         raise RigError(f"{text}: no tolerances can be read there; give {', '.join(NAMED)} or a TOML file")
     try:
         return msgspec.convert(tomllib.loads(contents(Path(text)).decode()), Tolerances)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, msgspec.ValidationError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, msgspec.ValidationError, RecursionError) as error:
         raise RigError(f"{text}: not a file of tolerances: {error}; see rig.model.tolerances") from error

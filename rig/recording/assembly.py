@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rig.errors import RigError
+from rig.model.largest import LARGEST
 from rig.recording.channels import Channels
 from rig.recording.messages import Block
 
@@ -39,7 +40,7 @@ class Assembly:
     def finished(self) -> tuple[float, Float[np.ndarray, "channels samples"]]:
         """When the samples begin, s, and their values.
 
-        Raises RigError if there are none, there is a gap, or a value is not finite.
+        Raises RigError if there are none, there is a gap, or a value is not finite or beyond LARGEST.
         """
         for block in sorted(self._early, key=lambda b: b.first_sample):
             if block.first_sample != self._end:
@@ -62,18 +63,20 @@ class Assembly:
             self._values = np.concatenate([self._values, more], axis=1)
         place = self._values[:, begin:end]
         place[:] = block.values
-        if not math.isfinite(np.einsum("ij->", place)):  # or only too large together; the fastest sum, without warnings
+        if not np.einsum("ij,ij->", place, place) < LARGEST**2:  # or only together; the fastest sum, without warnings
             self._suspect.append(slice(begin, end))
         if self._end == self._first:
             self._start_ns = block.time_ns
         self._end += end - begin
 
     def _check_finite(self, part: slice) -> None:
-        bad = np.argwhere(~np.isfinite(self._values[:, part]))
+        bad = np.argwhere(~(np.abs(self._values[:, part]) <= LARGEST))
         if bad.size:
             sample = self._first + part.start + bad[0, 1]
+            value = self._values[bad[0, 0], part.start + bad[0, 1]]
+            what = f"{value:g}, which nothing measures," if math.isfinite(value) else "not a finite number"
             raise RigError(
-                f"{self._path}: channel {self._channels.names[bad[0, 0]]!r} is not a finite number at sample {sample} "
+                f"{self._path}: channel {self._channels.names[bad[0, 0]]!r} is {what} at sample {sample} "
                 f"({sample / self._channels.sample_rate_hz:.4f} s); repair or leave out that channel"
             )
 

@@ -46,6 +46,12 @@ def record(
             f"duration is {duration_s} s; give more than {QUIET_S} s, the quiet start of every recording, and less "
             f"than {MAX_DURATION_S:g} s"
         )
+    for tone in actual.tones:
+        if tone.frequency_hz * step_s >= 0.5:
+            raise RigError(
+                f"tone: frequency_hz is {tone.frequency_hz:g}, which steps of {step_s:g} s do not resolve; give less "
+                f"than {0.5 / step_s:g} Hz"
+            )
     samples = round(duration_s * rig.sample_rate_hz)
     if samples == 0:
         raise RigError(

@@ -34,7 +34,7 @@ def identified_laws(path: Path, rig: Rig) -> dict[str, DeadZone]:
     """
     try:
         report = msgspec.json.decode(contents(path), type=_Report)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise RigError(f"{path}: is no contact.json ({error}); make one by `identify contact`") from error
     names = [c.name for c in rig.contacts]
     for found in report.contacts:

@@ -2,7 +2,8 @@
 
 import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
 
@@ -10,7 +11,7 @@ import numpy as np
 import rerun as rr
 
 from rig.errors import RigError
-from rig.files import atomic_write
+from rig.files import write_bytes
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Contact
 from rig.model.sensing import sensors_of
@@ -77,22 +78,32 @@ def write_rrd(
         )
         for j, (contact, row) in enumerate(zip(shown_rig.contacts, relative_m, strict=True))
     ]
-    with atomic_write(path) as part:
-        part.touch()
-        with rr.RecordingStream("rig") as stream:
-            stream.save(part, default_blueprint=blueprint(layout))
-            stream.send_recording_name(f"{recording.rig.name}, {recording.duration_s:g} s")
-            _send_model(stream, scene, recording, plays)
-            progress(0.3)
-            for done, play in enumerate(plays, start=1):
-                send_close_up(stream, play)
-                send_over_time(stream, play)
-                send_phase(stream, play)
-                send_events(stream, play)
-                progress(0.3 + 0.5 * done / len(plays))
-            _send_series(stream, recording, plays, stride)
-            stream.flush()
-            stream.disconnect()
+    with rr.RecordingStream("rig") as stream, _drained(stream) as encoded:
+        stream.send_blueprint(blueprint(layout), make_active=False)
+        stream.send_recording_name(f"{recording.rig.name}, {recording.duration_s:g} s")
+        _send_model(stream, scene, recording, plays)
+        progress(0.3)
+        for done, play in enumerate(plays, start=1):
+            send_close_up(stream, play)
+            send_over_time(stream, play)
+            send_phase(stream, play)
+            send_events(stream, play)
+            progress(0.3 + 0.5 * done / len(plays))
+        _send_series(stream, recording, plays, stride)
+        write_bytes(encoded.read() or b"", path)
+
+
+@contextmanager
+def _drained(stream: rr.RecordingStream) -> Iterator[rr.BinaryStream]:
+    """What the stream encodes; rerun's own writing of files waits for ever where the disk is full.
+
+    Nothing is left in it in the end: rerun would warn of that on the screen.
+    """
+    encoded = stream.binary_stream()
+    try:
+        yield encoded
+    finally:
+        encoded.read()
 
 
 def _others(contact: Contact, recording: Recording, identified: Mapping[str, ContactLaw]) -> dict[str, ContactLaw]:

@@ -36,8 +36,17 @@ from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle, Sdof
 from tests.fuzz.judging import refused_or_right
 from tests.fuzz.mutate import bytes_changed, text_changed
+from tests.fuzz.readers import (
+    answer_of_absurd_samples,
+    answer_of_another_rig,
+    answer_of_changed_bytes,
+    kept_null_reference,
+    names_of_all_kinds,
+    tolerances_file,
+    viewed_contact_json,
+)
 from tests.fuzz.records import records_changed, rewritten
-from tests.fuzz.tables import csv_table, import_map, mat_table, tdms_table, uff_table
+from tests.fuzz.tables import csv_table, hdf5_table, import_map, mat_table, tdms_table, uff_table
 
 SDOF = Sdof().rig()
 SAMPLES = 5000
@@ -199,5 +208,16 @@ KINDS: dict[str, Callable[[np.random.Generator, Path], str]] = {
         uff_table,
         mat_table,
         tdms_table,
+        hdf5_table,
+        answer_of_changed_bytes,
+        answer_of_another_rig,
+        answer_of_absurd_samples,
+        viewed_contact_json,
+        kept_null_reference,
+        tolerances_file,
+        names_of_all_kinds,
     )
 }
+SLOW = {answer_of_another_rig: 2, answer_of_absurd_samples: 2, kept_null_reference: 1}
+CYCLE = [name for name, kind in KINDS.items() for _ in range(SLOW.get(kind, 3))]
+"""The kinds in the order in which the cases take them: what takes up to a second comes less often."""

@@ -166,6 +166,15 @@ def tdms(_: int) -> bytes:
     return stream.getvalue()
 
 
+@cache
+def hdf5(_: int) -> bytes:
+    stream = BytesIO()
+    with h5py.File(stream, "w") as file:
+        for name, row in table()[1].items():
+            file.create_dataset(name, data=row)
+    return stream.getvalue()
+
+
 def uff_table(rng: np.random.Generator, folder: Path) -> str:
     return _judged_binary(rng, folder, "lab.uff", uff(int(rng.integers(2))), "{}", 1e-11)
 
@@ -176,6 +185,10 @@ def mat_table(rng: np.random.Generator, folder: Path) -> str:
 
 def tdms_table(rng: np.random.Generator, folder: Path) -> str:
     return _judged_binary(rng, folder, "lab.tdms", tdms(0), "run/{}", 0.0)
+
+
+def hdf5_table(rng: np.random.Generator, folder: Path) -> str:
+    return _judged_binary(rng, folder, "lab.h5", hdf5(0), "{}", 0.0)
 
 
 def _judged_binary(

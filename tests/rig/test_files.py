@@ -2,12 +2,13 @@
 
 import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from threading import Event
 
 import pytest
 
 from rig.errors import RigError
-from rig.files import atomic_write, reserved, write_bytes, write_json
+from rig.files import atomic_write, check_target, reserved, write_bytes, write_json
 
 
 def test_a_file_appears_when_it_is_whole(tmp_path):
@@ -62,3 +63,8 @@ def test_a_symbolic_link_is_refused(tmp_path):
     (tmp_path / "link").symlink_to(tmp_path / "target")
     with pytest.raises(RigError, match="symbolic link"), atomic_write(tmp_path / "link"):
         pass
+
+
+def test_a_source_with_a_null_byte_in_its_name_is_refused(tmp_path):
+    with pytest.raises(RigError, match="its name has control characters"):
+        check_target(tmp_path / "out.mcap", Path("a\0b"))

@@ -98,7 +98,7 @@ def diagnose(
     figures, curves = compared(other, other.rig, likeliest, simulator.simulate)
     progress("causes", 1.0)
     causes = tuple(
-        cause_of(j, p, null_reference, matters)
+        cause_of(j, record, p, null_reference, matters)
         for j, p in zip(ranked, decision.probabilities, strict=True)
         if j.hypothesis.parts
     )

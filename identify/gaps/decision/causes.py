@@ -4,8 +4,10 @@ import numpy as np
 
 from identify.gaps.decision.comparison import Judged, closed, closed_interval
 from identify.gaps.decision.null_reference import NullReference
+from identify.gaps.decision.untold import untold
 from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.residual.scales import BAND_HZ
+from identify.gaps.residual.spectra import Record
 from identify.gaps.results import Band, Cause, Left, Matters, Value
 from rig.model.description import Rig
 
@@ -24,17 +26,24 @@ def left_of(left: Misfit, rig: Rig, p_value: float) -> Left:
     )
 
 
-def cause_of(one: Judged, probability: float, null_reference: NullReference, matters: Matters) -> Cause:
+def cause_of(one: Judged, record: Record, probability: float, null_reference: NullReference, matters: Matters) -> Cause:
     """Standard errors hold what the effect leaves: residuals were weighed by the scales estimated from it."""
     parameters: dict[str, Value] = {}
     places: dict[str, str] = {}
     deviations = np.sqrt(np.maximum(np.diag(one.hypothesis.covariance), 0.0))
     numbers = zip(one.hypothesis.values.tolist(), deviations.tolist(), strict=True)
+    first = 0
     for part in one.hypothesis.parts:
+        own = slice(first, first + len(part.parameters))
+        first = own.stop
+        instead = untold(
+            record.rig, part, one.hypothesis.values[own], one.hypothesis.covariance[own, own], record.highest_hz
+        )
         for p, (value, error) in zip(part.parameters, numbers, strict=False):
             margin = AT_LIMIT * (p.high - p.low)
             limited = (value < p.low + margin and p.low != p.neutral) or value > p.high - margin
-            parameters[f"{part.kind.name}.{p.name}"] = Value(value, error, p.unit, limited)
+            strength = p.neutral is not None
+            parameters[f"{part.kind.name}.{p.name}"] = Value(value, error, p.unit, limited, instead if strength else "")
         places |= {f"{part.kind.name}.{field}": place or "all" for field, place in part.place.items()}
     return Cause(
         effects=one.hypothesis.effects,

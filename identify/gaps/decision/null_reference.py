@@ -23,6 +23,7 @@ from identify.gaps.residual.likelihood import Misfit, misfit, reference_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.nominal import fit_nuisance
+from rig.errors import RigError
 from rig.files import check_target, contents, make_folder, write_bytes
 from rig.model.description import Rig, to_json
 from rig.model.tolerances import Tolerances
@@ -30,7 +31,10 @@ from rig.recording import Recording
 
 NULL_SIMULATIONS = 12
 """Their mean is known within 29 % of their standard deviation, that within 21 %: Student's distribution knows."""
+NULL_REFERENCE_SUFFIX = ".null_reference.json"
 RISE_S = 0.1
+MOST, BLOWS = 0.9, 0.1
+"""A force of which a smaller share of the samples holds so much of the energy is one of blows."""
 LEVEL = 1.25
 """Forces within this factor of each other share a null reference."""
 
@@ -100,7 +104,7 @@ def null_reference_of(
     if kept and (found := _read(kept, key)):
         return found
     if kept:
-        check_target(kept)
+        check_target(kept, new_folder=True)
     seen = record_of(measured, tolerances=tolerances)
     density = float(np.sqrt(seen.force_noise / seen.samples))
     start = round(seen.excited_s * seen.sample_rate_hz)
@@ -108,7 +112,9 @@ def null_reference_of(
     for seed, normals in enumerate(_normals(measured.rig, simulations)):
         rng = np.random.default_rng([seed, 77])
         actual, corners_hz = drawn(measured.rig, tolerances, normals)
-        force_n = phase_randomized(measured.force_n, start, measured.rig.sample_rate_hz, rng)
+        force_n = measured.force_n
+        if not of_blows(force_n):
+            force_n = phase_randomized(force_n, start, measured.rig.sample_rate_hz, rng)
         made = simulate(measured.rig, actual, force_n, seed)
         rows.append(_left(_instrumented(made, corners_hz, density, rng), tolerances))
         progress((seed + 1) / simulations)
@@ -117,6 +123,12 @@ def null_reference_of(
         make_folder(kept.parent)
         write_bytes(msgspec.json.encode(replace(reference, checksum=_checksum(reference))), kept)
     return reference
+
+
+def of_blows(force_n: Float[np.ndarray, " samples"]) -> bool:
+    """Whether a force is a hammer's: then it is taken as it is, since noise of its spectrum is another test."""
+    energy = np.cumsum(np.sort(force_n**2)[::-1])
+    return bool(np.searchsorted(energy, MOST * energy[-1]) < BLOWS * force_n.size)
 
 
 def phase_randomized(
@@ -180,23 +192,27 @@ def null_key(measured: Recording, tolerances: Tolerances, simulator: str, simula
     """Of the rig, its tolerances, the simulator, the force's level and length, and the program."""
     level = round(float(np.log(max(np.std(measured.force_n), 1e-300)) / np.log(LEVEL)))
     version = importlib.metadata.version("rig-identify")
+    kind = " blows" * of_blows(measured.force_n)
     parts = (
         to_json(replace(measured.rig, tolerances=None)),
         msgspec.json.encode(tolerances),
-        f"{simulator} {level} {measured.samples} {simulations} {version}".encode(),
+        f"{simulator} {level} {measured.samples} {simulations} {version}{kind}".encode(),
     )
     return hashlib.sha256(b"\n".join(parts)).hexdigest()
 
 
 def _read(path: Path, key: str) -> NullReference | None:
-    """What the file holds, if it is of this key and as it was written; a file of anything else is made anew.
+    """What the file holds, if it is of this key and as it was written; a damaged one or another's is made anew.
 
-    Raises RigError if it is no file or cannot be read.
+    Raises RigError if it cannot be read, or is a file of something else, which is not to be lost.
     """
     if not path.exists():
         return None
+    content = contents(path)
+    if content and not content.startswith(b'{"key"') and not path.name.endswith(NULL_REFERENCE_SUFFIX):
+        raise RigError(f"{path}: is no null reference, and is not written over; give another name, or remove it")
     try:
-        found = msgspec.json.decode(contents(path), type=NullReference)
+        found = msgspec.json.decode(content, type=NullReference)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return None
     return replace(found, checksum="") if (found.key, found.checksum) == (key, _checksum(found)) else None

@@ -6,7 +6,7 @@ import numpy as np
 
 from identify.gaps.faults import sound_channels
 from rig.errors import RigError
-from rig.model.description import to_json
+from rig.model.description import Rig, to_json
 from rig.recording import Recording, Signals
 
 FIT_SHARE = 0.55
@@ -30,6 +30,7 @@ def parts_of(recordings: Recording | Sequence[Recording], validation: Recording 
         return list(_halves(parts[0])), 1
     if validation is not None and not any(validation is one for one in parts):
         parts.append(validation)
+    _check_shaken(parts[0].rig)
     for k, one in enumerate(parts):
         if to_json(one.rig) != to_json(parts[0].rig):
             raise RigError(f"recording {k + 1} is of another rig (their rig.json differ); give recordings of one rig")
@@ -39,6 +40,16 @@ def parts_of(recordings: Recording | Sequence[Recording], validation: Recording 
     if len(parts) == 1:
         raise RigError("the only recording cannot validate itself; leave --validate out, or give another recording")
     return parts, last
+
+
+def _check_shaken(rig: Rig) -> None:
+    """Raises RigError if the null reference cannot shake a body: by its modes, as it is drawn there, a held one."""
+    held = [b.name for b in rig.bodies if not b.is_mass and b.rigid_modes < 2] if rig.base_motion else []
+    if held:
+        raise RigError(
+            f"rig.json of {rig.name!r} has base_motion, and {held[0]!r} is held to the base: identify gap knows how "
+            "single masses and free bodies follow a base; leave base_motion out of rig.json, and it is looked for"
+        )
 
 
 def _same(one: Recording, other: Recording) -> bool:

@@ -1,6 +1,6 @@
 """gap.html: a diagnosis as a page that stands alone, beside gap.json and the corrected rig.json."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from identify.gaps.page.screen import COLOURS
@@ -32,17 +32,17 @@ CAPTIONS = {
 """Of the pictures that are shown wide; the others carry their titles."""
 
 
-def write_all(gap: Gap, corrected: Rig, title: str, folder: Path) -> None:
+def write_all(gap: Gap, corrected: Rig, title: str, folder: Path, sources: Sequence[Path] = ()) -> None:
     """gap.html, the corrected rig's rig.json, and gap.json, each whole or not at all."""
     from identify.gaps.page.pictures import pictures
 
     make_folder(folder)
-    write_page(gap, pictures(gap, corrected), title, folder / "gap.html")
+    write_page(gap, pictures(gap, corrected), title, folder / "gap.html", sources)
     write_bytes(to_json(corrected), folder / "rig.json")
     write_json(gap, folder / "gap.json")
 
 
-def write_page(gap: Gap, figures: Mapping[str, bytes], title: str, path: Path) -> None:
+def write_page(gap: Gap, figures: Mapping[str, bytes], title: str, path: Path, sources: Sequence[Path] = ()) -> None:
     """Writes the page, which needs no other file: beside first, then renamed.
 
     figures are PNG files; the first word of a name says the section, as `identify.gaps.page.pictures` names them.
@@ -65,6 +65,7 @@ def write_page(gap: Gap, figures: Mapping[str, bytes], title: str, path: Path) -
         sentence=gap.sentence,
         sections=[(heading, f"{text}\n{_images(figures, key)}") for heading, key, text in sections],
         foot="Every number of this page stands in gap.json, unrounded.",
+        sources=sources,
     )
 
 

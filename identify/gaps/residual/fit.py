@@ -301,6 +301,10 @@ def bounded(
     high: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, " n"]:
     """The x within bounds at which x'Mx/2 - g'x is least."""
+    if not (np.isfinite(matrix).all() and np.isfinite(gradient).all()):
+        raise RigError(
+            "rig.json's contacts or modes are beyond any that this recording can be compared with; check its numbers"
+        )
     factor = _cholesky(matrix)
     wanted = solve_triangular(factor, gradient, lower=True)
     low = np.minimum(low, 0.0) - ROUNDING

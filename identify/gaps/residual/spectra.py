@@ -10,6 +10,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import periodogram
 
 from identify.contacts.estimates import drift_of
+from identify.gaps.faults import WITHOUT_FORCE
 from identify.signals.beginning import QUIET_S
 from identify.signals.drift import Drift
 from identify.signals.kinematics import (
@@ -36,7 +37,13 @@ LEFT_OUT_S = 4.5
 """At the record's end, where the taper, and integration, falsify every residual."""
 REACH = 1.6
 """The diagnosis looks up to this multiple of the force's highest frequency."""
+OF_MOST, MOST = 2.0, 0.9
+"""But no further than this multiple of the frequency below which so much of the force's power lies: a hammer's falls
+slowly with the frequency."""
 SHORTEST_S = 10.0
+DECAYED, LEAST_S = 0.03, 4.0
+"""A record counts until its last second with more than this share of the loudest one's acceleration, and at least for
+so long: what contacts of a rig do that has come to rest, accelerometers do not show."""
 SMOOTHED_HZ = 1.0
 FINE_HZ = 8000.0
 """Contact laws are evaluated at no less; at twice that nothing changes."""
@@ -76,6 +83,10 @@ class Record:
     excited_s: float
     period_s: float | None
     tolerances: Tolerances
+
+    @property
+    def highest_hz(self) -> float:
+        return float(self.omega[-1] / (2 * np.pi))
 
     @property
     def rate_hz(self) -> float:
@@ -148,14 +159,19 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
             f"the record lasts {recording.duration_s:.3g} s; the diagnosis needs {SHORTEST_S:g} s, better 30 s or more"
         )
     if not np.any(recording.force_n):
-        raise RigError("the measured force is zero throughout; the diagnosis needs an excited record")
+        raise RigError(WITHOUT_FORCE)
     moving = [s for s in rig.sensors if s.measures.translates]
     if not moving:
         raise RigError("the recording has no sensors of motion; the diagnosis needs them, best accelerometers")
     quantity = max(moving, key=lambda s: s.measures.order).quantity
     sensors = sensors_of(rig, quantity)
     motion = kinematics(recording, quantity)
-    high_hz = min(REACH * force_band(recording.force_n, rate)[1], motion.trusted_hz[1], tolerances.highest_hz or np.inf)
+    high_hz = min(_excited_hz(recording.force_n, rate), motion.trusted_hz[1], tolerances.highest_hz or np.inf)
+    if high_hz <= low_hz:
+        raise RigError(
+            f"the force excites the rig up to {high_hz:.2g} Hz alone; the diagnosis needs more than {low_hz:g} Hz: "
+            "look at the force's channel"
+        )
     factor = max(1, int(rate / (2 * high_hz)))
     samples = recording.samples
     length = factor * next_fast_len(-(-(samples + round(RING_S * rate)) // factor), real=True)
@@ -180,6 +196,8 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     period = period_of(recording.force_n[motion.excited_from :])
     densities = _densities(sensors, motion)
     size = np.stack([omega ** (2 - s.measures.order) for s in sensors])
+    begin_s = 0.0 if quiet else LEFT_OUT_S
+    end_s = min(samples / rate - LEFT_OUT_S, max(_decayed_s(motion), begin_s + LEAST_S))
     return Record(
         rig=rig,
         sensors=sensors,
@@ -201,10 +219,25 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         excited_s=motion.excited_from / rate,
         period_s=None if period is None else period / rate,
         tolerances=tolerances,
-        taken=slice(
-            0 if quiet else round(LEFT_OUT_S * rate / factor), int((samples - round(LEFT_OUT_S * rate)) / factor)
-        ),
+        taken=slice(round(begin_s * rate / factor), int(end_s * rate / factor)),
     )
+
+
+def _excited_hz(force_n: Float[np.ndarray, " samples"], rate_hz: float) -> float:
+    """Up to where a force is taken to excite the rig."""
+    return min(REACH * force_band(force_n, rate_hz)[1], OF_MOST * force_band(force_n, rate_hz, 1 - MOST)[1])
+
+
+def _decayed_s(motion: Kinematics) -> float:
+    """When the last second ends in which the rig still moves, s; raises RigError if it never does."""
+    rows, second = motion.acceleration_m_per_s2, round(motion.sample_rate_hz)
+    whole = rows.shape[1] // second
+    power = (rows[:, : whole * second] ** 2).sum(axis=0).reshape(whole, second).mean(axis=1)
+    moving = np.flatnonzero(power > DECAYED**2 * power.max())
+    if not moving.size:
+        raise RigError("the sensors show no motion; look at their channels")
+    last = int(moving[-1]) + 1
+    return np.inf if last == whole else float(last)
 
 
 def _eta_beyond(

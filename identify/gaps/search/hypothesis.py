@@ -26,6 +26,7 @@ SHORT, ROUNDS, SETTLED = 3, 4, 1.0
 FAR = 200.0
 """Hypotheses whose -2 ln p is larger by so much than the best one's are not fitted to the end, nor compared on another
 record, where the odds of a single one are e^(200 / (2 * 6)) = 2e7."""
+AT_LIMIT = 0.99
 
 
 @dataclass(frozen=True)
@@ -52,8 +53,14 @@ class Hypothesis:
 
     @property
     def leaves_something(self) -> bool:
-        """Whether more is left above noise and tolerated shares than an effect must gain."""
-        return self.misfit.excess > WORTH
+        """Whether more is left above noise and tolerated shares than an effect must gain, or a tolerance is at its
+        limit, where it hides what is left."""
+        return self.misfit.excess > WORTH or self.at_limit
+
+    @property
+    def at_limit(self) -> bool:
+        """Whether a tolerance stands at its limit."""
+        return bool(np.any(np.abs(self.misfit.pulls) > AT_LIMIT * LIMIT))
 
     def split(self) -> list[Float[np.ndarray, " parameters"]]:
         """The values of each part."""

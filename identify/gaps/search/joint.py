@@ -103,7 +103,14 @@ def _singles(begun: Search, nothing: Tried) -> list[Tried]:
     for candidate in begun.known:
         if candidate.kind.stochastic and (shaken := fit_spectrum(begun, nothing, candidate)):
             take(candidate.name, shaken)
-    return _refined_all(begun, _rivals(found.values(), nothing))
+    refined = _refined_all(begun, _rivals(found.values(), nothing))
+    if not min(refined, key=_cost, default=nothing).hypothesis.at_limit:
+        return refined
+    found = {one.hypothesis.parts[0].name: one for one in refined}
+    for candidate in (c for c in steady if c.neutral == 1 and "sensor" not in c.place):
+        with suppress(RigError):
+            take(candidate.name, fit_effects(begun, (candidate,), candidate.default, fresh))
+    return sorted(found.values(), key=_cost)
 
 
 def _worth(linearization: Linearization, screened: Sequence[Screened], most: int) -> list[Screened]:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rig.errors import RigError
+from rig.extras import needs_extra
 
 Axis = Literal["x", "y", "z"]
 AXES: tuple[Axis, ...] = ("x", "y", "z")
@@ -42,7 +43,8 @@ class UffFile:
 
 def read_uff(path: Path) -> UffFile:
     """The datasets of a modal analysis; raises RigError if the file is none."""
-    import pyuff
+    with needs_extra("lab", f"{path}: a UFF file"):
+        import pyuff
 
     try:
         with path.open("rb"):
@@ -94,4 +96,5 @@ def line_of(
     if same := np.flatnonzero(np.diff(places) <= 1e-6 * length_m).tolist():
         one, other = ordered[same[0]], ordered[same[0] + 1]
         raise file.wrong(f"nodes {one} and {other} are at one place {along}; name those of one line by nodes")
-    return ordered, places, length_m, f"{len(ordered)} nodes {along}, {length_m:.6g} m"
+    nodes_at = f"from node {ordered[0]} at {places[0]:.6g} m to node {ordered[-1]} at {places[-1]:.6g} m"
+    return ordered, places, length_m, f"{len(ordered)} nodes {along}, {nodes_at}"

@@ -12,13 +12,14 @@ from rig.lab.modal.file import AXES, Choice, UffFile, line_of
 from rig.lab.modal.fit import ModalFit, fit_modes
 from rig.lab.units import si_factor
 from rig.model.structure import Structure, structure_of
+from rig.model.tolerances import Tolerances
 
 _ORDERS = {8: (0, "displacement"), 11: (1, "velocity"), 12: (2, "acceleration")}
 _FORCES = (9, 13)
 _FRF = 4
 
 
-def from_frfs(file: UffFile, choice: Choice) -> tuple[Structure, tuple[str, ...]]:
+def from_frfs(file: UffFile, choice: Choice) -> tuple[Structure, tuple[str, ...], Tolerances]:
     frfs = [one for one in file.sets[58] if one["func_type"] == _FRF]
     if not frfs:
         raise file.wrong("its datasets 58 are no FRFs; export receptances, mobilities or accelerances")
@@ -48,7 +49,8 @@ def from_frfs(file: UffFile, choice: Choice) -> tuple[Structure, tuple[str, ...]
         *(f"left out: {len(frfs) - len(nodes)} FRFs" for _ in range(len(frfs) > len(nodes))),
         *_misfits(nodes, fit),
     )
-    return body, notes
+    left = max(float(f"{np.median(fit.misfit_of_modes):.2g}"), Tolerances().unmodelled)
+    return body, notes, Tolerances(unmodelled=left, highest_hz=float(f"{frequency_hz[-1]:.4g}"))
 
 
 def _misfits(nodes: Iterable[int], fit: ModalFit) -> Iterable[str]:

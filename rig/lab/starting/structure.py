@@ -11,6 +11,7 @@ from rig.lab.modal import Axis, Choice, structure_from_uff
 from rig.lab.starting.base import StartWithStops, spread
 from rig.model.description import Rig, Station
 from rig.model.structure import Structure, structure_of
+from rig.model.tolerances import Tolerances
 
 NEAR = 1e-3
 """A place so near to a given one of a modal basis, in lengths of the body, is that one."""
@@ -61,18 +62,21 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
     ] = ()
 
     def described(self) -> tuple[Rig, tuple[str, ...]]:
-        body, notes = self.structure()
-        return self._rig_of(body), notes
+        body, notes, tolerances = self.structure()
+        return msgspec.structs.replace(self._rig_of(body), tolerances=tolerances), (*notes, *_weight(body))
 
-    def structure(self) -> tuple[Structure, tuple[str, ...]]:
-        """The body from its file, and what is to be said of it; raises RigError if it cannot be used."""
+    def structure(self) -> tuple[Structure, tuple[str, ...], Tolerances | None]:
+        """The body from its file, what is to be said of it, and how far it is to be believed, if the file tells.
+
+        Raises RigError if it cannot be used.
+        """
         if (self.from_uff is None) == (self.body is None):
             raise RigError("give the body of the structure by one file: --from-uff FILE, or --body FILE.json")
         if self.from_uff is None:
-            return self._with_rigid_modes(self._from_json()), ()
+            return self._with_rigid_modes(self._from_json()), (), None
         told = (self.along, self.direction, self.nodes, self.positions_m, self.length_m, self.band_hz)
-        found, notes = structure_from_uff(self.from_uff, Choice(*told))
-        return self._with_rigid_modes(found), notes
+        found, notes, tolerances = structure_from_uff(self.from_uff, Choice(*told))
+        return self._with_rigid_modes(found), notes, tolerances
 
     def _rig_of(self, body: Structure) -> Rig:
         contacts, stations = (
@@ -117,6 +121,19 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
             places,
             np.append(rigid, body.shapes(places, body.max_modes), axis=1),
         )
+
+
+def _weight(body: Structure) -> tuple[str, ...]:
+    """What its first elastic mode weighs, by which wrong units of shapes or modal masses show."""
+    if body.max_modes <= body.rigid_modes:
+        return ()
+    shape = body.shapes(body.positions_m, body.max_modes)[:, body.rigid_modes]
+    most = int(np.argmax(np.abs(shape)))
+    return (
+        f"the mode at {body.natural_hz[body.rigid_modes]:.4g} Hz moves like a mass of {1 / shape[most] ** 2:.3g} kg at "
+        f"{body.positions_m[most]:.4g} m: compare that with the part's weight (the end of a uniform beam moves like a "
+        "quarter of it); else the units of shapes or modal masses are wrong",
+    )
 
 
 def _given(body: Structure, place_m: float, what: str) -> float:

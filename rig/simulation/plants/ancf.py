@@ -10,6 +10,7 @@ from msgspec.structs import replace
 from scipy.linalg import eigh
 
 from rig.errors import RigError
+from rig.extras import needs_extra
 from rig.model.beam import Beam
 from rig.model.description import Body, PointSpring, Rig, Station, stations_of
 from rig.model.modes import held_coordinates, with_attachments
@@ -61,7 +62,8 @@ def simulate(
 
     Yields one Motion a segment. Raises RigError if the solver fails or the motion is not finite.
     """
-    import exudyn as exu
+    with needs_extra("simulate", "the plant ancf (Exudyn)"):
+        import exudyn as exu
 
     exu.config.printToConsole = False
     exu.config.suppressWarnings = True

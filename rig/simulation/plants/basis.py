@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import eigh
 
+from rig.extras import needs_extra
 from rig.model.beam import Beam
 from rig.model.description import Rig, Station
 from rig.model.modes import held_coordinates, hermite
@@ -43,7 +44,8 @@ def _bending_modes(
     beam: Beam, sections: tuple[Section, ...], elements: int
 ) -> tuple[Mesh, Float[np.ndarray, " modes"], Float[np.ndarray, "transverse modes"]]:
     """The mesh, omega^2, and mass-normalised shapes over (displacement, slope) of every node."""
-    import exudyn as exu
+    with needs_extra("simulate", "the modal basis of a stepped beam (Exudyn)"):
+        import exudyn as exu
 
     exu.config.printToConsole = False
     exu.config.suppressWarnings = True

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import groupby
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -28,7 +29,7 @@ BENT = 8
 
 
 @dataclass(frozen=True)
-class _Model:
+class Model:
     """Modes of all bodies, the shapes at every station, what acts on them, and where they rest.
 
     sensed are the sensors' measurement operators over the modal coordinates, gains the modal forces per unit of each
@@ -44,6 +45,12 @@ class _Model:
     gains: Float[np.ndarray, "inputs modes"]
     at_rest: Float[np.ndarray, " modes"]
     holding_n: Float[np.ndarray, " contacts"]
+
+    def start(self) -> tuple[Float[np.ndarray, " states"], Float[np.ndarray, "4 contacts"]]:
+        """The state of rest, and what `advance` holds of the contacts."""
+        none = np.zeros(len(self.across))
+        held = np.stack([self.holding_n, self.across @ self.at_rest, none, none])
+        return np.append(self.at_rest, np.zeros(self.omega.size)), held
 
 
 def simulate(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress, modes: int = 16) -> Iterator[Motion]:
@@ -61,22 +68,14 @@ def simulate(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress, 
     Yields blocks of at most 2^13 samples. Raises RigError if a contact is too stiff for the step, a softening
     spring lets go, or the result is not finite.
     """
-    from rig.simulation.plants.compiled_laws import table_of  # numba only where something is simulated
-    from rig.simulation.plants.stepping import advance, within_a_step
+    from rig.simulation.plants.stepping import advance  # numba only where something is simulated
 
     limits_m = softening_limits_m(rig)
     base = base_motion(rig, len(force_n), step_s)
-    model, measured = _model(rig, bool(base), modes), [s.measures for s in rig.sensors]
-    propagate, response = _propagator(model.omega, model.zeta, step_s)
-    driven, pushed = (
-        (response[:, None] * g[:, None]).reshape(3, len(g), 2 * model.omega.size) for g in (model.gains, -model.across)
-    )
-    constants = (propagate, driven, model.across, pushed, *_reach(model, pushed, step_s), table_of(model.laws))
-    within = within_a_step(step_s)
+    model, measured = model_of(rig, bool(base), modes), [s.measures for s in rig.sensors]
+    constants = constants_of(model, step_s)
     shapes = np.array([model.rows[s] for s in stations_of(rig)]).reshape(-1, model.omega.size)
-    last = np.append(model.at_rest, np.zeros(model.omega.size))
-    none = np.zeros(len(model.across))
-    held = np.stack([model.holding_n, model.across @ model.at_rest, none, none])
+    last, held = model.start()
     history_n, history_bent_n = np.tile(model.holding_n[:, None], 4), np.zeros((len(model.across), 1))
     for first in range(0, len(force_n), BLOCK):
         now = slice(first, min(first + BLOCK, len(force_n)))
@@ -84,7 +83,7 @@ def simulate(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress, 
         contact_n, bent_n = np.empty((2, len(model.across), now.stop - first))
         states = np.empty((now.stop - first + 1, last.size))  # a new array a block: Motion computes from it on demand
         states[0] = last
-        advance(states, held, contact_n, bent_n, applied, bends, *constants, within, first, step_s)
+        advance(states, held, contact_n, bent_n, applied, bends, *constants, first, step_s)
         moved, last = states[1:], states[-1]
         if not np.all(np.isfinite(last)):  # what is not finite stays so
             raise RigError(
@@ -95,7 +94,7 @@ def simulate(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress, 
         history_n = np.concatenate([history_n[:, -4:], contact_n], axis=1)
         history_bent_n = np.concatenate([history_bent_n[:, -1:], bent_n], axis=1)
         heard_n = _without_alias(history_n, history_bent_n)
-        sensed = _observed(rig, model, moved, applied[:, 1:], heard_n)
+        sensed = observed(rig, model, moved, applied[:, 1:], heard_n)
         if base:
             sensed += np.array([base[m.order][now] * m.translates for m in measured]).reshape(sensed.shape)
         coordinates = moved[:, : model.omega.size]
@@ -110,9 +109,9 @@ def simulate(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress, 
         )
 
 
-def _observed(
+def observed(
     rig: Rig,
-    model: _Model,
+    model: Model,
     states: Float[np.ndarray, "samples states"],
     applied: Float[np.ndarray, "inputs samples"],
     contact_n: Float[np.ndarray, "all samples"],
@@ -149,7 +148,7 @@ def _without_alias(
     return history_n[:, 4:] + 1.5 * corner[:, 1:] - 0.5 * corner[:, :-1]
 
 
-def _model(rig: Rig, moving_base: bool, modes: int) -> _Model:
+def model_of(rig: Rig, moving_base: bool, modes: int) -> Model:
     """The rig with what acts on it."""
     bodies = [(b, modes_of(rig, b), modes_wanted(b, modes)) for b in rig.bodies]
     omega = 2 * np.pi * np.concatenate([shapes.frequencies_hz(n) for _, shapes, n in bodies])
@@ -170,7 +169,7 @@ def _model(rig: Rig, moving_base: bool, modes: int) -> _Model:
     if moving_base:
         gains.append(-np.concatenate([participation(rig, body, shapes, n) for body, shapes, n in bodies]))
     gains += [rows[tone.station] for tone in rig.tones]
-    return _Model(
+    return Model(
         omega=omega,
         zeta=zeta,
         rows=rows,
@@ -205,8 +204,21 @@ def _applied(
     return np.ascontiguousarray(inputs[:, some]), np.ascontiguousarray(_bends(inputs)[:, some])
 
 
+def constants_of(model: Model, step_s: float) -> tuple[Any, ...]:
+    """What `stepping.advance` takes of a model at a step; raises RigError if a contact is too stiff for the step."""
+    from rig.simulation.plants.compiled_laws import table_of
+    from rig.simulation.plants.stepping import within_a_step
+
+    propagate, response = _propagator(model.omega, model.zeta, step_s)
+    driven, pushed = (
+        (response[:, None] * g[:, None]).reshape(3, len(g), 2 * model.omega.size) for g in (model.gains, -model.across)
+    )
+    reach, relief = _reach(model, pushed, step_s)
+    return propagate, driven, model.across, pushed, reach, relief, table_of(model.laws), within_a_step(step_s)
+
+
 def _reach(
-    model: _Model, pushed: Float[np.ndarray, "3 contacts states"], step_s: float
+    model: Model, pushed: Float[np.ndarray, "3 contacts states"], step_s: float
 ) -> tuple[Float[np.ndarray, "2 2 contacts contacts"], Float[np.ndarray, " contacts"]]:
     """What each end force, and each bend, adds to every eta and eta'; and how much of a change that leaves to make.
 

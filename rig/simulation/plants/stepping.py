@@ -1,6 +1,7 @@
 """The compiled loop of the modal plant: modes advanced exactly, contact forces solved for at every step."""
 
-from typing import no_type_check
+from collections.abc import Callable
+from typing import Any, no_type_check
 
 import numba
 import numpy as np
@@ -13,7 +14,14 @@ REFRESH = 1e-4
 """How much the end forces must change, of the largest, for their bends within the step to be looked at again."""
 FORCE, ETA, RATE, BEND = range(4)
 """The rows of `held` and of what becomes of it: force, eta and eta' of every contact, and the bend of the force."""
-_compiled = numba.njit(cache=True, inline="always", **FAST)
+
+
+def _compiled(function: Callable[..., None]) -> Any:
+    """Machine code, kept on disk where there is a place for it."""
+    try:
+        return numba.njit(cache=True, inline="always", **FAST)(function)
+    except RuntimeError:  # neither this folder nor the user's can be written: compiled anew in every run
+        return numba.njit(inline="always", **FAST)(function)
 
 
 def within_a_step(step_s: float) -> Float[np.ndarray, "10 16"]:

@@ -84,10 +84,13 @@ def test_a_believed_frequency_of_a_single_mass_is_corrected(sound):
     assert told == pytest.approx(12.0, rel=0.01)
 
 
-def test_a_segment_of_a_longer_record_is_not_checked(sound):
+def test_a_segment_of_a_longer_record_is_checked_by_its_samples(sound):
     recording = sound("frame")
-    later = {n: Signals(s.channels, 40.0, -s.values) for n, s in recording.signals.items()}
-    assert check_recording(Recording(recording.rig, later, {})) == ()
+    later = {n: Signals(s.channels, 40.0, s.values[:, 4096:]) for n, s in recording.signals.items()}
+    segment = Recording(recording.rig, later, {})
+    assert check_recording(segment) == ()
+    (found,) = check_recording(with_rows(segment, {"frame_0300": np.zeros(segment.samples)}))
+    assert (found.cause, found.channels) == ("dead", ("frame_0300",))
 
 
 def test_an_error_names_the_first_finding(sound):

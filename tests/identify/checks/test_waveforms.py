@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
-from identify.checks import waveforms
+from identify.checks import background, waveforms
 
 RATE = 2000.0
 
@@ -33,11 +33,11 @@ def every(row, force, others=()):
         waveforms.quantised("x", row),
         waveforms.held("x", row, force),
         waveforms.spikes("x", waveforms.off_neighbours(row), [waveforms.off_neighbours(o) for o in others]),
-        waveforms.hum("x", RATE, row, force),
-        waveforms.noise("x", RATE, row, force),
-        waveforms.drift("x", RATE, row),
-        waveforms.offset("x", row),
-        waveforms.not_at_rest("x", RATE, row, 0.02),
+        background.hum("x", RATE, row, force),
+        background.noise("x", RATE, row, force),
+        background.drift("x", RATE, row),
+        background.offset("x", row),
+        background.not_at_rest("x", RATE, row, 0.02),
     )
     return [f.cause for f in checks if f is not None]
 
@@ -80,10 +80,14 @@ def test_what_other_channels_show_too_is_an_impact(row, force):
 
 def test_motion_before_the_force_is_told_from_noise(row, force):
     early = np.roll(row, -1500)
-    assert waveforms.noise("x", RATE, early, force).cause == "force"
+    assert background.noise("x", RATE, early, force).cause == "force"
 
 
 def test_copies_are_found_whatever_their_scale(row):
     other = row[::-1]
     found = list(waveforms.copies(["a", "b", "c"], [row, other, -3 * row]))
     assert [(f.cause, f.channels) for f in found] == [("copy", ("a", "c"))]
+
+
+def test_a_constant_row_has_no_offset_in_shares_of_its_motion():
+    assert background.offset("a", np.ones(9)) is None

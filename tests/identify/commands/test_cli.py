@@ -64,14 +64,16 @@ def test_segments_are_pooled_and_shown_one_by_one(identify, recording, tmp_path)
     assert "10 s or more" in err
 
 
-def test_tables_show_value_and_standard_error(identify, recording):
-    status, out, err = identify("contact", recording, "--use", "displacement", "--tolerances", "exact")
+def test_tables_show_value_and_half_of_the_interval(identify, recording, tmp_path):
+    words = ("--use", "displacement", "--tolerances", "exact", "--out", tmp_path)
+    status, out, err = identify("contact", recording, *words)
     assert (status, err) == (0, "")
+    told = msgspec.json.decode((tmp_path / "contact.json").read_bytes())["contacts"][0]["clearance_m"]
     row = next(line for line in out.splitlines() if "stop" in line)
     clearance = row.split("│")[2]
-    value, error = (float(x) for x in clearance.split("±"))
-    assert value == pytest.approx(1e3 * Sdof().clearance_m, rel=1e-2)
-    assert 0 < error < 0.01 * value
+    value, half = (float(x) for x in clearance.split("±"))
+    assert value == pytest.approx(1e3 * told["value"], rel=1e-2)
+    assert half == pytest.approx(1e3 * 1.96 * told["standard_error"], rel=0.05)
     assert "NIFO by modal equation" in out
     assert "mass 1" in out
 

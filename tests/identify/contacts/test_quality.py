@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from identify.contacts.joint import Joint
-from identify.contacts.quality import fit_findings, widened
+from identify.contacts.quality import equation_findings, fit_findings, widened
+from identify.paper.nifo import Nifo
+from identify.structure.modal import ModalEquation
 from identify.structure.nuisance import Nuisance
 
 PARAMETERS = (Nuisance("frequency", "beam"), Nuisance("frequency", "beam", 3), Nuisance("gain", "a"))
@@ -50,3 +52,23 @@ def test_a_fit_that_cannot_be_is_named(fit, cause, of):
 
 def test_a_fit_within_its_tolerances_has_no_finding():
     assert list(fit_findings(["stop", "other"], [joint((2.0, 3.0, -4.0)), "it never closes"], PARAMETERS)) == []
+
+
+@pytest.mark.parametrize(
+    ("mean", "spread", "visibility", "named"),
+    [
+        (1.02e5, 0.02, 1.0, False),  # agrees with the joint fit's 1e5 N/m
+        (0.8e5, 0.02, 1.0, True),
+        (0.8e5, 0.2, 1.0, False),  # is not sure
+        (0.8e5, 0.02, 0.1, False),  # hardly sees the contact
+    ],
+)
+def test_a_modal_equation_that_is_sure_of_another_stiffness_is_named(mean, spread, visibility, named):
+    still = np.zeros(4)
+    equation = ModalEquation("beam", 2, 30.0, 0.01, 1.0, np.ones(1), (visibility,), still, still, still)
+    over_frequency = mean * (1 + spread * np.array([[1.0, -1.0] * 8]))
+    lines = np.arange(16.0)
+    one = Nifo(equation, (0,), lines, lines + 0j, over_frequency + 0j, np.array([50.0]), 10, 1.0)
+    found = list(equation_findings(["stop"], [joint()], [one]))
+    assert [f.of for f in found] == ["stop"] * named
+    assert list(equation_findings(["stop"], ["it never closes"], [one])) == []

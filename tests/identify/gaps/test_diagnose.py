@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from identify.gaps.decision.answer import Simulator, diagnose
-from identify.gaps.decision.null_reference import null_reference_of
+from identify.gaps.decision.null_reference import null_key, null_reference_of
 from identify.gaps.faults import fault_of
 from identify.gaps.search import candidates
 from rig.effects import effect_named, effects
@@ -16,7 +16,7 @@ from rig.effects.base import Effect
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.parameters import Parameter
-from rig.model.tolerances import LABORATORY
+from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import Recording, Signals
 from rig.simulation.excitation import force_history
 from rig.simulation.reference import Sdof
@@ -111,14 +111,55 @@ def refuse(_believed: Rig, _actual: Rig, _force_n: np.ndarray, _seed: int) -> Re
     pytest.fail("the null reference was made again")
 
 
-def test_a_null_reference_of_another_rig_or_none_is_made_anew(tmp_path):
-    path = tmp_path / "null_reference.json"
-    path.write_text("nothing of the kind")
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        lambda _: b"nothing of the kind",
+        lambda _: b"",
+        lambda content: content[: len(content) // 2],
+        lambda content: content.replace(b'"law":', b'"law":1', 1),
+        lambda content: content.replace(b'"key":"', b'"key":"0', 1),
+    ],
+    ids=["other", "empty", "cut", "another number", "of another rig"],
+)
+def test_a_null_reference_that_is_damaged_or_of_another_rig_is_made_anew(tmp_path, damaged):
+    path = tmp_path / "one.null_reference.json"
     _, validation = records(RIG, RIG)
     made = null_reference_of(validation, LABORATORY, modal, "modal", kept=path, simulations=2)
+    whole = path.read_bytes()
     assert null_reference_of(validation, LABORATORY, refuse, "modal", kept=path, simulations=2) == made
-    other = with_fields(validation, rig=replace(RIG, name="other"))
-    assert null_reference_of(other, LABORATORY, modal, "modal", kept=path, simulations=2).key != made.key
+    path.write_bytes(damaged(whole))
+    assert null_reference_of(validation, LABORATORY, modal, "modal", kept=path, simulations=2) == made
+    assert path.read_bytes() == whole
+
+
+def test_the_key_of_a_null_reference_tells_all_that_it_depends_on(monkeypatch):
+    _, validation = records(RIG, RIG)
+    force = replace_force(validation, 1.5 * validation.force_n)
+    keys = [
+        null_key(validation, LABORATORY, "modal"),
+        null_key(validation, EXACT, "modal"),
+        null_key(validation, LABORATORY, "ancf"),
+        null_key(validation, LABORATORY, "modal", simulations=5),
+        null_key(with_fields(validation, rig=replace(RIG, name="other")), LABORATORY, "modal"),
+        null_key(force, LABORATORY, "modal"),
+    ]
+    monkeypatch.setattr("importlib.metadata.version", lambda _: "another version")
+    keys.append(null_key(validation, LABORATORY, "modal"))
+    assert len(set(keys)) == len(keys)
+
+
+def replace_force(recording: Recording, force_n: np.ndarray) -> Recording:
+    changed = with_fields(recording.signals["force"], values=force_n[None, :])
+    return with_fields(recording, signals={**recording.signals, "force": changed})
+
+
+def test_a_file_of_something_else_is_not_lost_to_a_null_reference(tmp_path):
+    path = tmp_path / "notes.json"
+    path.write_text("my notes")
+    with pytest.raises(RigError, match=r"notes.json: is no null reference, and is not written over"):
+        null_reference_of(records(RIG, RIG)[1], LABORATORY, refuse, "modal", kept=path, simulations=2)
+    assert path.read_text() == "my notes"
 
 
 def test_a_short_record_is_refused(null_reference):

@@ -1,5 +1,6 @@
 """The contact law found by symbolic regression: dead zone, stiffening law, formulas and straight pieces."""
 
+import dataclasses
 import json
 import sys
 
@@ -84,6 +85,16 @@ def stiffening(x):
     return SOFT * x + CUBIC_PER_M3 * x**3
 
 
+def test_a_displacement_that_stands_still_is_no_law():
+    still = mass_with(gap)
+    rows = still.signals["displacement"]
+    rows = dataclasses.replace(rows, values=np.zeros_like(rows.values))
+    found = identify_law(dataclasses.replace(still, signals=still.signals | {"displacement": rows}), seconds=1.0)
+    assert [one.reason for one in found.report.unanswered] == [
+        "its relative displacement stands still; look for a dead displacement sensor"
+    ]
+
+
 @pytest.fixture(scope="module")
 def clearance():
     return identify_law(mass_with(gap), seconds=SECONDS).found[0]
@@ -162,6 +173,15 @@ def test_straight_pieces_are_found_from_too_many_knees_in_the_wrong_places():
     assert np.allclose(found.knees_m, [-LOWER_M, UPPER_M], rtol=1e-5)
     assert np.allclose(found.slopes_n_per_m, [STIFFNESS, 0, STIFFNESS], atol=1e-5 * STIFFNESS)
     assert np.allclose(slope_jumps(found, -3e-3, 3e-3), found.knees_m, atol=6e-3 / 4000)
+
+
+def test_a_law_of_many_knees_gives_the_largest_of_them():
+    knees = np.linspace(-2.7e-3, 2.7e-3, 19)
+
+    def law(eta):
+        return np.maximum(eta[:, None] - knees, 0) @ np.where(np.arange(19) % 2, 1.0, 3.0)
+
+    assert np.allclose(slope_jumps(law, -3e-3, 3e-3), knees[::2][:8], atol=6e-3 / 4000)
 
 
 def test_standard_errors_of_straight_pieces_are_those_of_the_noise():

@@ -8,8 +8,10 @@ import pytest
 
 from identify.paper.nifo import Nifo, fitted_mode, nifo
 from identify.paper.surface import clearance_from_occurrence, fit_surface
+from identify.signals.finely import penetration
 from identify.signals.kinematics import kinematics
-from identify.signals.spectra import Averaging, blocks, penetration
+from identify.signals.regression import line_by_line
+from identify.signals.spectra import Averaging, blocks
 from identify.structure.modal import ModalEquation, modal_equations, receptance
 from rig.errors import RigError
 from rig.recording import read
@@ -108,6 +110,11 @@ def test_more_blocks_than_unknowns_are_needed(form, unknowns):
     assert len(few.starts) == unknowns
     with pytest.raises(RigError, match=f"{unknowns} blocks for {unknowns} unknowns a line; use shorter blocks"):
         nifo(equation, force, depth, few, form)
+
+
+def test_inputs_that_are_copies_are_refused():
+    with pytest.raises(RigError, match="the force and the contacts' displacements are the same at some frequency"):
+        line_by_line(lambda some: np.ones((3, len(some), 5), dtype=complex), 8)
 
 
 def test_a_modes_frequency_and_damping_from_its_frf():

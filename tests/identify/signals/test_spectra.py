@@ -1,13 +1,12 @@
-"""Blocks, windows, bands, and the dead zone without aliasing."""
+"""Blocks, windows and bands."""
 
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from identify.signals.spectra import OVERSAMPLING, POWERS, Averaging, blocks, decimated, force_band, penetration, window
+from identify.signals.spectra import POWERS, Averaging, blocks, decimated, force_band, window
 from rig.errors import RigError
-from rig.model.contact_laws import penetration_m
 
 RATE_HZ = 1000.0
 
@@ -119,50 +118,8 @@ def test_blocks_that_do_not_fit_are_refused(averaging, band_hz, sentence):
         blocks(2000, RATE_HZ, averaging, band_hz)
 
 
-def noise(samples, high_hz, seed):
-    """Periodic Gaussian noise up to high_hz, variance about 1, as a function that samples it ever finer."""
-    rng = np.random.default_rng(seed)
-    lines = np.arange(1, int(high_hz * samples / RATE_HZ))
-    amplitudes = (rng.standard_normal(lines.size) + 1j * rng.standard_normal(lines.size)) / np.sqrt(2 * lines.size)
-
-    def sampled(factor):
-        spectrum = np.zeros(samples * factor // 2 + 1, dtype=complex)
-        spectrum[lines] = amplitudes * samples * factor
-        return np.sqrt(0.5) * np.fft.irfft(spectrum, samples * factor)
-
-    return sampled
-
-
-def low_passed(fine, factor):
-    """Every factor-th sample of what lies below half the low rate; exact, as the signal is periodic."""
-    samples = fine.size // factor
-    return np.fft.irfft(np.fft.rfft(fine)[: samples // 2 + 1], samples) / factor
-
-
 INSIDE = slice(200, -200)
 """Away from the ends, where the record is led to zero."""
-
-
-def test_the_penetration_does_not_alias():
-    """The spectrum of a kinked function falls as 1/f^2, so oversampled n times it aliases n^2 times less."""
-    sampled = noise(8000, 100.0, seed=1)
-    lower, upper = 0.5, 0.8
-    true = low_passed(penetration_m(sampled(256), lower, upper), 256)
-    passband = np.fft.rfftfreq(true[INSIDE].size, 1 / RATE_HZ) < 0.4 * RATE_HZ
-
-    def size(signal):
-        return np.linalg.norm(np.fft.rfft(np.hanning(signal[INSIDE].size) * signal[INSIDE])[passband])
-
-    error = size(penetration(sampled(1), lower, upper) - true)
-    plain = size(penetration_m(sampled(1), lower, upper) - true)
-    assert plain / size(true) > 5e-3  # worth the effort
-    assert plain / error > max(30, OVERSAMPLING**2 / 2)
-
-
-def test_no_penetration_within_the_gap():
-    eta = noise(2000, 100.0, seed=2)(1)
-    assert not penetration(eta, 1.05 * np.abs(eta).max(), 1.05 * np.abs(eta).max()).any()
-    np.testing.assert_allclose(penetration(eta, 0.0, 0.0)[INSIDE], eta[INSIDE], atol=1e-3)  # no gap: a spring
 
 
 @pytest.mark.parametrize("factor", [1, 2, 5])
@@ -189,6 +146,7 @@ def test_the_band_of_a_force_holds_all_but_the_share_at_either_end():
     assert found[1] == pytest.approx(high - lines_out / duration_s, abs=1 / duration_s)
 
 
-def test_no_force_has_no_band():
-    with pytest.raises(RigError, match="the exciting force is zero throughout"):
-        force_band(np.zeros(100), RATE_HZ)
+@pytest.mark.parametrize(("value", "said"), [(0.0, "zero throughout"), (2.0, "constant")])
+def test_no_force_has_no_band(value, said):
+    with pytest.raises(RigError, match=f"the exciting force is {said}"):
+        force_band(np.full(100, value), RATE_HZ)

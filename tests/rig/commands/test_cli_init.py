@@ -80,7 +80,9 @@ def test_a_modal_analysis_becomes_a_rig_that_records(rig, tmp_path):
     pyuff.UFF("arm.uff").write_sets([nodes(), *normal_modes()], mode="add")
     status, out, err = rig("init", "structure", "--from-uff", "arm.uff", *options(FRAME | {"force_m": 0.9}))
     assert (status, err) == (0, "")
-    assert out.startswith("5 modes in direction z, 10 nodes along y, 0.9 m, from arm.uff\n")
+    assert out.startswith(
+        "5 modes in direction z, 10 nodes along y, from node 30 at 0 m to node 9 at 0.9 m, from arm.uff\n"
+    )
     (body,) = read_rig(tmp_path / "rig.json").bodies
     assert (body.name, body.max_modes) == ("arm", 5)
     status, out, err = rig("record", "rig.json", "--duration", 2, "--out", "r.mcap")

@@ -14,7 +14,7 @@ from rig.model.contact_laws import DeadZone
 from rig.model.contact_laws.hunt_crossley import HuntCrossley
 from rig.model.description import Contact, Rig, Sensor, Station, from_json, stations_of, to_json
 from rig.model.oscillator import Oscillator
-from rig.simulation.reference import BarrelCradle
+from rig.simulation.reference import BarrelCradle, Sdof
 
 LAW = DeadZone(lower_clearance_m=1e-3, upper_clearance_m=1e-3, stiffness_n_per_m=1e4)
 
@@ -139,6 +139,19 @@ def test_a_text_that_is_no_rig_is_refused_with_its_place(old, new, place):
         from_json(text.replace(old, new, 1), "rig.json of x")
     assert str(caught.value).startswith("rig.json of x: not a rig description: ")
     assert place in str(caught.value)
+
+
+@pytest.mark.parametrize("number", [b"2e200", b"-2" + 200 * b"0"])
+def test_a_number_that_nothing_is_is_refused_with_its_place(number):
+    with pytest.raises(RigError, match=r"^rig\.json of x: bodies\[0\]\.length_m is about 1e200, which nothing is"):
+        from_json(to_json(small_rig()).replace(b"2.0", number, 1), "rig.json of x")
+
+
+def test_a_sensor_that_passes_nothing_below_half_its_rate_is_refused():
+    rig = Sdof().rig()
+    sensor = msgspec.structs.replace(rig.sensors[0], high_pass_hz=rig.sample_rate_hz / 2)
+    with pytest.raises(RigError, match=r"high_pass_hz is 256.0; give less than half the sample_rate_hz of 512"):
+        msgspec.structs.replace(rig, sensors=(sensor,))
 
 
 def test_stations_are_distinct_and_ordered_along_each_body():

@@ -36,6 +36,7 @@ def test_names_stand_for_tolerances():
         ("gian = 0.1", "unknown field `gian`"),
         ('[modes."barrel 3"]\ndamping = -1.0', "damping is -1.0"),
         ("gain = ", "not a file of tolerances"),
+        pytest.param("gain = " + 20_000 * "[", "not a file of tolerances", id="nested"),
     ],
 )
 def test_what_makes_no_sense_is_refused_in_a_sentence(text, reason, tmp_path):

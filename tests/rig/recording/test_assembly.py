@@ -57,8 +57,16 @@ def test_a_value_that_is_not_finite_is_named_by_its_place_in_the_record():
         held.finished()
 
 
+def test_a_value_that_nothing_measures_is_named():
+    held = assembly()
+    for block in blocks(np.where(VALUES[1, 7] == VALUES, -2e30, VALUES)):
+        held.add(block)
+    with pytest.raises(RigError, match=r"channel 'b' is -2e\+30, which nothing measures, at sample 7 \(0.7000 s\)"):
+        held.finished()
+
+
 def test_values_that_are_only_too_large_together_are_kept():
     held = assembly()
-    for block in blocks(np.full((2, 20), 1e308)):
+    for block in blocks(np.full((2, 20), 1e30)):
         held.add(block)
-    np.testing.assert_array_equal(held.finished()[1], np.full((2, 20), 1e308))
+    np.testing.assert_array_equal(held.finished()[1], np.full((2, 20), 1e30))

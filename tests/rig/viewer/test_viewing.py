@@ -247,6 +247,7 @@ def test_identified_walls_stand_where_contact_json_says(mass, tmp_path):
         ("{", "is no contact.json"),
         ('{"contacts": [{"name": "stop"}]}', "is no contact.json"),
         ("\xff", "is no contact.json"),
+        pytest.param('{"a": ' + 20_000 * "[", "is no contact.json", id="nested"),
         (
             '{"contacts": [{"name": "other", "clearance_m": {"value": 1}, "stiffness_n_per_m": {"value": 1}, '
             '"damping_n_s_per_m": {"value": 1}}]}',

@@ -1,10 +1,16 @@
 """The step of Gauss-Newton within bounds."""
 
+import dataclasses
+
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from identify.gaps.residual.fit import bounded
+from identify.gaps.residual.spectra import record_of
+from identify.gaps.search.nominal import fit_nuisance
 from rig.errors import RigError
+from tests.fuzz.readers import sound_recording
 
 WIDE = np.full(6, 1e3)
 
@@ -25,3 +31,31 @@ def test_the_rounding_of_products_in_single_precision_does_not_hide_the_priors()
 def test_what_is_not_told_apart_at_all_is_refused():
     with pytest.raises(RigError, match="does not tell contact forces and tolerances"):
         bounded(np.diag([1.0, -1.0, 1.0, 1.0, 1.0, 1.0]), np.ones(6), -WIDE, WIDE)
+
+
+def test_modes_beyond_any_are_refused():
+    recording = sound_recording()
+    believed = recording.rig
+    absurd = replace(believed, bodies=(replace(believed.bodies[0], frequency_hz=1e29),))
+    with pytest.raises(RigError, match="contacts or modes are beyond any"):
+        fit_nuisance(record_of(recording), absurd)
+
+
+def test_sensors_that_show_no_motion_are_refused():
+    recording = sound_recording()
+    still = {
+        name: signals if name == "force" else dataclasses.replace(signals, values=np.zeros_like(signals.values))
+        for name, signals in recording.signals.items()
+    }
+    with pytest.raises(RigError, match="the sensors show no motion"):
+        record_of(dataclasses.replace(recording, signals=still))
+
+
+def test_a_force_of_hardly_any_frequency_is_refused():
+    recording = sound_recording()
+    force = recording.signals["force"]
+    slow = 1e4 * np.sin(2 * np.pi * 0.2 * force.time_s)[None]
+    signals = {**recording.signals, "force": dataclasses.replace(force, values=slow)}
+    recording = dataclasses.replace(recording, signals=signals)
+    with pytest.raises(RigError, match=r"the force excites the rig up to .* Hz alone"):
+        record_of(recording)

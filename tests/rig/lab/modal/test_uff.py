@@ -8,6 +8,7 @@ from rig.errors import RigError
 from rig.lab.modal import Choice, structure_from_uff
 from rig.model.beam import Beam
 from rig.model.structure import structure_of
+from rig.model.tolerances import Tolerances
 
 ARM = Beam(name="arm", ends="clamped-free", length_m=1.0, width_m=0.05, thickness_m=0.01, damping_ratio=0.01)
 PLACES_M = np.linspace(0.1, 1.0, 10)
@@ -73,7 +74,7 @@ def read(tmp_path, datasets, **choice):
     path = tmp_path / "arm.uff"
     path.unlink(missing_ok=True)
     pyuff.UFF(str(path)).write_sets(datasets, mode="add")
-    return structure_from_uff(path, Choice(**choice))
+    return structure_from_uff(path, Choice(**choice))[:2]
 
 
 def check_shapes(body, expected, error):
@@ -89,7 +90,7 @@ def test_mode_shapes_are_scaled_by_their_modal_mass(tmp_path):
     np.testing.assert_allclose(body.natural_hz, HZ, rtol=DIGITS)
     np.testing.assert_allclose(body.ratios, 0.01, rtol=DIGITS)
     check_shapes(body, SHAPES, DIGITS)
-    assert notes == ("5 modes in direction z, 10 nodes along y, 0.9 m, from arm.uff",)
+    assert notes == ("5 modes in direction z, 10 nodes along y, from node 30 at 0 m to node 9 at 0.9 m, from arm.uff",)
 
 
 def test_millimetres_and_tonnes_become_si(tmp_path):
@@ -172,6 +173,9 @@ def test_frfs_are_fitted(tmp_path, order, roving, noise):
         measured = -one["data"] * (1j * omega) ** (2 - order)
         error = np.sqrt(np.mean(np.abs(measured + omega**2 * modes) ** 2) / np.mean(np.abs(measured) ** 2))
         assert said[NODES[place]] == f"{error:.2%}"
+    assert structure_from_uff(tmp_path / "arm.uff", Choice())[2] == Tolerances(
+        unmodelled=float(f"{np.median([float(x[:-1]) for x in said.values()]) / 100:.2g}"), highest_hz=1200.0
+    )
 
 
 def test_the_misfit_of_frfs_without_other_modes_is_their_noise(tmp_path):

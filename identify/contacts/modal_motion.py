@@ -1,0 +1,59 @@
+"""How the modes of the bodies accelerate: those that the stations tell, and the others as the forces found ask for."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Complex
+
+from identify.signals.kinematics import Kinematics
+from identify.structure.modal import transformation
+from identify.structure.nuisance import BodyMotion
+from identify.structure.response import Response, across, times
+from rig.model.description import Rig
+
+NEAR = 1.25
+"""Modes up to this multiple of the band's end are believed to its tolerances only, those beyond altogether."""
+
+
+def told_motion(
+    rig: Rig, response: Response, motion: Kinematics, accelerated: Complex[np.ndarray, "stations lines"]
+) -> BodyMotion:
+    """The modal accelerations that the stations tell; those of higher modes are left out."""
+    transform = transformation(rig, response.body, motion)
+    found = np.zeros((response.count, accelerated.shape[1]), dtype=complex)
+    told = len(transform.inverse)
+    found[:told] = transform.inverse @ accelerated[list(transform.rows)]
+    return BodyMotion(response, found, np.arange(response.body.rigid_modes, told))
+
+
+def has_hidden_modes(response: Response, motion: Kinematics) -> bool:
+    """Whether modes near the band are more than the stations on the body."""
+    return _near(response) > sum(s.body == response.body.name for s in motion.stations)
+
+
+def whole_motion(
+    rig: Rig,
+    response: Response,
+    motion: Kinematics,
+    accelerated: Complex[np.ndarray, "stations lines"],
+    force: Complex[np.ndarray, " lines"],
+    contact_forces: Complex[np.ndarray, "contacts lines"],
+) -> BodyMotion:
+    """With the others, whose accelerations are the model's under the exciting force and the contact forces:
+
+        A_m (phi_m(x_F) F - sum_j phi_mj f_j)
+
+    and the stations' less these.
+    """
+    told = len(transformation(rig, response.body, motion).inverse)
+    modal_force = response.shapes([rig.force_at]).T * force - times(across(rig, response).T, contact_forces)
+    hidden = response.accelerance[told:] * modal_force[told:]
+    rest = accelerated - times(response.shapes(motion.stations)[:, told:], hidden)
+    found = told_motion(rig, response, motion, rest)
+    found.acceleration[told:] = hidden
+    return replace(found, elastic=np.arange(response.body.rigid_modes, max(told, _near(response))))
+
+
+def _near(response: Response) -> int:
+    omega = response.dynamics.omega
+    return int(np.count_nonzero(response.dynamics.natural_hz < NEAR * omega[-1] / (2 * np.pi)))

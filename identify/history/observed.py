@@ -1,0 +1,58 @@
+"""What each recording of a machine tells: identified now, or read from the contact.json that is there already."""
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import msgspec
+
+from identify.contacts import identify_contact
+from identify.contacts.results import ContactReport
+from identify.history.changes import Observation
+from identify.signals.kinematics import Use
+from rig.errors import RigError
+from rig.files import contents
+from rig.model.tolerances import Tolerances
+from rig.recording import read
+
+TRUTH = ".truth.mcap"
+RESULT = "contact.json"
+
+
+def sources_in(folder: Path) -> list[Path]:
+    """The recordings in a folder, or else the folders in it with a contact.json, by name (2 before 10).
+
+    Raises RigError if it is no folder, or holds neither.
+    """
+    if not folder.is_dir():
+        raise RigError(f"{folder}: is no folder; give the one with the recordings")
+    found = [path for path in folder.glob("*.mcap") if not path.name.endswith(TRUTH)]
+    found = found or [path.parent for path in folder.glob(f"*/{RESULT}")]
+    if not found:
+        raise RigError(f"{folder}: holds no recordings (*.mcap) and no folders with a {RESULT}; give another")
+    return sorted(found, key=lambda path: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", path.name)])
+
+
+def observations(
+    sources: Sequence[Path],
+    use: Use = "auto",
+    tolerances: Tolerances | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> Iterator[Observation]:
+    """One after the other; a recording that cannot be read or identified tells the reason."""
+    for number, source in enumerate(sources):
+        try:
+            yield Observation(name=source.name, report=_report(source, use, tolerances))
+        except RigError as error:
+            yield Observation(name=source.name, reason=str(error))
+        progress((number + 1) / len(sources))
+
+
+def _report(source: Path, use: Use, tolerances: Tolerances | None) -> ContactReport:
+    if source.suffix == ".mcap":
+        return identify_contact(read(source), use=use, tolerances=tolerances).report
+    path = source / RESULT if source.is_dir() else source
+    try:
+        return msgspec.json.decode(contents(path), type=ContactReport)
+    except msgspec.DecodeError as error:
+        raise RigError(f"{path}: is no {RESULT} ({error}); identify the recording again") from error

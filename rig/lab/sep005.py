@@ -1,0 +1,57 @@
+"""Recordings as SEP005 channels, the dictionaries by which the packages of SDyPy exchange time series."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.errors import RigError
+from rig.lab.column import Column
+from rig.lab.importing import import_columns
+from rig.recording import Recording
+
+QUANTITIES = {"force": "f", "displacement": "d", "velocity": "v", "acceleration": "a", "strain": "e"}
+
+
+def to_sep005(recording: Recording) -> list[dict[str, Any]]:
+    """A dictionary a channel: data in SI, name, unit_str, fs in Hz, quantity and group."""
+    return [
+        {
+            "data": row,
+            "name": name,
+            "unit_str": signals.channels.unit,
+            "fs": signals.channels.sample_rate_hz,
+            "quantity": QUANTITIES.get(group),
+            "group": group,
+        }
+        for group, signals in recording.signals.items()
+        for name, row in zip(signals.channels.names, signals.values, strict=True)
+    ]
+
+
+def import_sep005(
+    channels: Sequence[Mapping[str, Any]] | Mapping[str, Any], map_path: Path, out: Path
+) -> tuple[str, ...]:
+    """Makes a recording of the channels by a map, as `import_file` does of a file, and returns what was done.
+
+    A channel is called by its name; the time stamps of one without fs are the column NAME time. Raises RigError with
+    one sentence if a channel is none, or the map, the rig or the data cannot be used; nothing is written then.
+    """
+    given = [channels] if isinstance(channels, Mapping) else list(channels)
+    columns = [column for number, channel in enumerate(given, start=1) for column in _columns(channel, number)]
+    return import_columns(columns, "SEP005 channels", map_path, out)
+
+
+def _columns(channel: Mapping[str, Any], number: int) -> list[Column]:
+    missing = [key for key in ("data", "name", "unit_str") if key not in channel]
+    if missing or not {"fs", "time"} & set(channel):
+        raise RigError(f"channel {number} of SEP005 lacks {missing[0] if missing else 'fs or time'!r}; add it")
+    name, unit, rate = str(channel["name"]), str(channel["unit_str"]) or None, channel.get("fs")
+    try:
+        values = np.asarray(channel["data"], dtype=float).reshape(-1)
+        stamps = None if rate else np.asarray(channel["time"], dtype=float).reshape(-1)
+        told = Column(name, values, unit, float(rate) if rate else None)
+    except (TypeError, ValueError) as error:
+        raise RigError(f"channel {name!r} of SEP005 is not of numbers ({error}); correct it") from error
+    return [told] if stamps is None else [Column(f"{name} time", stamps, "s"), told]

@@ -1,0 +1,76 @@
+"""The modal plant one step after the other, for a program that makes the force as it goes."""
+
+import numpy as np
+from jaxtyping import Float
+
+from rig.errors import RigError
+from rig.model.description import Rig
+from rig.simulation.plants.loading import check_softening, softening_limits_m
+from rig.simulation.plants.modal import constants_of, model_of, observed
+
+
+class Stepwise:
+    """A rig from rest on, as `modal.simulate` moves it, but the force is only known step by step.
+
+    Over every step of step_s the force goes in a straight line from the last value to the one given. Raises RigError if
+    the base shakes, or a contact is too stiff for the step.
+    """
+
+    def __init__(self, rig: Rig, step_s: float, modes: int = 16) -> None:
+        if rig.base_motion:
+            raise RigError(
+                f"rig {rig.name!r}: its base shakes, and the force alone is given step by step; leave it out"
+            )
+        self.rig, self.step_s = rig, step_s
+        self._limits_m = softening_limits_m(rig)
+        self._model = model_of(rig, False, modes)
+        self._constants = constants_of(self._model, step_s)
+        self._state, self._held = self._model.start()
+        self._steps, self._inputs = 0, self._known(0.0, 0)
+
+    @property
+    def time_s(self) -> float:
+        return self._steps * self.step_s
+
+    @property
+    def eta_m(self) -> Float[np.ndarray, " contacts"]:
+        """The relative displacement of every contact."""
+        return self._held[1, : len(self.rig.contacts)].copy()
+
+    @property
+    def contact_force_n(self) -> Float[np.ndarray, " contacts"]:
+        return self._held[0, : len(self.rig.contacts)].copy()
+
+    @property
+    def sensed(self) -> Float[np.ndarray, " sensors"]:
+        """What every sensor's quantity is, before any instrument."""
+        states = self._state[None]
+        return np.asarray(observed(self.rig, self._model, states, self._inputs[:, None], self._held[:1].T)[:, 0])
+
+    def advance(self, force_n: float, steps: int = 1) -> None:
+        """So many steps, at whose end the force has the given value; raises RigError if the motion is not finite."""
+        from rig.simulation.plants.stepping import advance
+
+        begin, contacts = self._inputs, len(self._model.across)
+        end = self._known(force_n, self._steps + steps)
+        share = np.linspace(0.0, 1.0, steps + 1)
+        inputs = begin[:, None] + share * (end - begin)[:, None]
+        for k, tone in enumerate(self.rig.tones, start=len(end) - len(self.rig.tones)):
+            inputs[k] = tone.force_n((self._steps + np.arange(steps + 1)) * self.step_s)
+        states = np.empty((steps + 1, self._state.size))
+        states[0] = self._state
+        forces, bent = np.empty((2, contacts, steps))
+        none = np.zeros(inputs.shape)
+        advance(states, self._held, forces, bent, inputs, none, *self._constants, self._steps + 1, self.step_s)
+        self._state, self._inputs, self._steps = states[-1], end, self._steps + steps
+        if not np.all(np.isfinite(self._state)):
+            raise RigError(
+                f"the modal plant diverged near {self.time_s:.3f} s at step {self.step_s} s; use a smaller step"
+            )
+        check_softening(self._limits_m, self._model.across @ states[1:, : self._model.omega.size].T)
+
+    def _known(self, force_n: float, steps: int) -> Float[np.ndarray, " inputs"]:
+        """The known forces at a moment, in the order of the model's gains."""
+        loads = [1.0] if self.rig.loads else []
+        time_s = np.array([steps * self.step_s])
+        return np.array([force_n, *loads, *(float(tone.force_n(time_s)[0]) for tone in self.rig.tones)])

@@ -1,0 +1,66 @@
+"""The first lines of every command: while their libraries load, Ctrl-C and a request to end are a sentence too.
+
+`rig-identify rig ...` and `rig-identify identify ...` are the two commands under a name that no other program has.
+"""
+
+import os
+import signal
+import sys
+from importlib import import_module
+from importlib.metadata import version
+from typing import Any
+
+INTERRUPTED = 130
+ENDINGS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+NAME = "rig-identify"
+COMMANDS = ("rig", "identify")
+
+
+def rig() -> None:
+    _start("rig")
+
+
+def identify() -> None:
+    _start("identify")
+
+
+def both() -> None:
+    """`rig-identify rig ...`, `rig-identify identify ...`, `rig-identify doctor`, `rig-identify --version`."""
+    asked = sys.argv[1] if len(sys.argv) > 1 else "--help"
+    if asked in COMMANDS:
+        del sys.argv[1]
+        _start(asked)
+    elif asked == "doctor":
+        _doctor()
+    elif asked == "--version":
+        print(NAME, version(NAME))
+    else:
+        print(f"Usage: {NAME} rig ... | identify ... | doctor | --version (rig and identify say more by --help)")
+        sys.exit(0 if asked == "--help" else 2)
+
+
+def _start(name: str) -> None:
+    if sys.argv[1:] == ["doctor"]:
+        _doctor()
+
+    def stop(*_: Any) -> None:
+        os.write(2, f"{name}: interrupted\n".encode())
+        os._exit(INTERRUPTED)  # nothing is open yet, and an exception might be lost in what is being imported
+
+    before = {ending: signal.getsignal(ending) for ending in ENDINGS}
+    for ending, handler in before.items():
+        if handler != signal.SIG_IGN:
+            signal.signal(ending, stop)
+    try:
+        main = import_module(f"{name}.commands.cli").main
+    except ImportError as error:
+        sys.exit(f"{name}: cannot start ({error}); ask for the reason: {NAME} doctor")
+    for ending, handler in before.items():
+        signal.signal(ending, handler)
+    main()
+
+
+def _doctor() -> None:
+    from rig_start.doctor import doctor
+
+    sys.exit(doctor())

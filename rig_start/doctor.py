@@ -1,0 +1,82 @@
+"""What is installed, and whether another package or program has taken a name: `rig doctor`.
+
+It imports nothing of the project or of its libraries, as they may be what is broken.
+"""
+
+import re
+import shutil
+import sys
+import sysconfig
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, packages_distributions, requires, version
+from importlib.util import find_spec
+from pathlib import Path
+
+NAME = "rig-identify"
+COMMANDS = ("rig", "identify")
+PURPOSES = {
+    "simulate": "the plant ancf (Exudyn)",
+    "view": "rig view (rerun)",
+    "lab": "UFF, TDMS and MATLAB 7.3 files",
+    "symbolic": "identify law",
+    "cluster": "scenarios on several computers (dask)",
+    "fmu": "rig fmu (FMI 3.0)",
+    "mdf": "MDF 4 files",
+}
+
+
+def doctor() -> int:
+    """Prints what is found; 1 if something has to be mended, else 0."""
+    print(f"{NAME} {version(NAME)}, Python {sys.version.split()[0]}")
+    for extra, purpose in PURPOSES.items():
+        missing = [package for package in packages_of(extra) if installed(package) is None]
+        state = f"{', '.join(missing)} missing: pip install '{NAME}[{extra}]'" if missing else "installed"
+        print(f"  {extra:9} {purpose}: {state}")
+    found = [*taken_packages(), *taken_commands()]
+    for sentence in found:
+        print(sentence)
+    return int(bool(found))
+
+
+def packages_of(extra: str) -> list[str]:
+    """The packages that an extra brings, from the metadata of the installation."""
+    ending = re.compile(rf"extra == ['\"]{extra}['\"]")
+    return [re.split(r"[\s<>=!~;\[(]", line)[0] for line in requires(NAME) or () if ending.search(line)]
+
+
+def installed(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def taken_packages() -> Iterator[str]:
+    """One sentence for each of the project's packages that another distribution has, too."""
+    owners = packages_distributions()
+    for name in COMMANDS:
+        others = sorted(set(owners.get(name, ())) - {NAME})
+        spec = find_spec(name)
+        place = Path((spec and spec.origin) or ".").parent
+        if others:
+            yield (
+                f"the Python package {name} is also that of {', '.join(others)} (pre-commit needs one called "
+                f"identify): keep what needs it in an environment of its own; here pip uninstall {' '.join(others)}, "
+                f"then pip install --force-reinstall --no-deps {NAME}"
+            )
+        elif not (place / "commands" / "cli.py").is_file():
+            yield f"the Python package {name} in {place} is not that of {NAME}: start in another folder, or remove it"
+
+
+def taken_commands() -> Iterator[str]:
+    """One sentence for each command that the shell finds elsewhere, or not at all."""
+    own = Path(sysconfig.get_path("scripts")).resolve()
+    for name in COMMANDS:
+        found = shutil.which(name)
+        if found is None:
+            yield f"the command {name} is not on the PATH: activate the environment, or add {own}"
+        elif Path(found).parent.resolve() != own:
+            yield (
+                f"the command {name} is {found}, another program (ImageMagick has one called identify): put {own} "
+                f"first on the PATH, or say {NAME} {name}"
+            )

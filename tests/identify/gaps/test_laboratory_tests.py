@@ -1,0 +1,47 @@
+"""The diagnosis of tests that laboratories do: which part of a record counts, and that the effect is found."""
+
+import numpy as np
+import pytest
+
+from identify.gaps.decision.answer import searched
+from identify.gaps.decision.null_reference import of_blows
+from identify.gaps.residual.spectra import record_of
+from rig.simulation.excitation import excitation_of, force_history
+from scenarios.laboratory_tests import TESTS, recorded
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter", "value"),
+    [
+        ("one mass, high-pass of 0.5 Hz", "mass_kg", 0.1),
+        ("one mass, no quiet start, displacement", "mass_kg", 0.1),
+    ],
+)
+def test_the_effect_is_the_likeliest(name, parameter, value, tmp_path):
+    test = TESTS[name]
+    record = record_of(recorded(test, tmp_path / "r.mcap", duration_s=20.0, effect=test.effect))
+    best = searched(record)[0][0]
+    assert best.effects == (test.effect.partition(":")[0],)
+    at = best.parameters.names.index(parameter)
+    assert abs(best.values[at] - value) < 3 * np.sqrt(best.covariance[at, at])
+    assert np.sqrt(best.covariance[at, at]) < 0.1 * value
+
+
+@pytest.mark.parametrize(
+    ("kind", "low_hz", "blows", "highest_hz"),
+    [("gaussian", 0.5, False, 160), ("burst", 0.5, False, 160), ("sweep", 0.5, False, 161), ("hammer", 0.5, True, 341)],
+)
+def test_a_hammers_force_is_known_and_its_band_ends(kind, low_hz, blows, highest_hz, tmp_path):
+    force = excitation_of(kind, rms_n=14.0, low_hz=low_hz, high_hz=100.0)
+    assert of_blows(force_history(force, 20.0, 1 / 4096)) == blows
+    sensed = recorded(TESTS["two beams, Gaussian force"], tmp_path / "r.mcap", duration_s=12.0)
+    sensed.signals["force"].values[:] = force_history(force, 12.0, 1 / 4096)
+    assert record_of(sensed).highest_hz == pytest.approx(highest_hz, rel=0.1)
+
+
+def test_a_record_counts_until_it_has_decayed(tmp_path):
+    record = record_of(recorded(TESTS["one mass, one measured blow"], tmp_path / "r.mcap", duration_s=30.0))
+    end_s = record.taken.stop / record.rate_hz
+    power = (record.in_time(record.delivered)[0] ** 2).mean()
+    assert 5.0 < end_s < 25.5
+    assert power > 0

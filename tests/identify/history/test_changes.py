@@ -1,0 +1,165 @@
+"""Histories drawn at random, of machines that change and of machines that do not; and real ones of one mass."""
+
+import csv
+import io
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+import identify
+from identify.contacts.results import ContactEstimate, ContactReport, Estimate, Mode, Surfaces
+from identify.history.changes import LEVEL, Observation, history_of
+from identify.history.observed import sources_in
+from identify.history.page import csv_of, sentence
+from rig.effects.contact_clearance import ContactClearance
+from rig.errors import RigError
+from rig.files import write_json
+from rig.simulation.plants import modal
+from rig.simulation.record import record
+from rig.simulation.reference import Sdof
+
+OWN, SHARED = 0.0005, 0.002
+"""Standard errors of a record by itself and of rig.json, in shares of the value."""
+
+
+def report(rng, change=1.0, bias=1.0, rig="machine"):
+    def estimate(value):
+        error, found = abs(value) * np.hypot(OWN, SHARED), value * (bias + OWN * rng.normal())
+        return Estimate(found, error, abs(value) * OWN)
+
+    names = ("contact_1", "contact_2")
+    contacts = tuple(
+        ContactEstimate(
+            name=name,
+            clearance_m=estimate(1e-3 * (change if name == "contact_2" else 1.0)),
+            stiffness_n_per_m=estimate(1e5),
+            damping_n_s_per_m=estimate(10.0),
+        )
+        for name in names
+    )
+    return ContactReport(
+        rig=rig,
+        contacts=contacts,
+        unanswered=(),
+        main_equation="barrel 3",
+        modes=(Mode("barrel", 3, 53.0 * (1 + 0.001 * rng.normal()), 0.01),),
+        nifo=(),
+        surface=Surfaces((), ()),
+        transformation=(),
+        trusted_hz=(1.0, 100.0),
+        channels_used=(),
+    )
+
+
+def history(seed, changes, **others):
+    rng = np.random.default_rng(seed)
+    bias = 1 + SHARED * rng.normal()
+    return history_of([Observation(name=str(i), report=report(rng, c, bias, **others)) for i, c in enumerate(changes)])
+
+
+def changed(found):
+    return [(q.of, q.quantity) for q in found.quantities if q.changed]
+
+
+@pytest.mark.parametrize("count", [2, 3, 12])
+def test_of_machines_that_do_not_change_hardly_any_is_said_to(count):
+    alarms = sum(bool(changed(history(seed, np.ones(count)))) for seed in range(400))
+    assert alarms < 400 * LEVEL + 2.6 * np.sqrt(400 * LEVEL)
+
+
+def test_wear_of_one_contact_is_found_with_its_size():
+    off = []
+    for seed in range(40):
+        found = history(seed, np.linspace(1, 1.005, 12))
+        assert ("contact_2", "clearance_m") in changed(found)
+        worn = next(q for q in found.quantities if (q.of, q.quantity) == ("contact_2", "clearance_m"))
+        off.append((worn.drift.value - 5e-6) / worn.drift.standard_error)
+    assert 0.6 < np.std(off) < 1.5  # the errors of the drift are what they say
+    assert sentence(found).startswith("12 recordings of machine: contact_2: clearance drifts by")
+
+
+def test_a_change_between_two_is_found_although_their_intervals_overlap():
+    found = history(1, (1.0, 1.003))
+    assert changed(found) == [("contact_2", "clearance_m")]
+    assert 1.96 * np.hypot(OWN, SHARED) > 0.003
+
+
+def test_scatter_beyond_the_intervals_is_no_trend():
+    rng = np.random.default_rng(5)
+    alarms = 0
+    for seed in range(200):
+        found = history(seed, 1 + 0.005 * rng.normal(size=12))
+        worn = next(q for q in found.quantities if (q.of, q.quantity) == ("contact_2", "clearance_m"))
+        alarms += worn.p_trend < LEVEL
+        assert worn.p_different < LEVEL
+    assert alarms < 200 * LEVEL
+
+
+def test_what_a_recording_does_not_tell_is_left_out():
+    rng = np.random.default_rng(2)
+    whole = [report(rng) for _ in range(3)]
+    part = replace(whole[1], contacts=whole[1].contacts[:1])
+    found = history_of([Observation(name=n, report=r) for n, r in zip("abc", (whole[0], part, whole[2]), strict=True)])
+    second = [q for q in found.quantities if q.of == "contact_2"]
+    assert all(q.values[1] is None and None not in (q.values[0], q.values[2]) for q in second)
+    lines = list(csv.DictReader(io.StringIO(csv_of(found).decode())))
+    assert [row["recording"] for row in lines if (row["of"], row["quantity"]) == ("contact_2", "clearance_m")] == [
+        "a",
+        "c",
+    ]
+    assert float(lines[0]["value"]) == found.quantities[0].values[0]
+
+
+def test_what_cannot_be_compared_is_refused():
+    rng = np.random.default_rng(3)
+    with pytest.raises(RigError, match="recordings of the rigs 'machine' and 'other'; compare those of one machine"):
+        history_of([Observation(name=rig, report=report(rng, rig=rig)) for rig in ("machine", "other")])
+    with pytest.raises(RigError, match="1 of 2 recordings can be compared; give two or more; it is broken"):
+        history_of([Observation(name="a", report=report(rng)), Observation(name="b", reason="it is broken")])
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory):
+    """Of one mass, whose clearance wears by 2 % in all."""
+    folder = tmp_path_factory.mktemp("machine")
+    for number in range(4):
+        machine = Sdof(seed=number, noise_density=1e-3, high_hz=6.0)
+        rig = machine.rig()
+        record(
+            rig,
+            machine.force(),
+            plant=modal.simulate,
+            duration_s=20.0,
+            step_s=machine.step_s,
+            path=folder / f"run{7 + number}.mcap",
+            progress=lambda _: None,
+            actual=ContactClearance(factor=1 + 0.02 * number / 3).applied_to(rig),
+        )
+    (folder / "run11.mcap").write_bytes(b"nothing")
+    return folder
+
+
+def test_wear_of_a_mass_is_found_in_its_recordings_in_the_order_of_their_names(recordings, tmp_path):
+    sources = sources_in(recordings)
+    assert [path.name for path in sources] == ["run7.mcap", "run8.mcap", "run9.mcap", "run10.mcap", "run11.mcap"]
+    found = identify.compare(sources)
+    assert found.changed
+    assert changed(found.report) == [("stop", "clearance_m")]
+    (worn,) = (q for q in found.report.quantities if q.changed)
+    assert worn.drift.value == pytest.approx(0.02e-3, abs=1.96 * worn.drift.standard_error)
+    found.save(tmp_path)
+    page = (tmp_path / "history.html").read_text()
+    assert "left out: " in page
+    assert "run11.mcap" in page
+    assert sentence(found.report) in page
+    again = identify.compare(
+        [write(tmp_path / path.stem, o) for path, o in zip(sources, found.report.used, strict=False)]
+    )
+    assert [q.values for q in again.report.quantities] == [q.values for q in found.report.quantities]
+
+
+def write(folder, observation):
+    folder.mkdir()
+    write_json(observation.report, folder / "contact.json")
+    return folder

@@ -1,0 +1,97 @@
+"""What `rig doctor` finds, and what a command says that lacks an extra."""
+
+import importlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rig.commands.cli import main
+from rig_start import doctor
+
+SCRIPTS = Path(sys.executable).parent
+LACKING = {
+    "exudyn": ("rig", "record", "sdof", "--plant", "ancf", "--out", "o.mcap"),
+    "rerun": ("rig", "view", "r.mcap"),
+}
+
+
+@pytest.fixture
+def alone(tmp_path, monkeypatch):
+    """A folder of installed packages of which one has a name of ours."""
+    for name, files in {"identify": ("identify/__init__.py",), "other": ("other/__init__.py",)}.items():
+        about = tmp_path / f"{name}-2.6.dist-info"
+        about.mkdir()
+        (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 2.6\n")
+        (about / "RECORD").write_text("".join(f"{file},,\n" for file in files))
+        for file in files:
+            (tmp_path / file).parent.mkdir()
+            (tmp_path / file).touch()
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    importlib.invalidate_caches()
+
+
+@pytest.mark.usefixtures("alone")
+def test_a_package_of_the_same_name_is_found():
+    assert [sentence[:57] for sentence in doctor.taken_packages()] == [
+        "the Python package identify is also that of identify (pre"
+    ]
+
+
+def test_a_sound_installation_has_no_finding():
+    assert list(doctor.taken_packages()) == []
+
+
+def test_another_program_of_the_same_name_is_found(tmp_path, monkeypatch):
+    program = tmp_path / "identify"
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(doctor.sysconfig, "get_path", lambda _: str(SCRIPTS))
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{SCRIPTS}")
+    (said,) = doctor.taken_commands()
+    assert said.startswith(f"the command identify is {program}, another program")
+    assert said.endswith("or say rig-identify identify")
+    monkeypatch.setenv("PATH", f"{SCRIPTS}{os.pathsep}{tmp_path}")
+    assert list(doctor.taken_commands()) == []
+
+
+def test_extras_are_those_of_the_installation():
+    assert doctor.packages_of("simulate") == ["exudyn"]
+    assert all(doctor.packages_of(extra) for extra in doctor.PURPOSES)
+    assert doctor.installed("numpy")
+    assert doctor.installed("no-such-package") is None
+
+
+@pytest.mark.parametrize("package", LACKING)
+def test_what_lacks_an_extra_says_which(package, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("r.mcap").touch()
+    for name in [n for n in sys.modules if n.partition(".")[0] == package or n.startswith("rig.viewer")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.setattr(sys, "argv", list(LACKING[package]))
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    assert stopped.value.code == 1
+    extra = {"exudyn": "simulate", "rerun": "view"}[package]
+    assert f"pip install 'rig-identify[{extra}]'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "said"),
+    [
+        (("--version",), 0, "rig-identify "),
+        (("identify", "--version"), 0, "rig-identify "),
+        (("rig", "--help"), 0, "Usage: rig "),
+        (("doctor",), 0, "installed"),
+        (("no",), 2, "Usage: rig-identify rig"),
+    ],
+)
+def test_one_command_has_both(words, status, said):
+    program = [sys.executable, "-c", "from rig_start import both; both()", *words]
+    path = f"{SCRIPTS}{os.pathsep}{os.environ['PATH']}"
+    done = subprocess.run(program, capture_output=True, text=True, check=False, env=os.environ | {"PATH": path})
+    assert (done.returncode, done.stderr) == (status, "")
+    assert said in done.stdout

@@ -1,0 +1,129 @@
+"""The table of what is refused, in identify/README.md: every row is made, and its sentence read."""
+
+import re
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+import identify
+from rig.errors import RigError
+from rig.lab.importing import import_file
+from rig.model.description import BaseMotion, PointMass, from_json, to_json
+from rig.recording import Recording, Signals, channel_groups
+from rig.simulation.plants import ancf
+from rig.simulation.record import record
+from rig.simulation.reference import BarrelCradle, Sdof
+from scenarios import laboratory_tests, topologies
+from tests.readme_tables import ROOT
+from tests.rig.lab.modal import test_uff as uff
+
+HEAD = "| rig or test | refused by | sentence |"
+SDOF, BEAMS = Sdof(sensors="acceleration").rig(), BarrelCradle(sensors="acceleration").rig()
+SHAKEN = BaseMotion(acceleration_rms_m_per_s2=1.0, low_hz=1.0, high_hz=15.0)
+
+
+def rows():
+    text = (ROOT / "identify" / "README.md").read_text(encoding="utf-8")
+    lines = text.partition(HEAD)[2].partition("\n\n")[0].splitlines()[2:]
+    return {name: sentence for name, _, sentence in (line.strip("| ").split(" | ") for line in lines)}
+
+
+def noise(rig, seconds=12.0, forced=True, seed=1):
+    """A recording of noise: what is refused at once is refused whatever it holds."""
+    rng, samples = np.random.default_rng(seed), round(seconds * rig.sample_rate_hz)
+    signals = {
+        name: Signals(channels, 0.0, rng.standard_normal((len(channels.names), samples)))
+        for name, channels in channel_groups(rig).items()
+    }
+    if not forced:
+        signals["force"] = Signals(signals["force"].channels, 0.0, np.zeros((1, samples)))
+    return Recording(rig, signals, {})
+
+
+def contact(rig, **given):
+    return lambda _: identify.contact(noise(rig, **given))
+
+
+def gap(rig, **given):
+    return lambda _: identify.gap([noise(rig, **given), noise(rig, **given, seed=2)])
+
+
+def laboratory(name):
+    """A test of `scenarios.laboratory_tests`."""
+    return lambda folder: identify.contact(
+        laboratory_tests.recorded(laboratory_tests.REFUSED[name], folder / "r.mcap", duration_s=14.0)
+    )
+
+
+def two_stops(folder):
+    case = topologies.RIGS["two stops on one mass"]
+    identify.contact(topologies.recorded(case, folder / "r.mcap", duration_s=12.0))
+
+
+def imported(text):
+    def run(folder):
+        (folder / "rig.json").write_bytes(to_json(SDOF))
+        (folder / "map.toml").write_text(text)
+        names = f"t,F,{SDOF.sensors[0].name}"
+        times = [k / SDOF.sample_rate_hz + 0.1 * (k > 50) for k in range(100)]
+        (folder / "r.csv").write_text(names + "\n" + "".join(f"{t},1,1\n" for t in times))
+        import_file(folder / "r.csv", folder / "map.toml", folder / "r.mcap")
+
+    return run
+
+
+def simulated(rig, plant):
+    return lambda folder: record(
+        rig,
+        BarrelCradle().force(),
+        plant=plant,
+        duration_s=2.0,
+        step_s=2.0**-13,
+        path=folder / "r.mcap",
+        progress=lambda _: None,
+    )
+
+
+CASES = {name: laboratory(name) for name in laboratory_tests.REFUSED} | {
+    "no contact": contact(replace(SDOF, contacts=())),
+    "point masses, springs, dampers, loads in rig.json": contact(
+        replace(SDOF, masses=(PointMass(station=SDOF.force_at, mass_kg=0.1),))
+    ),
+    "two stops on one mass": two_stops,
+    "strain gauges alone": contact(BarrelCradle(sensors="strain").rig()),
+    "a record of 4 s": contact(BEAMS, seconds=4.0),
+    "free decay, diagnosed": gap(SDOF, forced=False),
+    "strain gauges alone, diagnosed": gap(BarrelCradle(sensors="strain").rig()),
+    "a record of 4 s, diagnosed": gap(SDOF, seconds=4.0),
+    "base motion of held beams in rig.json, diagnosed": gap(replace(BEAMS, base_motion=SHAKEN)),
+    "two forces in rig.json": lambda _: from_json(
+        to_json(SDOF).replace(b'"force_at": {', b'"force_at": [{}, {').replace(b'},\n  "sensors"', b'}],\n  "sensors"'),
+        "rig.json",
+    ),
+    "two forces in the map": imported('force = [{ column = "F" }, { column = "G" }]\n[sensors]\n'),
+    "time stamps with a gap": imported(
+        'time = { column = "t" }\nforce = { column = "F", unit = "N" }\n[sensors]\n'
+        f'{SDOF.sensors[0].name} = {{ column = 3, unit = "m/s^2" }}\n'
+    ),
+    "a modal basis on the plant ancf": simulated(topologies.frame(0.0), ancf.simulate),
+    "a shaken modal basis that is held": lambda _: replace(topologies.frame(3.0), base_motion=SHAKEN),
+    "FRFs without a driving point": lambda folder: uff.read(folder, [uff.nodes(), *uff.FRFS[:9]]),
+    "mode shapes without modal masses": lambda folder: uff.read(
+        folder, [uff.nodes(), *(one | {"modal_m": 0.0} for one in uff.normal_modes())]
+    ),
+}
+
+
+def test_the_table_has_a_row_a_case():
+    assert list(rows()) == list(CASES)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_sentence_is_the_one_of_the_table(name, tmp_path):
+    """… stands for a path, or for numbers of the record."""
+    with pytest.raises(RigError) as refused:
+        CASES[name](tmp_path)
+    said = str(refused.value)
+    assert "\n" not in said
+    assert re.search(r".*?".join(map(re.escape, rows()[name].split("…"))), said), said
