@@ -13,9 +13,8 @@ from identify.signals.kinematics import Use
 from rig.errors import RigError
 from rig.files import contents
 from rig.model.tolerances import Tolerances
-from rig.recording import read
+from rig.recording import read, recordings_in
 
-TRUTH = ".truth.mcap"
 RESULT = "contact.json"
 
 
@@ -26,8 +25,7 @@ def sources_in(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         raise RigError(f"{folder}: is no folder; give the one with the recordings")
-    found = [path for path in folder.glob("*.mcap") if not path.name.endswith(TRUTH)]
-    found = found or [path.parent for path in folder.glob(f"*/{RESULT}")]
+    found = recordings_in(folder) or [path.parent for path in folder.glob(f"*/{RESULT}")]
     if not found:
         raise RigError(f"{folder}: holds no recordings (*.mcap) and no folders with a {RESULT}; give another")
     return sorted(found, key=lambda path: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", path.name)])

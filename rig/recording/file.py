@@ -27,6 +27,8 @@ from rig.recording.foreign import PROVENANCE, RIG_NAME, Foreign, put
 BLOCK, AT_ONCE = 1024, 2048
 CHUNK_BYTES, CHUNK_S = 512 * 1024, 5.0
 """A chunk is written when it has so many bytes, or so much of the record: a kill loses that and a block at most."""
+TRUTH = ".truth.mcap"
+"""How the name of a file ends that holds what only a simulator knows."""
 PREVIEW_HZ = 100.0
 
 
@@ -292,7 +294,12 @@ def with_history(provenance: Mapping[str, str], *steps: str) -> dict[str, str]:
 
 
 def truth_path(path: Path) -> Path:
-    return path.with_name(path.name.removesuffix(".mcap") + ".truth.mcap")
+    return path.with_name(path.name.removesuffix(".mcap") + TRUTH)
+
+
+def recordings_in(folder: Path) -> list[Path]:
+    """What a laboratory could have recorded: the .mcap files of a folder without those of a simulator's truth."""
+    return [path for path in folder.glob("*.mcap") if not path.name.endswith(TRUTH)]
 
 
 @dataclass(frozen=True)

@@ -78,8 +78,8 @@ def test_a_basis_is_read_from_json_and_written_again():
         (b'"position_m":0.2', b'"position_m":0.6', "shapes are given at 0.6 m; give places from 0 to 0.5 m"),
         (b'"length_m":0.5', b'"length_m":0', "length_m is 0.0; give a finite value above zero"),
         (b'"frequencies_hz"', b'"frequencies"', "unknown field `frequencies`"),
-        (b"-0.8", b"1e300", "a shape value at 0.2 m is 1e+300; give finite values"),
-        (b"40.5", b"1e300", "a frequency is 1e+300 Hz; give"),
+        (b"-0.8", b"1e300", "bodies[0].shapes[1].values[1] is about 1e300, which nothing is; correct it"),
+        (b"40.5", b"1e300", "bodies[0].frequencies_hz[1] is about 1e300, which nothing is; correct it"),
         (b"-0.8", b"NaN", "invalid character"),
         (b"-0.8", b"null", "Expected `float`, got `null`"),
     ],
@@ -90,7 +90,7 @@ def test_a_basis_that_cannot_be_is_refused_in_one_sentence(old, new, sentence):
     assert from_json(empty % BASIS, "rig.json").body("fin").max_modes == 2
     with pytest.raises(RigError) as caught:
         from_json(empty % BASIS.replace(old, new, 1), "rig.json")
-    assert str(caught.value).startswith("rig.json: not a rig description: ")
+    assert str(caught.value).startswith("rig.json: ")
     assert sentence in str(caught.value)
     assert "\n" not in str(caught.value)
 
