@@ -20,13 +20,13 @@ from identify.api import (
     GapResult,
     HistoryResult,
     LawResult,
-    Picture,
     check,
     compare,
     contact,
     gap,
     law,
 )
+from identify.pages.picture import Picture
 
 __all__ = [
     "CheckResult",

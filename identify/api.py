@@ -23,6 +23,7 @@ from identify.history import page as history_page
 from identify.history.observed import observations
 from identify.laws import Laws, identify_law
 from identify.laws.results import LawReport
+from identify.pages.picture import Picture
 from identify.pages.wording import COVERED, interval
 from identify.signals.kinematics import Use
 from identify.signals.spectra import Averaging
@@ -37,19 +38,6 @@ Source = Recording | str | Path
 LONGEST_NAME = 100
 Row = dict[str, str | float]
 Progress = Callable[[float], None]
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A PNG file; a notebook shows it."""
-
-    png: bytes = field(repr=False)
-
-    def save(self, path: str | Path) -> None:
-        write_bytes(self.png, Path(path))
-
-    def _repr_png_(self) -> bytes:
-        return self.png
 
 
 @dataclass(frozen=True)
@@ -114,7 +102,7 @@ class ContactResult:
         from identify.contacts.figures import drawn
 
         marks = {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in self.laws.items()}
-        return {name: Picture(png) for name, png in drawn(self.found, marks, self.laws_name).items()}
+        return drawn(self.found, marks, self.laws_name)
 
     def figure(self, name: str) -> Picture:
         return _named(self.figures, name)
@@ -162,7 +150,7 @@ class LawResult:
         """All figures by their names: one, if a law was found."""
         from identify.laws.figures import drawn
 
-        return {"law": Picture(drawn(self.found.found))} if self.found.found else {}
+        return {"law": drawn(self.found.found)} if self.found.found else {}
 
     def figure(self, name: str = "law") -> Picture:
         return _named(self.figures, name)
@@ -209,7 +197,7 @@ class GapResult:
         """All figures by their names."""
         from identify.gaps.page.pictures import pictures
 
-        return {name: Picture(png) for name, png in pictures(self.report, self.corrected).items()}
+        return pictures(self.report, self.corrected)
 
     def figure(self, name: str) -> Picture:
         return _named(self.figures, name)
@@ -246,7 +234,7 @@ class HistoryResult:
     @cached_property
     def figures(self) -> dict[str, Picture]:
         """All figures by their names: one."""
-        return {"history": Picture(history_page.picture(self.report))}
+        return {"history": history_page.drawn(self.report)}
 
     def figure(self, name: str = "history") -> Picture:
         return _named(self.figures, name)
@@ -255,7 +243,7 @@ class HistoryResult:
         """Writes history.html, a page that stands alone, history.csv and history.json."""
         out = Path(folder)
         make_folder(out)
-        history_page.write_page(self.report, self.figure().png, out / "history.html")
+        history_page.write_page(self.report, self.figure(), out / "history.html")
         write_bytes(history_page.csv_of(self.report), out / "history.csv")
         write_json(self.report, out / "history.json")
 

@@ -21,24 +21,33 @@ settings.register_profile("physics", deadline=None, max_examples=60)
 settings.load_profile("physics")
 
 _MEASURE = """
+setTimeout(() => {
 const page = this.contentDocument;
-this.title = JSON.stringify([page.scrollingElement.scrollWidth, [...page.images].map(image => image.naturalWidth)]);
+const pictures = [...page.images].map(image => image.naturalWidth);
+const plots = [...page.querySelectorAll(".plot")].map(plot => plot.scrollHeight);
+this.title = JSON.stringify([page.scrollingElement.scrollWidth, pictures, plots]);
+}, 3000);
 """
 
 
 @dataclass(frozen=True)
 class Opened:
-    """A page as a browser has it: how wide it scrolls, each picture's width (0: not shown), what the console said."""
+    """A page as a browser has it: how wide it scrolls, each picture's width and each plot's height (0: not shown), and
+    what the console said."""
 
     scroll_px: int
     pictures_px: tuple[int, ...]
+    plots_px: tuple[int, ...]
     console: tuple[str, ...]
 
 
 @pytest.fixture(scope="session")
 def opened(tmp_path_factory):
-    """Opens an HTML file in a window of so many pixels; skips the test where there is no Chromium."""
-    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    """Opens an HTML file in a window of so many pixels; skips the test where there is no Chromium.
+
+    The variable CHROMIUM says where it is; what is not there then fails the test.
+    """
+    browser = os.environ.get("CHROMIUM") or shutil.which("chromium")
     if browser is None:
         pytest.skip("no Chromium")
 
@@ -47,10 +56,19 @@ def opened(tmp_path_factory):
         frame = f'<iframe style="border:0;width:{width_px}px;height:800px" onload="{html.escape(_MEASURE)}"'
         outer = folder / "outer.html"
         outer.write_text(f'{frame} srcdoc="{html.escape(path.read_text(encoding="utf-8"))}"></iframe>')
-        words = ("--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--user-data-dir={folder}")
+        words = (
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--hide-scrollbars",
+            "--virtual-time-budget=6000",
+            f"--user-data-dir={folder}",
+        )
         told = ("--enable-logging=stderr", "--dump-dom", outer.as_uri())
         done = subprocess.run([browser, *words, *told], capture_output=True, text=True, check=True, timeout=180)
-        width, pictures = json.loads(html.unescape(re.search(r'title="(\[.*?\])"', done.stdout)[1]))
-        return Opened(width, tuple(pictures), tuple(line for line in done.stderr.splitlines() if "CONSOLE" in line))
+        width, pictures, plots = json.loads(html.unescape(re.search(r'title="(\[.*?\])"', done.stdout)[1]))
+        said = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+        spoken = tuple(line for line in said if not ("[bokeh" in line and "document idle" in line))
+        return Opened(width, tuple(pictures), tuple(plots), spoken)
 
     return open_page

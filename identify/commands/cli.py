@@ -182,7 +182,7 @@ def _by_segments(
 
         make_folder(out)
         if report.contacts:
-            write_bytes(segments_drawn(report, parts), out / "segments.png")
+            segments_drawn(report, parts).save(out / "segments.png")
         write_json(Segments(parts), out / "segments.json")
         write_bytes(to_json(identified_rig(next(iter(segments(file, segment_s, 0.0))).rig, report)), out / "rig.json")
         write_json(report, out / "contact.json")

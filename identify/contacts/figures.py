@@ -9,7 +9,8 @@ from scipy.signal import welch
 from identify.contacts.identification import Identification
 from identify.contacts.joint import Joint
 from identify.contacts.results import ContactReport, Segment
-from identify.pages.style import BLUE, GREEN, GREY, RED, png
+from identify.pages.picture import Picture
+from identify.pages.style import BLUE, GREEN, GREY, RED, picture
 from identify.pages.wording import COVERED
 from identify.structure.modal import receptance
 from rig.model.contact_laws import penetration_m
@@ -18,21 +19,20 @@ Marks = Mapping[str, tuple[float, float]]
 """Reference values by contact: clearance (m) and stiffness (N/m), drawn as dashed lines."""
 
 
-def drawn(found: Identification, marks: Marks, marks_name: str) -> dict[str, bytes]:
+def drawn(found: Identification, marks: Marks, marks_name: str) -> dict[str, Picture]:
     """The figures of the paper (4 to 9, 12 to 17) for the main modal equation, and the separated contact forces.
 
     marks are drawn as what `marks_name` says they are: the true values where they are known, else those of rig.json.
-    Each is a PNG file.
     """
 
-    def one(draw: Callable[..., None]) -> bytes:
-        return png(lambda figure: draw(figure, found, marks, marks_name))
+    def one(draw: Callable[..., None]) -> Picture:
+        return picture(lambda figure: draw(figure, found, marks, marks_name))
 
     figures = _FIGURES if found.forms else {n: draw for n, draw in _FIGURES.items() if n not in _OF_NIFO}
     return {name: one(draw) for name, draw in figures.items()}
 
 
-def segments_drawn(report: ContactReport, parts: Sequence[Segment]) -> bytes:
+def segments_drawn(report: ContactReport, parts: Sequence[Segment]) -> Picture:
     """What every segment of a long record says of each contact with its 95 % interval, and all together."""
 
     def draw(figure: Any) -> None:
@@ -56,7 +56,7 @@ def segments_drawn(report: ContactReport, parts: Sequence[Segment]) -> bytes:
         handles, labels = rows[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=4)
 
-    return png(draw)
+    return picture(draw)
 
 
 def _outputs(figure: Any, found: Identification, _marks: Marks, _marks_name: str) -> None:

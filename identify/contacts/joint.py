@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 from scipy.sparse import block_array, csc_matrix, csr_matrix, diags
-from scipy.sparse.linalg import splu, spsolve
+from scipy.sparse.linalg import SuperLU, splu
 from scipy.stats import norm, t
 
 from identify.contacts.start import LAW, STIFFNESS, ContactRecord, Law, clearly_closed, regressed, touched_stops
@@ -27,6 +27,8 @@ MOST_PULL = 25.0
 LOST = 3.0
 """If between two closures the noise, integrated twice, wanders by more than this multiple of the median penetration,
 the fit cannot tell which closure belongs where."""
+PAUSES = 0.05
+"""So large a share of the times between closures, the longest ones, may be longer: a pause parts the record in two."""
 
 Weights = Float[np.ndarray, " fewer"]
 
@@ -147,7 +149,7 @@ def fit_joint(seen: ContactRecord) -> Joint:
     to_law = tie * _scales(state, tie)
     hessian, _ = _normal(seen, state, curve, to_law, weights)
     free, pulls = tie.shape[1], slice(curve.knots, curve.knots + state.pulls.size)
-    inverse = splu(hessian).solve(np.eye(hessian.shape[0], free, -pulls.stop))
+    inverse = _factorised(hessian).solve(np.eye(hessian.shape[0], free, -pulls.stop))
     by_knots, by_others = _jacobian(state, to_law)
     fitted = by_knots @ inverse[: curve.knots] + by_others @ inverse[curve.knots :]
     influence = fitted * weights[:, None] ** 2  # of residuals on parameters
@@ -212,6 +214,7 @@ def _check_bridged(seen: ContactRecord, state: _State) -> None:
         return
     closed = clearly_closed(seen)
     between_s = np.diff(np.flatnonzero(np.diff(closed.astype(int)) == 1)) * seen.factor / seen.sample_rate_hz
+    between_s = np.sort(between_s)[: round((1 - PAUSES) * between_s.size)]
     wander_m = seen.drift.noise_density * np.sqrt(np.mean(between_s**3) / 6) if between_s.size else np.inf
     depth_m = float(np.median(np.abs(seen.force_n[closed]))) / state.stiffness_n_per_m
     if wander_m > LOST * depth_m:
@@ -304,7 +307,7 @@ def _descended(
     def step_from(at: _Weighed) -> Step[_Weighed]:
         to_law = mapped * _scales(at.state, mapped)
         hessian, gradient = _normal(seen, at.state, curve, to_law, weights)
-        whole = spsolve(hessian, gradient)
+        whole = _factorised(hessian).solve(gradient)
 
         def after(share: float) -> _Weighed | None:
             law = at.state.law + share * to_law @ whole[-to_law.shape[1] :]
@@ -321,6 +324,13 @@ def _descended(
 
     start = _Weighed(state, _cost(seen, state, curve, weights))
     return descended(start, step_from, lambda at: SETTLED * at.cost, STEPS)[0].state
+
+
+def _factorised(hessian: csc_matrix) -> SuperLU:
+    try:
+        return splu(hessian)
+    except RuntimeError as error:  # exactly singular
+        raise RigError("its closures tell no law of it; excite the rig more strongly") from error
 
 
 def _scales(state: _State, tie: Float[np.ndarray, "4 free"]) -> Float[np.ndarray, " free"]:

@@ -9,6 +9,7 @@ from identify.contacts.identification import Identification
 from identify.contacts.identified_rig import identified_rig
 from identify.contacts.results import ContactEstimate, Estimate
 from identify.pages import page
+from identify.pages.picture import Picture
 from identify.pages.wording import interval, number
 from rig.files import make_folder, write_bytes, write_json
 from rig.model.contact_laws import ContactLaw
@@ -40,8 +41,8 @@ def write_results(
     make_folder(out)
     marks = {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in laws.items()}
     figures = drawn(found, marks, laws_name)
-    for name, png in figures.items():
-        write_bytes(png, out / f"{name}.png")
+    for name, picture in figures.items():
+        picture.save(out / f"{name}.png")
     write_page(found, figures, title, laws, laws_name, out / "contact.html", sources)
     write_bytes(to_json(identified_rig(found.rig, found.report)), out / "rig.json")
     write_json(found.report, out / "contact.json")
@@ -49,14 +50,14 @@ def write_results(
 
 def write_page(
     found: Identification,
-    figures: Mapping[str, bytes],
+    figures: Mapping[str, Picture],
     title: str,
     laws: Laws,
     laws_name: str,
     path: Path,
     sources: Sequence[Path] = (),
 ) -> None:
-    """Writes the page; figures are PNG files, by the names of `identify.contacts.figures`."""
+    """Writes the page; figures by the names of `identify.contacts.figures`."""
     report = found.report
     told, count = len(report.contacts), len(found.estimates)
     page.write(
@@ -132,8 +133,8 @@ def _refused(found: Identification) -> str:
     )
 
 
-def _figure(name: str, png: bytes) -> str:
-    return page.figure(name, png, _CAPTIONS[name])
+def _figure(name: str, picture: Picture) -> str:
+    return page.figure(name, picture, _CAPTIONS[name])
 
 
 def _methods(found: Identification) -> str:

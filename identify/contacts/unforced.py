@@ -19,9 +19,14 @@ def is_unforced(motion: Kinematics) -> bool:
 
 
 def driven_to_hz(motion: Kinematics) -> float:
-    """Up to where the rig is excited: by the force or, without one, as far as its displacements vibrate."""
-    rows = motion.displacement_m if is_unforced(motion) else [motion.force_n]
-    return max(force_band(row, motion.sample_rate_hz)[1] for row in rows if np.any(row))
+    """Up to where the rig is excited: by the force or, without one, as far as its displacements vibrate.
+
+    Raises RigError if neither a force nor a motion was recorded.
+    """
+    rows = [row for row in (motion.displacement_m if is_unforced(motion) else [motion.force_n]) if np.any(row)]
+    if not rows:
+        raise RigError("the force and all sensors are zero throughout; look at their channels")
+    return max(force_band(row, motion.sample_rate_hz)[1] for row in rows)
 
 
 def free_fits(contacts: Sequence[str], fits: Sequence[Joint | str]) -> tuple[Joint | str, ...]:

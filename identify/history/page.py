@@ -10,6 +10,7 @@ import numpy as np
 
 from identify.history.changes import FEWEST, LEVEL, UNITS, History, QuantityHistory
 from identify.pages import page
+from identify.pages.picture import Picture
 from identify.pages.wording import COVERED, interval, number
 
 WORDS = {
@@ -69,9 +70,9 @@ def csv_of(history: History) -> bytes:
     return text.getvalue().encode()
 
 
-def picture(history: History) -> bytes:
+def drawn(history: History) -> Picture:
     """Clearance and stiffness of every contact over the recordings, in per cent off their means."""
-    from identify.pages.style import BLUE, GREEN, GREY, RED, png
+    from identify.pages.style import BLUE, GREEN, GREY, RED, picture
 
     colours = (BLUE, RED, GREEN, GREY)
     names = list(dict.fromkeys(q.of for q in history.quantities if q.quantity in UNITS))
@@ -92,10 +93,10 @@ def picture(history: History) -> bytes:
         both[1].set_xlabel("recording, in order")
         both[1].xaxis.get_major_locator().set_params(integer=True)
 
-    return png(draw)
+    return picture(draw)
 
 
-def write_page(history: History, figure: bytes, path: Path) -> None:
+def write_page(history: History, figure: Picture, path: Path) -> None:
     """history.html."""
     changed = any(q.changed for q in history.quantities)
     findings = any(o.report.findings for o in history.used if o.report)
@@ -110,7 +111,7 @@ def write_page(history: History, figure: bytes, path: Path) -> None:
     )
 
 
-def _sections(history: History, figure: bytes) -> list[tuple[str, str]]:
+def _sections(history: History, figure: Picture) -> list[tuple[str, str]]:
     """Headings and their HTML."""
     caption = (
         "Every recording's value against the mean of all. Bars: 95 % intervals of the differences between recordings, "

@@ -7,10 +7,11 @@ import numpy as np
 
 from identify.laws.identification import FoundLaw
 from identify.laws.sliding import SlidingFriction
-from identify.pages.style import BLUE, GREEN, GREY, RED, png
+from identify.pages.picture import Picture
+from identify.pages.style import BLUE, GREEN, GREY, RED, picture
 
 
-def drawn(laws: Sequence[FoundLaw]) -> bytes:
+def drawn(laws: Sequence[FoundLaw]) -> Picture:
     """For every contact: the points searched, the formula found, and the straight pieces fitted, with their knees.
 
     Where friction behind a backlash is the best law, that along the course of eta, and what it leaves.
@@ -37,7 +38,7 @@ def drawn(laws: Sequence[FoundLaw]) -> bytes:
         named = {text: handle for axes in upper for handle, text in zip(*axes.get_legend_handles_labels(), strict=True)}
         figure.legend(named.values(), named.keys(), loc="outside upper center", ncols=4)
 
-    return png(draw)
+    return picture(draw)
 
 
 def _draw_sliding(axes: Any, below: Any, law: FoundLaw, sliding: SlidingFriction) -> None:

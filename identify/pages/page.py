@@ -10,6 +10,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
+from identify.pages.interactive import interactive, library
+from identify.pages.picture import Picture
 from rig.files import write_bytes
 
 Colour = Literal["green", "yellow", "red"]
@@ -42,7 +44,7 @@ summary{cursor:pointer;color:var(--dim)}
 """
 _PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">
-<title>{title}</title><style>{style}</style></head>
+<title>{title}</title><style>{style}</style>{script}</head>
 <body><h1>{title}</h1>
 <div class="verdict {colour}"><b>{verdict}</b><p>{sentence}</p></div>
 {sections}
@@ -67,7 +69,10 @@ def write(
     A section is its heading and its HTML; everything else is plain text. Below the foot stand date, version, command,
     and the recordings that it was made of with the beginning of their SHA-256.
     """
+    sections = list(sections)
+    plots = any("Bokeh.embed" in html for _, html in sections)
     page = _PAGE.format(
+        script=library() if plots else "",
         title=escape(title),
         style=_STYLE,
         colour=colour,
@@ -91,9 +96,11 @@ def picture(name: str, png: bytes) -> str:
     return f'<img alt="{escape(name.replace("_", " "))}" src="data:image/png;base64,{b64encode(png).decode()}">\n'
 
 
-def figure(name: str, png: bytes, caption: str) -> str:
-    """A picture with what it shows below it."""
-    return f"<figure><div>{picture(name, png)}</div><figcaption>{escape(caption)}</figcaption></figure>\n"
+def figure(name: str, shown: Picture, caption: str = "") -> str:
+    """A plot to work with, or else a picture, with what it shows below it."""
+    drawn = interactive(shown.figure) or f"<div>{picture(name, shown.png)}</div>"
+    below = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
+    return f"<figure>{drawn}{below}</figure>\n"
 
 
 def listed(items: Iterable[str]) -> str:

@@ -4,18 +4,15 @@ from collections.abc import Callable
 from io import BytesIO
 from typing import Any
 
-import matplotlib as mpl
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from identify.pages.picture import Picture
 
-from identify.pages.decades import plain_decades
-
-BLUE, RED, GREY, GREEN = "#1f5fa8", "#c8402f", "#8a8a8a", "#2c8a57"
+BLUE, RED, GREY, GREEN, INK = "#1f5fa8", "#c8402f", "#8a8a8a", "#2c8a57", "#444444"
 _STYLE = {
     "font.size": 9,
+    "axes.titlesize": 10,
     "axes.grid": True,
+    "axes.axisbelow": True,
     "grid.alpha": 0.3,
-    "figure.dpi": 130,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "legend.frameon": False,
@@ -23,16 +20,28 @@ _STYLE = {
 }
 
 
-def png(draw: Callable[[Any], object]) -> bytes:
-    """A new figure in the style of all, drawn by a function, as a PNG file."""
+def picture(draw: Callable[[Any], object], width_in: float = 7.2, height_in: float = 4.2) -> Picture:
+    """A new figure in the style of all, drawn by a function."""
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(7.2, 4.2), layout="constrained")
+        figure = Figure(figsize=(width_in, height_in), layout="constrained", dpi=140)
         FigureCanvasAgg(figure)
         draw(figure)
         for axes in figure.axes:
             for axis in (axes.xaxis, axes.yaxis):
                 if axis.get_scale() == "log":
-                    plain_decades(axis)
+                    _plain_decades(axis)
         file = BytesIO()
         figure.savefig(file, format="png", bbox_inches="tight")
-    return file.getvalue()
+    return Picture(file.getvalue(), figure)
+
+
+def _plain_decades(axis: Any) -> None:
+    """Plain numbers along a logarithmic axis; between the powers of ten only where it spans few."""
+    low, high = sorted(axis.get_view_interval())
+    few = high < 20 * low
+    axis.set_major_formatter(lambda value, _: f"{value:g}")
+    axis.set_minor_formatter(lambda value, _: f"{value:g}" if few and f"{value:e}"[0] in "25" else "")

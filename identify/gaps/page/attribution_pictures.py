@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from identify.gaps.page.axes import BLUE, INK, MOST_LABELS, lying_bars, short
+from identify.gaps.page.axes import MOST_LABELS, lying_bars, short
 from identify.gaps.results import Attribution, ResidualMap, Share
+from identify.pages.style import BLUE, INK
 
 _ROW_IN, _FRAME_IN, _HEIGHT_IN = 0.3, 1.0, 3.2
 

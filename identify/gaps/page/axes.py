@@ -1,11 +1,10 @@
-"""What the pictures of a diagnosis share: colours, bars, plain numbers along axes."""
+"""What the pictures of a diagnosis share: bars, plain numbers along axes."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-BLUE, RED, GREY, GREEN, INK = "#1f5fa8", "#c8402f", "#8a8a8a", "#2c8a57", "#444444"
 LONGEST = 34
 """Letters of a name beside a bar."""
 MOST_LABELS = 12

@@ -2,19 +2,16 @@
 
 from collections.abc import Callable, Iterator
 from functools import partial
-from io import BytesIO
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from identify.gaps.page import attribution_pictures, unknown_pictures
-from identify.gaps.page.axes import BLUE, GREEN, GREY, INK, RED, lying_bars, stacked
+from identify.gaps.page.axes import lying_bars, stacked
 from identify.gaps.results import AGAIN, Curve, Gap
 from identify.gaps.wording import cause_name, closes, closes_some, others, probability
-from identify.pages.decades import plain_decades
+from identify.pages.picture import Picture
+from identify.pages.style import BLUE, GREEN, GREY, INK, RED, picture
 from rig.model.description import Rig
 
 Draw = Callable[[Any], None]
@@ -22,25 +19,14 @@ Draw = Callable[[Any], None]
 MOST_CAUSES = 6
 DECIDED = np.log(19)
 _WIDE_IN, _WIDTH_IN, _ROW_IN, _FRAME_IN, _HEIGHT_IN = 7.2, 4.8, 0.3, 1.0, 3.2
-_STYLE = {
-    "font.size": 9,
-    "axes.titlesize": 10,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.alpha": 0.3,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "legend.frameon": False,
-    "text.parse_math": False,  # names of sensors may hold any sign
-}
 
 
-def pictures(gap: Gap, rig: Rig) -> dict[str, bytes]:
-    """PNG files by name, which begins with the section: next, large, why, unknown, where or far.
+def pictures(gap: Gap, rig: Rig) -> dict[str, Picture]:
+    """By name, which begins with the section: next, large, why, unknown, where or far.
 
     What the diagnosis lacks is left out; the rig gives the bodies that an unknown force is drawn on.
     """
-    return {name: _png(draw, *size) for name, size, draw in _drawn(gap, rig)}
+    return {name: picture(draw, *size) for name, size, draw in _drawn(gap, rig)}
 
 
 def _drawn(gap: Gap, rig: Rig) -> Iterator[tuple[str, tuple[float, float], Draw]]:
@@ -64,16 +50,6 @@ def _drawn(gap: Gap, rig: Rig) -> Iterator[tuple[str, tuple[float, float], Draw]
         yield f"far_curve_{j}", (_WIDTH_IN, _HEIGHT_IN), partial(_curve, curve=curve)
 
 
-def _png(draw: Draw, width_in: float, height_in: float) -> bytes:
-    with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(width_in, height_in), layout="constrained", dpi=160)
-        FigureCanvasAgg(figure)
-        draw(figure)
-        content = BytesIO()
-        figure.savefig(content, format="png")
-        return content.getvalue()
-
-
 def _bands(figure: Any, gap: Gap) -> None:
     """Unexplained shares over frequency, in per cent; zeros of a logarithmic axis are not drawn."""
     edges = [b.low_hz for b in gap.bands] + [gap.bands[-1].high_hz]
@@ -88,7 +64,6 @@ def _bands(figure: Any, gap: Gap) -> None:
     axes.axhline(100 * gap.matters.motion, color=INK, lw=1.2, ls="--", label="what matters")
     axes.set_yscale("log", nonpositive="mask")
     axes.set_xlim(edges[0], edges[-1])
-    plain_decades(axes.yaxis)
     axes.set(xlabel="frequency, Hz", ylabel="unexplained share of the acceleration, %")
     figure.legend(loc="outside upper center", ncols=2)
 
@@ -146,7 +121,6 @@ def _curve(figure: Any, curve: Curve) -> None:
         axes.plot(curve.x, values, color=colour, lw=width, ls="--" if colour == RED else "-", label=label)
     if curve.logarithmic:
         axes.set_yscale("log", nonpositive="mask")
-        plain_decades(axes.yaxis)
     figure.legend(loc="outside lower center", ncols=3, columnspacing=1.0, handlelength=1.6)
     axes.set(xlabel=curve.x_label, ylabel=curve.y_label)
     axes.set_title(curve.name, wrap=True)

@@ -16,6 +16,7 @@ from identify.gaps.page.sections import (
 from identify.gaps.results import Gap
 from identify.gaps.wording import VERDICTS
 from identify.pages import page
+from identify.pages.picture import Picture
 from rig.files import make_folder, write_bytes, write_json
 from rig.model.description import Rig, to_json
 
@@ -42,10 +43,10 @@ def write_all(gap: Gap, corrected: Rig, title: str, folder: Path, sources: Seque
     write_json(gap, folder / "gap.json")
 
 
-def write_page(gap: Gap, figures: Mapping[str, bytes], title: str, path: Path, sources: Sequence[Path] = ()) -> None:
+def write_page(gap: Gap, figures: Mapping[str, Picture], title: str, path: Path, sources: Sequence[Path] = ()) -> None:
     """Writes the page, which needs no other file: beside first, then renamed.
 
-    figures are PNG files; the first word of a name says the section, as `identify.gaps.page.pictures` names them.
+    The first word of a figure's name says the section, as `identify.gaps.page.pictures` names them.
     """
     rest = "What the rest looks like" if gap.verdict == "partly_explained" else "What is unknown"
     sections = [
@@ -69,8 +70,8 @@ def write_page(gap: Gap, figures: Mapping[str, bytes], title: str, path: Path, s
     )
 
 
-def _images(figures: Mapping[str, bytes], section: str) -> str:
-    own = {name: png for name, png in figures.items() if name.split("_")[0] == section}
-    wide = "".join(page.figure(name, png, CAPTIONS[name]) for name, png in own.items() if name in CAPTIONS)
-    small = "".join(page.picture(name, png) for name, png in own.items() if name not in CAPTIONS)
+def _images(figures: Mapping[str, Picture], section: str) -> str:
+    own = {name: shown for name, shown in figures.items() if name.split("_")[0] == section}
+    wide = "".join(page.figure(name, shown, CAPTIONS[name]) for name, shown in own.items() if name in CAPTIONS)
+    small = "".join(page.figure(name, shown) for name, shown in own.items() if name not in CAPTIONS)
     return wide + (f'<div class="pictures">\n{small}</div>' if small else "")

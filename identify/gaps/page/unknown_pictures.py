@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from identify.gaps.page.axes import BLUE, GREY, INK, RED
 from identify.gaps.results import MeanForce, Unknown
 from identify.gaps.unknown.location import offset_m
-from identify.pages.decades import plain_decades
+from identify.pages.style import BLUE, GREY, INK, RED
 from identify.pages.wording import COVERED
 from rig.model.description import Rig, Station
 
@@ -138,7 +137,6 @@ def _spectrum(figure: Any, unknown: Unknown) -> None:
     if unknown.frequency_hz is not None:
         axes.axvline(unknown.frequency_hz, color=RED, lw=1.2, ls="--", label=f"{unknown.frequency_hz:.2f} Hz")
     axes.set_xlim(0, float(middle[-1] + middle[0]))
-    plain_decades(axes.yaxis)
     axes.set(xlabel="frequency, Hz", ylabel=f"spectral density, {unit}")
     figure.suptitle("Its spectrum", fontsize=10)
     figure.legend(loc="outside lower center", ncols=2)

@@ -5,7 +5,6 @@ from io import BytesIO
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from identify.contacts import figures as drawing
@@ -28,18 +27,9 @@ def drawn(request, simulate, tmp_path_factory):
         else BarrelCradle(duration_s=10.0, sensors="displacement", sample_rate_hz=2048.0)
     )
     found = identify_contact(read(simulate(settings, folder / "r.mcap")), use="displacement")
-    figures = {}
-    save = Figure.savefig
-
-    def kept(figure, path, **options):
-        save(figure, path, **options)
-        figures[len(figures)] = figure
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Figure, "savefig", kept)
-        marks = {c.name: (c.law.clearance_m, c.law.stiffness_n_per_m) for c in found.rig.contacts}
-        files = drawing.drawn(found, marks, "as described")
-    return found, dict(zip(files, figures.values(), strict=True)), files
+    marks = {c.name: (c.law.clearance_m, c.law.stiffness_n_per_m) for c in found.rig.contacts}
+    made = drawing.drawn(found, marks, "as described")
+    return found, {name: one.figure for name, one in made.items()}, {name: one.png for name, one in made.items()}
 
 
 def data_axes(figure):

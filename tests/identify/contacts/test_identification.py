@@ -195,6 +195,12 @@ def test_a_record_without_force_is_refused(mass):
         identify_contact(Recording(mass.rig, {**mass.signals, "force": still}, {}))
 
 
+def test_a_record_of_nothing_is_refused(mass):
+    still = {name: replace(each, values=np.zeros_like(each.values)) for name, each in mass.signals.items()}
+    with pytest.raises(RigError, match="the force and all sensors are zero throughout; look at their channels"):
+        identify_contact(Recording(mass.rig, still, {}), use="displacement")
+
+
 def test_a_contact_without_an_accelerometer_is_refused(without_truth):
     """Without it the drift of the relative displacement is not held."""
     rig = without_truth.rig

@@ -1,0 +1,103 @@
+"""Figures as plots in a browser: what is drawn, what stays a picture, and that nothing of a name is interpreted."""
+
+import gzip
+import json
+import re
+from base64 import b64decode
+
+import numpy as np
+import pytest
+
+from identify.pages import page
+from identify.pages.interactive import MOST_POINTS, interactive
+from identify.pages.style import picture
+
+PHONE_PX = 375
+
+
+def models(html):
+    """Every model of the first plot in the HTML, by its kind."""
+    (item,) = re.findall(r"embed_item\((.*)\)</script>", html)
+    found = {}
+
+    def walk(value):
+        if isinstance(value, dict):
+            if value.get("type") == "object":
+                found.setdefault(value["name"], []).append(value.get("attributes", {}))
+            for each in value.values():
+                walk(each)
+        elif isinstance(value, list):
+            for each in value:
+                walk(each)
+
+    walk(json.loads(item))
+    return found
+
+
+def curves(figure, name="a curve", count=50):
+    for axes in figure.subplots(1, 2, sharey=True):
+        axes.plot(np.linspace(0, 1, count), np.sin(np.arange(count)), label=name)
+        axes.axvline(0.5, color="k", label="a mark")
+        axes.set(xlabel="time, s", ylabel="force, N", title=name)
+
+
+def everything(figure):
+    left, right = figure.subplots(1, 2)
+    left.hist(np.random.default_rng(1).standard_normal(500), bins=20)
+    left.axvspan(0, 1, alpha=0.2, label="a span")
+    left.stairs([1, 2, 3], [0, 1, 2, 3], label="steps", baseline=None)
+    left.errorbar([1, 2], [3, 4], [0.1, 0.2], fmt="o-", label="with errors", capsize=2)
+    cells = right.hexbin(*np.random.default_rng(2).standard_normal((2, 2000)), C=np.arange(2000.0), gridsize=12)
+    figure.colorbar(cells, label="force, N")
+
+
+def test_curves_can_be_switched_and_panels_move_together():
+    found = models(interactive(picture(curves).figure))
+    assert [len(legend["items"]) for legend in found["Legend"]] == [2, 2]
+    assert {legend["click_policy"] for legend in found["Legend"]} == {"hide"}
+    assert len(found["Range1d"]) == 3  # one for both ordinates
+    assert {"BoxZoomTool", "HoverTool", "ResetTool"} <= set(found)
+
+
+def test_long_curves_keep_their_peaks():
+    def draw(figure):
+        values = np.zeros(50_000)
+        values[12_345] = 7.0
+        figure.subplots().plot(values)
+
+    ((_, y),) = [line.get_data() for line in picture(draw).figure.axes[0].get_lines()]
+    assert y.size == 50_000
+    html = interactive(picture(draw).figure)
+    assert len(html) < 20 * MOST_POINTS
+    (source,) = models(html)["ColumnDataSource"]
+    kept = dict(source["data"]["entries"])["y"]
+    shown = np.frombuffer(gzip.decompress(b64decode(kept["array"]["data"])), dtype=kept["dtype"])
+    assert shown.size <= MOST_POINTS
+    assert shown.max() == 7.0
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda figure: figure.subplots().text(0.5, 0.5, "a text"),
+        lambda figure: figure.text(0.5, 0.5, "a text"),
+        lambda figure: figure.subplots().scatter([1, 2], [3, 4]),
+        lambda figure: figure.subplots().set_xticks([0, 1], ["one", "two"]),
+        lambda figure: figure.supylabel("a label"),
+    ],
+)
+def test_what_it_cannot_draw_stays_a_picture(draw):
+    shown = picture(draw)
+    assert interactive(shown.figure) == ""
+    assert "<img" in page.figure("a", shown, "said")
+
+
+def test_a_browser_draws_them(opened, tmp_path):
+    odd = "</script><b>$$x$$ <!--<script>"
+    html = page.figure("a", picture(lambda figure: curves(figure, odd)), odd) + page.figure("b", picture(everything))
+    page.write(tmp_path / "p.html", title=odd, colour="red", verdict="", sentence="", sections=[("A", html)], foot="")
+    seen = opened(tmp_path / "p.html", PHONE_PX)
+    assert seen.console == ()
+    assert seen.scroll_px == PHONE_PX
+    assert len(seen.plots_px) == 2
+    assert min(seen.plots_px) > 500  # panels one below the other
