@@ -105,7 +105,7 @@ def test_hypotheses_hold_what_probabilities_are_made_of():
 def test_the_temperature_that_drew_the_answers_is_found():
     """Answers drawn from the posterior at a temperature ask for that temperature."""
     rng, temperature, cases = np.random.default_rng(3), 9.0, []
-    for _ in range(2000):
+    for _ in range(700):
         prior, costs = np.log(rng.dirichlet(np.ones(4))), rng.uniform(0, 60, 4)
         of = Hypotheses(prior, costs, np.zeros(4, dtype=bool))
         of.right[rng.choice(4, p=of.probabilities(temperature))] = True
@@ -114,7 +114,7 @@ def test_the_temperature_that_drew_the_answers_is_found():
     assert found.temperature == pytest.approx(temperature, rel=0.15)
     assert found.by_brier == pytest.approx(temperature, rel=0.25)
     assert found.mean_log_probability > found.at_present
-    assert (found.cases, found.without) == (2000, 0)
+    assert (found.cases, found.without) == (700, 0)
 
 
 def test_a_case_whose_truth_was_not_judged_does_not_count():

@@ -46,9 +46,9 @@ def test_a_long_record_in_segments(one_mass, tolerances, within):
 
 
 def test_accelerometers_in_motion_tell_as_much(simulate, tmp_path):
-    settings = BarrelCradle(sensors="acceleration", noise_density=1e-3, duration_s=90.0, step_s=2.0**-13)
+    settings = BarrelCradle(sensors="acceleration", noise_density=1e-3, duration_s=58.0, step_s=2.0**-13)
     path = simulate(settings, tmp_path / "long.mcap")
-    report, parts = identify_long(path, segment_s=40.0)
+    report, parts = identify_long(path, segment_s=24.0)
     assert len(parts) == 2
     for part in (*(p.report for p in parts), report):
         for contact in part.contacts:
@@ -57,9 +57,9 @@ def test_accelerometers_in_motion_tell_as_much(simulate, tmp_path):
             assert abs(contact.clearance_m.value - 5e-3) < 3 * contact.clearance_m.standard_error
 
 
-def test_a_contact_that_one_segment_tells_is_answered(one_mass):
-    _, parts = identify_long(one_mass, segment_s=400.0)
-    told = parts[0].report
+def test_a_contact_that_one_segment_tells_is_answered(simulate, tmp_path):
+    path = simulate(Sdof(duration_s=30.0, step_s=2.0**-12), tmp_path / "short.mcap")
+    told, _ = identify_long(path, segment_s=40.0)
     silent = msgspec.structs.replace(told, contacts=(), unanswered=({"name": "stop", "reason": "open"},))
     silent = msgspec.convert(msgspec.to_builtins(silent), type(told))
     both = together([silent, told])
