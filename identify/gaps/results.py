@@ -246,6 +246,8 @@ class Gap(msgspec.Struct, frozen=True, kw_only=True):
     unknown_gain: float | None
     """By how much an unmeasured force lowers it; None where none was looked for."""
     unknown: Unknown | None
+    doubted: Cause | None = None
+    """Beside "no gap": a cause that the fitted records show, of which the one that validates tells too little."""
     bands: tuple[Band, ...]
     equivalent: tuple[tuple[str, ...], ...]
     separate_by: tuple[str, ...]

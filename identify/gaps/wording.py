@@ -25,6 +25,10 @@ NOTHING = 0.01
 """A cause whose interval begins below this share is said to close nothing."""
 
 
+def verdict(gap: Gap) -> str:
+    return "no gap, but not sure" if gap.doubted else VERDICTS[gap.verdict]
+
+
 def interval(found: Value) -> str:
     """value ± 1.96 standard errors, to two digits of the latter; with a word where the range ends there.
 

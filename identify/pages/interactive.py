@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-MOST_POINTS = 4000
+MOST_POINTS = 2500
 """Of a curve; of more, the least and the largest of every bucket are kept, as a screen shows them."""
 _PX_PER_IN, _PX_PER_POINT = 100, 1.33
 _LEAST_PX, _NARROWEST_PX = 180, 290
@@ -188,7 +188,9 @@ def _hexagons(cells: Any, _axes: Any, plot: Any, figure: Any) -> Iterator[Any]:
     form, places = cells.get_paths()[0].vertices[:6], np.asarray(cells.get_offsets())
     values, (low, high) = np.asarray(cells.get_array(), dtype=float), cells.get_clim()
     mapper = LinearColorMapper([to_hex(cells.cmap(level)) for level in np.linspace(0, 1, 64)], low=low, high=high)
-    x, y = (np.round(places[:, i, None] + form[:, i], 6).tolist() for i in (0, 1))
+    corners = (places[:, None] + form).reshape(-1, 2)
+    short = [[float(f"{value:.4g}") for value in row] for row in corners.T]
+    x, y = ([row[k : k + 6] for k in range(0, len(row), 6)] for row in short)
     source = {"x": x, "y": y, "value": values.tolist()}
     yield plot.patches("x", "y", source=source, fill_color=transform("value", mapper), line_color=None)
     (bar,) = [one for one in figure.axes if one.get_label() == _BAR and one.get_position().y0 >= 0][:1]

@@ -16,7 +16,7 @@ from identify.gaps.decision.recordings import parts_of, sound
 from identify.gaps.decision.response_comparison import compared
 from identify.gaps.decision.sentence import sentence
 from identify.gaps.decision.unmeasured import cost_with, unmeasured
-from identify.gaps.decision.verdict import HALF, Decision, acts_where_they_do, decided
+from identify.gaps.decision.verdict import HALF, Decision, acts_where_they_do, decided, doubted
 from identify.gaps.residual.likelihood import Reference, reference_of
 from identify.gaps.residual.residual import Residual, linearized
 from identify.gaps.residual.spectra import Record, record_of
@@ -107,6 +107,7 @@ def diagnose(
     rivals = _rivals(ranked, decision) if ask_next else None
     if rivals:
         further = next_experiments(record, other.force_n, rivals, simulator.simulate)
+    doubt = doubted(ranked, decision.verdict)
     after = decision.best.misfit if decision.best else nothing.misfit
     without = decision.best.without if decision.best else nothing.misfit
     rest = after if decision.verdict == "partly_explained" else nothing.misfit
@@ -122,6 +123,7 @@ def diagnose(
         nothing_minus_two_log=nothing.misfit.minus_two_log,
         unknown_gain=found.unknown_gain,
         unknown=unmeasured(other.rig, unknown.described() if unknown else None, swinging, rest, matters),
+        doubted=None if doubt is None else causes[[j for j in ranked if j.hypothesis.parts].index(doubt)],
         bands=bands_of(without, after, null_reference),
         equivalent=equivalent(causes) if causes else (),
         separate_by=confirmed_by(causes, ranked),

@@ -2,8 +2,8 @@
 
 from msgspec.structs import replace
 
-from identify.gaps.results import USUAL, Gap
-from identify.gaps.wording import MOST, between_records, cause_name, closes, closes_some, joined, leaves
+from identify.gaps.results import USUAL, Cause, Gap
+from identify.gaps.wording import MOST, between_records, cause_name, closes, closes_some, interval, joined, leaves
 from identify.pages.wording import percent
 
 
@@ -19,6 +19,8 @@ def _verdict(gap: Gap) -> str:
     if gap.verdict == "no_gap":
         small = gap.matters.times(gap.before.share, gap.before.contact_shares.values()) <= 1
         usual = gap.before.p_value >= USUAL
+        if gap.doubted:
+            return _doubt(gap, gap.doubted)
         what = "that matters" if small else "beyond tolerances and noise" if usual else "that surely matters"
         return f"There is no gap {what}: the believed rig leaves {leaves(gap.before)} unexplained."
     if gap.verdict == "unknown":
@@ -33,6 +35,14 @@ def _verdict(gap: Gap) -> str:
     if gap.verdict == "explained":
         return f"{cause_name(best)} {explains} the gap: {how}."
     return f"{cause_name(best)} {explains} the gap in part: {how}. {_looks(gap, 'The rest')}"
+
+
+def _doubt(gap: Gap, cause: Cause) -> str:
+    values = joined([f"{name} {interval(value)}" for name, value in cause.parameters.items()])
+    return (
+        f"That there is no gap is not sure: {cause_name(cause)} explains what was fitted ({values}), and what "
+        f"validates tells too little of it; there the believed rig leaves {leaves(gap.before)} unexplained."
+    )
 
 
 def _looks(gap: Gap, what: str) -> str:

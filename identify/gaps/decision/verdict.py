@@ -23,6 +23,8 @@ from rig.model.description import Rig
 
 HALF = 0.5
 """An effect explains the gap in part if it closes this share of it: more than it leaves."""
+DOUBT = float(np.log(19))
+"""Logarithm of the odds."""
 UNKNOWN_PLACES = 100
 """An unknown force may act at so many places that a record tells apart (bodies of some metres, 20 mm each)."""
 
@@ -73,6 +75,20 @@ def decided(
         of_unknown, likely[alone] = of_unknown + likely[alone], 0.0
     verdict, criterion = _judged(ranked, nothing, best, of_unknown > max(likely), p_before, p_after, matters)
     return Decision(verdict, criterion, tuple(likely), of_unknown, nothing, best, p_before, p_after)
+
+
+def doubted(ranked: Sequence[Judged], verdict: Verdict) -> Judged | None:
+    """Beside "no gap": effects that, on the records that were fitted and the one that validates together, are likelier
+    than the believed rig by `DOUBT`, where that leaves something of the fitted ones or strains its tolerances."""
+    nothing = next(j for j in ranked if not j.hypothesis.parts)
+    if verdict != "no_gap" or not nothing.hypothesis.leaves_something:
+        return None
+
+    def evidence(one: Judged) -> float:
+        return one.log_posterior - one.hypothesis.cost / (2 * TEMPERATURE)
+
+    best = max(ranked, key=evidence)
+    return best if evidence(best) - evidence(nothing) > DOUBT else None
 
 
 def acts_where_they_do(force: ForcePlace, believed: Rig, rig: Rig) -> bool:

@@ -53,6 +53,11 @@ def rest_hz(gap: Gap) -> list[tuple[float, float]]:
 
 
 def _no_gap(gap: Gap) -> list[str]:
+    if gap.doubted:
+        return [
+            "Do not rely on rig.json: record for longer or excite more strongly, give a second recording by "
+            f"--validate, and see whether {cause_name(gap.doubted)} is confirmed."
+        ]
     same = not (gap.between and gap.between.differing)
     steps = ["Nothing needs to be done: simulate with rig.json as it is."] if same else []
     if gap.before.p_value < USUAL:

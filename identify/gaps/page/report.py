@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from identify.gaps.page.screen import COLOURS
+from identify.gaps.page.screen import colour
 from identify.gaps.page.sections import (
     between_records,
     causes,
@@ -14,7 +14,7 @@ from identify.gaps.page.sections import (
     where,
 )
 from identify.gaps.results import Gap
-from identify.gaps.wording import VERDICTS
+from identify.gaps.wording import verdict
 from identify.pages import page
 from identify.pages.picture import Picture
 from rig.files import make_folder, write_bytes, write_json
@@ -61,8 +61,8 @@ def write_page(gap: Gap, figures: Mapping[str, Picture], title: str, path: Path,
     page.write(
         path,
         title=title,
-        colour=COLOURS[gap.verdict],
-        verdict=VERDICTS[gap.verdict],
+        colour=colour(gap),
+        verdict=verdict(gap),
         sentence=gap.sentence,
         sections=[(heading, f"{text}\n{_images(figures, key)}") for heading, key, text in sections],
         foot="Every number of this page stands in gap.json, unrounded.",

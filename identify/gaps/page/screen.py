@@ -6,7 +6,7 @@ from rich.text import Text
 
 from identify.gaps.page.advice import next_steps
 from identify.gaps.results import Gap, Unknown
-from identify.gaps.wording import VERDICTS, WHEN, cause_name, closes, interval, leaves, others, probability
+from identify.gaps.wording import WHEN, cause_name, closes, interval, leaves, others, probability, verdict
 from identify.pages.page import Colour
 from identify.pages.wording import number, percent
 
@@ -15,10 +15,14 @@ MOST = 5
 """Causes in the table."""
 
 
+def colour(gap: Gap) -> Colour:
+    return "yellow" if gap.doubted else COLOURS[gap.verdict]
+
+
 def shown(gap: Gap) -> RenderableType:
     """The sentence, the causes with what each closes and leaves, the unknown force, and what to do next."""
     lines: list[RenderableType] = [
-        Text.assemble((VERDICTS[gap.verdict], f"bold {COLOURS[gap.verdict]}"), ": ", gap.sentence),
+        Text.assemble((verdict(gap), f"bold {colour(gap)}"), ": ", gap.sentence),
         _table(gap),
     ]
     if gap.unknown:

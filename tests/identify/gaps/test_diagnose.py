@@ -100,6 +100,18 @@ def test_an_effect_in_a_file_of_its_own_is_found_by_itself(monkeypatch, null_ref
     assert gap.causes[0].parameters["growing_lag.lag_s"].value == pytest.approx(6e-3, rel=0.05)
 
 
+@pytest.mark.parametrize(("text", "doubted"), [("contact_clearance:factor=1.1", True), ("", False)])
+def test_no_gap_is_not_sure_where_the_validation_hardly_reaches_the_contact(text, doubted):
+    actual = effect_named(text).applied_to(RIG) if text else RIG
+    gap, corrected = diagnose(modal(RIG, actual, force(0, 0.5), 0), modal(RIG, actual, force(1, 0.03), 1), SIMULATOR)
+    assert gap.verdict == "no_gap"
+    assert corrected == RIG
+    assert (gap.doubted is not None) == doubted
+    if gap.doubted:
+        assert gap.doubted.effects == ("contact_clearance",)
+        assert "not sure" in gap.sentence
+
+
 def test_another_rigs_validation_is_refused(null_reference):
     fit, validation = records(RIG, RIG)
     other = with_fields(validation, rig=replace(RIG, name="other"))

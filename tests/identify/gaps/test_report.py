@@ -139,6 +139,15 @@ def test_a_limit_that_is_reached_is_said(gaps, tmp_path):
     assert "(at the limit of its range)" in (tmp_path / "gap.html").read_text(encoding="utf-8")
 
 
+def test_a_doubt_is_said_and_is_not_green(gaps, tmp_path):
+    gap = replace(gaps["null"], doubted=gaps["explained"].causes[0])
+    gap = sentence(gap, "it is")
+    assert gap.sentence.startswith("That there is no gap is not sure: added_mass")
+    assert next_steps(gap)[0].startswith("Do not rely on rig.json")
+    write_page(gap, {}, "doubt", tmp_path / "gap.html")
+    assert '<div class="verdict yellow"><b>no gap, but not sure</b>' in (tmp_path / "gap.html").read_text("utf-8")
+
+
 def test_what_may_stand_in_the_place_of_an_effect_is_said(gaps):
     assert "In place of added_mass it may be clamp_compliance: these records hardly" in gaps["explained"].sentence
     assert "In place of" not in gaps["pair"].sentence
