@@ -108,6 +108,8 @@ class Figure(msgspec.Struct, frozen=True):
     measured: float
     believed: float
     corrected: float
+    by_chance: float
+    """So far nineteen of twenty records of the believed rig lie from their mean, shaken by another such force."""
 
 
 class Curve(msgspec.Struct, frozen=True):

@@ -95,7 +95,7 @@ def diagnose(
         between = differences(every, seen, cause, known, names, lambda x: progress("causes", 0.9 + 0.05 * x))
     progress("causes", 0.95)
     likeliest = decision.best.corrected if decision.best else other.rig
-    figures, curves = compared(other, other.rig, likeliest, simulator.simulate)
+    figures, curves = compared(other, other.rig, likeliest, simulator.simulate, null_reference)
     progress("causes", 1.0)
     causes = tuple(
         cause_of(j, record, p, null_reference, matters)

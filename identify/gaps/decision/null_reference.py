@@ -19,6 +19,7 @@ from scipy.stats import norm, qmc
 from scipy.stats import t as student
 
 from identify.gaps.decision.drawing import drawn
+from identify.gaps.decision.familiar import familiar_figures
 from identify.gaps.residual.likelihood import Misfit, misfit, reference_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
@@ -45,7 +46,7 @@ simulator that the diagnosis is handed."""
 
 class NullSimulation(msgspec.Struct, frozen=True):
     """What one null simulation leaves: -2 ln p, the contacts' part of it and that of the worst band, and the
-    unexplained shares by band, overall, and of each contact force."""
+    unexplained shares by band, overall, and of each contact force; and its figures in familiar terms."""
 
     minus_two_log: float
     law: float
@@ -53,6 +54,7 @@ class NullSimulation(msgspec.Struct, frozen=True):
     shares: tuple[float, ...]
     share: float
     contact_shares: tuple[float, ...]
+    figures: dict[str, float]
 
 
 class NullReference(msgspec.Struct, frozen=True):
@@ -76,6 +78,11 @@ class NullReference(msgspec.Struct, frozen=True):
         here = np.array([left.minus_two_log - left.law, left.law, left.peak])
         beyond = student.sf((here - parts.mean(axis=0)) / deviations, len(parts) - 1)
         return min(1.0, 3 * float(beyond.min()))
+
+    def by_chance(self, figure: str) -> float:
+        """How far nineteen of twenty null simulations lie from their mean at most, in the figure's unit."""
+        values = np.array([n.figures[figure] for n in self.simulations])
+        return float(student.ppf(0.975, values.size - 1) * np.sqrt(1 + 1 / values.size) * values.std(ddof=1))
 
     def usual_shares(self) -> Float[np.ndarray, " bands"]:
         """By band: the share that nineteen of twenty null simulations stay below."""
@@ -176,7 +183,8 @@ def _high_passed(row: Float[np.ndarray, " samples"], corner_hz: float, rate_hz: 
 
 def _left(recording: Recording, tolerances: Tolerances) -> NullSimulation:
     record = record_of(recording, tolerances=tolerances)
-    reference = reference_of(linearized(record, record.rig))
+    linearization = linearized(record, record.rig)
+    reference = reference_of(linearization)
     left = misfit(record, reference, fit_nuisance(record, record.rig, rounds=1)[1])
     return NullSimulation(
         left.minus_two_log,
@@ -185,6 +193,7 @@ def _left(recording: Recording, tolerances: Tolerances) -> NullSimulation:
         tuple(left.shares.tolist()),
         left.share,
         tuple(left.contact_shares.tolist()),
+        {name: value for name, (value, _) in familiar_figures(linearization).items()},
     )
 
 

@@ -6,8 +6,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import csd, welch
 
-from identify.gaps.decision.null_reference import Simulate
-from identify.gaps.residual.residual import Linearization, linearized
+from identify.gaps.decision.familiar import familiar_figures
+from identify.gaps.decision.null_reference import NullReference, Simulate
+from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Curve, Figure
 from rig.model.description import Rig
@@ -18,12 +19,12 @@ CELLS = 80
 
 
 def compared(
-    measured: Recording, believed: Rig, corrected: Rig, simulate: Simulate
+    measured: Recording, believed: Rig, corrected: Rig, simulate: Simulate, null_reference: NullReference
 ) -> tuple[tuple[Figure, ...], tuple[Curve, ...]]:
     """Figures and curves of the three runs.
 
     Contacts are seen by the rig that each run is of, the measured by the corrected one. Two records of the same chaotic
-    machine differ too: nothing is decided by these figures.
+    machine differ too, by as much as null simulations scatter: nothing is decided by these figures.
     """
     runs = (
         measured,
@@ -32,8 +33,11 @@ def compared(
     )
     rigs = (corrected, believed, corrected)
     linearizations = [linearized(record_of(run), rig) for run, rig in zip(runs, rigs, strict=True)]
-    figures = [_figures(linearization) for linearization in linearizations]
-    rows = tuple(Figure(name, unit, *(f[name, unit] for f in figures)) for name, unit in figures[0])
+    was, by_believed, by_corrected = (familiar_figures(linearization) for linearization in linearizations)
+    rows = tuple(
+        Figure(name, unit, value, by_believed[name][0], by_corrected[name][0], null_reference.by_chance(name))
+        for name, (value, unit) in was.items()
+    )
     curves = [_spectrum(runs), _response(runs)]
     for j, contact in enumerate(believed.contacts):
         eta = [1e3 * b.record.finely(b.model.eta_m)[j] for b in linearizations]
@@ -48,17 +52,6 @@ def compared(
             )
         )
     return rows, tuple(curves)
-
-
-def _figures(linearization: Linearization) -> dict[tuple[str, str], float]:
-    found = {}
-    accelerations = linearization.record.in_time(linearization.record.delivered)
-    found["acceleration, rms of all sensors", "m/s^2"] = float(np.sqrt(np.mean(accelerations**2)))
-    seconds = accelerations.shape[1] / linearization.record.rate_hz
-    for contact, seen in zip(linearization.rig.contacts, linearization.seen, strict=True):
-        found[f"time that {contact.name} is closed", "%"] = 100 * float(np.mean(seen.closed))
-        found[f"impacts of {contact.name}", "1/s"] = float(np.sum(np.diff(seen.closed) > 0)) / seconds
-    return found
 
 
 def _last(run: Recording) -> Float[np.ndarray, " samples"]:

@@ -5,7 +5,19 @@ from html import escape
 
 from identify.gaps import wording
 from identify.gaps.page.advice import next_steps, place, rest_hz
-from identify.gaps.results import USUAL, Attribution, Between, Cause, Compared, Gap, Left, Share, Unknown, Value
+from identify.gaps.results import (
+    USUAL,
+    Attribution,
+    Between,
+    Cause,
+    Compared,
+    Figure,
+    Gap,
+    Left,
+    Share,
+    Unknown,
+    Value,
+)
 from identify.gaps.wording import WHEN, cause_name, closes, closes_some, interval, joined, others, probability
 from identify.pages import page
 from identify.pages.wording import number, percent
@@ -161,11 +173,29 @@ def where(found: Attribution) -> str:
 def response_comparison(gap: Gap) -> str:
     """Figures that people know, of the measured record and of both simulations."""
     text = (
-        "<p>The believed rig, and the rig with the likeliest cause, simulated under the measured force. Two records of "
-        "one machine differ in these figures too; nothing is decided by them.</p>"
+        "<p>The believed rig, and the rig with the likeliest cause, simulated under the measured force; in brackets "
+        "how far off the measured value they are. By chance: so far nineteen of twenty records of the believed rig "
+        "lie from their mean, built within its tolerances and shaken by another such force. Nothing is decided by "
+        "these figures.</p>"
     )
-    rows = [(f"{a.name}, {a.unit}", *map(number, (a.measured, a.believed, a.corrected))) for a in gap.figures]
-    return text + (page.table(("figure", "measured", "believed", "with the likeliest cause"), rows) if rows else "")
+    rows = [
+        (
+            f"{f.name}, {f.unit}",
+            number(f.measured),
+            _off(f.believed, f),
+            _off(f.corrected, f),
+            f"± {number(f.by_chance, 2)}",
+        )
+        for f in gap.figures
+    ]
+    head = ("figure", "measured", "believed", "with the likeliest cause", "by chance")
+    return text + (page.table(head, rows) if rows else "")
+
+
+def _off(value: float, figure: Figure) -> str:
+    if not figure.measured:
+        return number(value)
+    return f"{number(value)} ({100 * (value / figure.measured - 1):+.1f} %)"
 
 
 def _helps(gap: Gap) -> bool:

@@ -88,7 +88,8 @@ def test_every_number_is_on_the_page(written):
         said |= {probability(cause.probability), closes(cause), *cause.places.values(), *cause.parameters}
         said |= {interval(v) for v in cause.parameters.values()}
     for figure in gap.figures:
-        said |= {number(x) for x in (figure.measured, figure.believed, figure.corrected)}
+        said |= {number(figure.measured), f"± {number(figure.by_chance, 2)}"}
+        said |= {f"{number(x)} ({100 * (x / figure.measured - 1):+.1f} %)" for x in (figure.believed, figure.corrected)}
         said.add(f"{figure.name}, {figure.unit}")
     where = gap.attribution
     for shares in (

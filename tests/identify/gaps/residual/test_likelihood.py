@@ -95,7 +95,7 @@ def leaving(rest: float, law: float, peak: float = 1.0) -> Misfit:
 
 
 def null(rest: float, law: float = -60.0, peak: float = 1.0) -> NullSimulation:
-    return NullSimulation(rest + law, law, peak, (0.0,), 0.0, ())
+    return NullSimulation(rest + law, law, peak, (0.0,), 0.0, (), {"rms": 1 + peak})
 
 
 def test_p_values_of_nulls_are_uniform():
@@ -107,6 +107,15 @@ def test_p_values_of_nulls_are_uniform():
         values.append(null_reference.p_value(leaving(float(rest[12]), float(law[12]), float(peak[12]))))
     assert np.mean(np.array(values) < 0.05) == pytest.approx(0.05, abs=0.03)
     assert np.mean(np.array(values) < 0.5) == pytest.approx(0.42, abs=0.08)  # 1 - (5/6)^3, of three parts
+
+
+def test_figures_of_nulls_lie_within_what_chance_makes():
+    rng, within = np.random.default_rng(4), []
+    for _ in range(400):
+        *peaks, last = rng.normal(4.0, 2.0, 13)
+        reach = NullReference("key", tuple(null(50.0, peak=peak) for peak in peaks)).by_chance("rms")
+        within.append(abs(last - np.mean(peaks)) < reach)
+    assert np.mean(within) == pytest.approx(0.95, abs=0.03)
 
 
 def test_a_contact_or_a_band_alone_beyond_the_nulls_shows():
