@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal
 
@@ -16,7 +17,7 @@ from rig.lab.column import Column
 from rig.lab.tables import TextForm, columns_of
 from rig.lab.units import si_factor
 from rig.model.description import Rig, read_rig, refuse_several
-from rig.recording import RIG_NAME, channel_groups, with_history, writing
+from rig.recording import RECORDED, RIG_NAME, channel_groups, with_history, writing
 
 
 class Source(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -61,7 +62,9 @@ def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
     mapping, rig = _read_map(map_path, out)
     columns = columns_of(source, mapping.csv)
     digest = hashlib.sha256(source.read_bytes()).hexdigest()
-    return _import(columns, {"source": source.name, "source_sha256": digest}, str(source), mapping, rig, map_path, out)
+    changed = datetime.fromtimestamp(source.stat().st_mtime, UTC).isoformat(timespec="seconds")
+    origin = {"source": source.name, "source_sha256": digest, RECORDED: changed}
+    return _import(columns, origin, str(source), mapping, rig, map_path, out)
 
 
 def import_columns(columns: Sequence[Column], source: str, map_path: Path, out: Path) -> tuple[str, ...]:

@@ -1,6 +1,7 @@
 """Recordings in MCAP: what a rig's sensors showed, with the rig's description; read whole, written as they come."""
 
 from rig.recording.file import (
+    RECORDED,
     Channel,
     Recording,
     RecordingWriter,
@@ -17,6 +18,7 @@ from rig.recording.file import (
 from rig.recording.foreign import RIG_NAME
 
 __all__ = [
+    "RECORDED",
     "RIG_NAME",
     "Channel",
     "Recording",

@@ -1,14 +1,15 @@
 """A recording and its MCAP file: the only thing that passes between rig and identify. Sole owner of the layout."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import lru_cache
+from datetime import UTC, datetime
+from itertools import count
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from mcap.records import Attachment, McapRecord, Message, Metadata, Schema
 from mcap.records import Channel as ChannelRecord
 from numpy.typing import DTypeLike
@@ -23,13 +24,15 @@ from rig.recording.assembly import Assembly
 from rig.recording.channels import Channels, described, understood
 from rig.recording.container_writer import ContainerWriter
 from rig.recording.foreign import PROVENANCE, RIG_NAME, Foreign, put
+from rig.recording.preview import preview_record, previews
 
 BLOCK, AT_ONCE = 1024, 2048
 CHUNK_BYTES, CHUNK_S = 512 * 1024, 5.0
 """A chunk is written when it has so many bytes, or so much of the record: a kill loses that and a block at most."""
 TRUTH = ".truth.mcap"
 """How the name of a file ends that holds what only a simulator knows."""
-PREVIEW_HZ = 100.0
+RECORDED = "recorded"
+"""In the provenance: the date at which the record begins, in ISO 8601."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +110,7 @@ class Recording:
 
 
 class RecordingWriter:
-    """Appends samples group by group and stores them as blocks of 1024 samples, with a decimated preview beside."""
+    """Appends samples group by group and stores them as blocks of 1024 samples, with previews beside."""
 
     def __init__(
         self,
@@ -119,8 +122,10 @@ class RecordingWriter:
     ) -> None:
         self._stream = stream
         self._groups = dict(groups)
-        self._ids = {name: (2 * k + 1, 2 * k + 2) for k, name in enumerate(groups)}
-        others = (foreign or Foreign()).numbered(schemas=2, channels=2 * len(groups))
+        self._began_ns = began_ns(provenance)
+        ids = count(1)
+        self._ids = {name: (next(ids), [next(ids) for _ in group.names]) for name, group in groups.items()}
+        others = (foreign or Foreign()).numbered(schemas=2, channels=next(ids) - 1)
         self._writer = ContainerWriter(
             stream,
             front=[
@@ -134,17 +139,9 @@ class RecordingWriter:
                 *others.schemas.values(),
             ],
             channels=[
-                ChannelRecord(
-                    id=self._ids[name][k],
-                    topic=f"/rig/{name}/{kind}",
-                    message_encoding=encoding,
-                    schema_id=1 + k,
-                    metadata=described(group),
-                )
-                for name, group in groups.items()
-                for k, (kind, encoding) in enumerate((("block", "protobuf"), ("preview", "cdr")))
-            ]
-            + [*others.channels.values()],
+                *(record for name, group in groups.items() for record in _records(name, group, *self._ids[name])),
+                *others.channels.values(),
+            ],
         )
         for message in others.messages:
             put(message, self._writer.chunk)
@@ -176,19 +173,20 @@ class RecordingWriter:
         self._writer.finish()
 
     def _write(self, group: str, values: Float[np.ndarray, "channels samples"], length: int) -> None:
-        """Blocks of that length, and their means over hundredths of a second: a look for people, not for computing."""
+        """Blocks of that length, and the previews of their channels."""
         rate, first = self._groups[group].sample_rate_hz, self._written[group]
-        block_id, preview_id = self._ids[group]
-        count, samples = values.shape
+        block_id, preview_ids = self._ids[group]
+        channels, samples = values.shape
         for begin in range(0, samples, length):
             time_ns = round((first + begin) / rate * 1e9)
-            head = messages.block_head(time_ns, first + begin, rate, (count, length))
-            self._writer.chunk.add(block_id, time_ns, (first + begin) // BLOCK, head, values[:, begin : begin + length])
+            head = messages.block_head(time_ns, first + begin, rate, (channels, length))
+            at_ns = self._began_ns + time_ns
+            self._writer.chunk.add(block_id, at_ns, (first + begin) // BLOCK, head, values[:, begin : begin + length])
             self._write_full_chunk()
-        begins, widths = _preview(samples, length, max(1, round(rate / PREVIEW_HZ)))
-        means = np.add.reduceat(values, begins, axis=1) / widths
-        moments_ns = np.rint((first + begins) / rate * 1e9).astype("<u8")
-        self._writer.chunk.add_many(preview_id, moments_ns, messages.preview_head(count), means.T)
+        begins, rows = previews(values, rate, length)
+        moments_ns = np.rint((first + begins) / rate * 1e9).astype("<u8") + np.uint64(self._began_ns)
+        for preview_id, ends in zip(preview_ids, rows, strict=True):
+            self._writer.chunk.add_many(preview_id, moments_ns, messages.preview_head(2), ends)
         self._written[group] += samples
 
     def _write_full_chunk(self) -> None:
@@ -196,11 +194,21 @@ class RecordingWriter:
             self._writer.write_chunk()
 
 
-@lru_cache(maxsize=16)
-def _preview(samples: int, length: int, step: int) -> tuple[Int[np.ndarray, " parts"], Int[np.ndarray, " parts"]]:
-    """Where the parts of blocks begin that a preview takes the means of, and how many samples each has."""
-    begins = np.concatenate([np.arange(block, block + length, step) for block in range(0, samples, length)])
-    return begins, np.diff(begins, append=samples)
+def _records(name: str, group: Channels, block_id: int, preview_ids: Sequence[int]) -> Iterator[ChannelRecord]:
+    yield ChannelRecord(
+        id=block_id, topic=f"/rig/{name}/block", message_encoding="protobuf", schema_id=1, metadata=described(group)
+    )
+    for preview_id, sensor in zip(preview_ids, group.names, strict=True):
+        yield preview_record(preview_id, name, sensor, group.unit)
+
+
+def began_ns(provenance: Mapping[str, str]) -> int:
+    """The date at which a record begins, ns since 1970; 0 where it is not known."""
+    try:
+        began = datetime.fromisoformat(provenance[RECORDED])
+    except (KeyError, ValueError):
+        return 0
+    return max(0, round((began if began.tzinfo else began.replace(tzinfo=UTC)).timestamp() * 1e9))
 
 
 @contextmanager

@@ -56,4 +56,4 @@ def put(message: Message, chunk: Chunk) -> None:
 
 def _is_own(channel: Channel) -> bool:
     parts = channel.topic.split("/")
-    return len(parts) == 4 and parts[1] == "rig" and parts[3] in ("block", "preview")
+    return len(parts) >= 4 and parts[1] == "rig" and (parts[3:] == ["block"] or parts[3] == "preview")

@@ -5,6 +5,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from rig.errors import RigError
 from rig.model.description import Rig
-from rig.recording import channel_groups, truth_groups, truth_path, writing
+from rig.recording import RECORDED, channel_groups, truth_groups, truth_path, writing
 from rig.simulation.excitation import QUIET_S, Excitation, force_signal
 from rig.simulation.motion import Plant, Progress
 from rig.simulation.sensors import Samples, digitised, needed_duration_s
@@ -62,6 +63,7 @@ def record(
     plant_name = getattr(plant, "__module__", "").rsplit(".", 1)[-1]
     provenance = {
         "made_by": "rig record",
+        RECORDED: datetime.now(UTC).isoformat(timespec="seconds"),
         "plant": plant_name,
         "step_s": repr(step_s),
         "asked_duration_s": repr(duration_s),

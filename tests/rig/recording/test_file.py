@@ -13,8 +13,8 @@ from mcap.writer import CompressionType, Writer
 
 from rig.errors import RigError
 from rig.model.description import UNITS, to_json
-from rig.recording import channel_groups, read, read_truth, truth_groups, truth_path, writing
-from rig.recording.file import AT_ONCE, BLOCK, CHUNK_S
+from rig.recording import RECORDED, channel_groups, read, read_truth, truth_groups, truth_path, writing
+from rig.recording.file import AT_ONCE, BLOCK, CHUNK_S, began_ns
 from rig.recording.messages import decode_block
 from rig.simulation.reference import BarrelCradle, Sdof
 from tests.blocks import encode_block
@@ -112,18 +112,34 @@ def test_channels_say_unit_and_place(tmp_path):
     }
 
 
-def test_the_preview_is_the_mean_over_a_hundredth_of_a_second(tmp_path):
+def test_a_preview_is_the_least_and_largest_of_a_fiftieth_of_a_second_at_its_date(tmp_path):
     rig = msgspec.structs.replace(RIG, sample_rate_hz=1000.0)
     values = samples_of(rig, 1024)
-    write(tmp_path / "r.mcap", values, rig)
+    with writing(tmp_path / "r.mcap", rig, channel_groups(rig), {RECORDED: "2026-03-01T12:00:00Z"}) as recording:
+        recording.append_all(values)
     with (tmp_path / "r.mcap").open("rb") as content:
-        shown = [
-            (m.log_time, np.frombuffer(m.data[-8:], "<f8")[0])
-            for _, _, m in make_reader(content).iter_messages(topics=["/rig/force/preview"])
-        ]
-    times_ns, means = zip(*shown, strict=True)
-    assert list(times_ns) == [round(k * 10e6) for k in range(103)]
-    np.testing.assert_allclose(means[:102], values["force"][0, :1020].reshape(102, 10).mean(axis=1))
+        every = [*make_reader(content).iter_messages()]
+    topics = {channel.topic for _, channel, _ in every}
+    names = {t.rsplit("/", 1)[1] for t in topics if "/preview/" in t}
+    assert names == {"force", *(s.name for s in rig.sensors)}
+    began = 1772366400 * 10**9
+    shown = [
+        (m.log_time - began, *np.frombuffer(m.data[-16:], "<f8"))
+        for _, channel, m in every
+        if channel.topic == "/rig/force/preview/force"
+    ]
+    times_ns, least, largest = zip(*shown, strict=True)
+    assert list(times_ns) == [round(k * 20e6) for k in range(52)]
+    parts = values["force"][0, :1020].reshape(51, 20)
+    np.testing.assert_array_equal(least[:51], parts.min(axis=1))
+    np.testing.assert_array_equal(largest[:51], parts.max(axis=1))
+    assert min(m.log_time for _, _, m in every) == began
+    assert read(tmp_path / "r.mcap").signals["force"].start_s == 0
+
+
+@pytest.mark.parametrize("date", ["", "yesterday", "0001-01-01", "2026-13-40"])
+def test_a_date_that_is_none_is_that_of_no_recording(date):
+    assert began_ns({RECORDED: date}) == 0
 
 
 @pytest.mark.parametrize(("rate_hz", "at_once"), [(512.0, 1500), (65536.0, 1500), (512.0, 100_000)])
