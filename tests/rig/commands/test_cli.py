@@ -15,6 +15,7 @@ from rig.commands.cli import main
 from rig.model.description import from_json
 from rig.recording import channel_groups, read, read_truth, truth_path, writing
 from rig.simulation.reference import REFERENCES, BarrelCradle, Sdof
+from rig.viewer import viewing
 
 SHORT = ("--plant", "modal", "--duration", "2")
 
@@ -305,7 +306,7 @@ def test_the_viewer_opens_where_there_is_a_display(rig, tmp_path, monkeypatch, d
     monkeypatch.chdir(tmp_path)
     sound(tmp_path / "r.mcap")
     started = []
-    monkeypatch.setattr("rig.viewer.viewing.open_viewer", started.append)
+    monkeypatch.setattr(viewing, "open_viewer", started.append)
     monkeypatch.setenv("DISPLAY", display)
     assert rig("view", "r.mcap", *words)[0] == 0
     assert len(started) == opened
