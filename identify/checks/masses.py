@@ -32,6 +32,7 @@ CLOCK, BESIDE, MOST_FAST = 3.5, 2.0, 0.03
 """A clock is asked for by so many standard deviations at least, and leaves no more of mass and frequency; none is off
 by more than that share."""
 LATEST_S = 0.02
+DAMPED = 0.5
 LEAST_DRIVEN = 0.05
 """Of the force's root mean square: less is no force, as after a single blow."""
 
@@ -59,6 +60,20 @@ def mass_findings(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> list[
     sensor = motion.sensors[row]
     clock = _clock(body, sensor.measures.order, fit, tolerances)
     return [clock] if clock else list(_compared(body, (sensor.name,), fit, tolerances))
+
+
+def mass_pull(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> float:
+    """By how many standard deviations of tolerances and errors mass and frequency of the mass on which the force acts
+    are off, or the clock with them, whichever is most; 0 where nothing tells."""
+    body, row = rig.body(rig.force_at.body), motion.row(rig.force_at)
+    if row is None or not body.is_mass or not np.any(motion.force_n):
+        return 0.0
+    fit = open_fit(rig, motion, row)
+    if fit is None or fit.explained < UNRELATED:
+        return 0.0
+    off, deviation, by_clock = _off(body, motion.sensors[row].measures.order, fit, tolerances)
+    along = abs(by_clock / deviation @ (off / deviation)) / float(np.linalg.norm(by_clock / deviation))
+    return float(max(along, *np.abs(off / deviation)))
 
 
 def open_fit(rig: Rig, motion: Kinematics, row: int) -> MassFit | None:
@@ -152,7 +167,7 @@ def _compared(body: Body, sensor: tuple[str, ...], fit: MassFit, tolerances: Tol
     allowed = FAR * float(np.hypot.reduce([tolerances.mass, tolerances.gain, tolerances.force_gain, LEAST]))
     if abs(ratio - 1) > allowed + FAR * fit.errors[0] / abs(mass):
         found.append(_size(body, sensor, ratio))
-    natural_hz = float(body.frequencies_hz(1)[0])
+    natural_hz = _told_hz(body)
     square = stiffness / mass
     if natural_hz:
         shown = float(np.sqrt(max(square, 0.0))) / (2 * np.pi)
@@ -190,14 +205,9 @@ def _clock(body: Body, order: int, fit: MassFit, tolerances: Tolerances) -> Find
     """Times that are all too short by a factor s show a frequency s times too high, and a mass s^(order - 2) times the
     true one, by a sensor of that derivative: one question, asked of both."""
     mass, _, stiffness = fit.values
-    natural_hz = float(body.frequencies_hz(1)[0])
-    if order > 1 or not natural_hz or mass <= 0 or stiffness <= 0:
+    if order > 1 or not _told_hz(body) or mass <= 0 or stiffness <= 0:
         return None
-    ratio = mass / float(getattr(body, "mass_kg", np.nan)) / fit.explained
-    off = np.log([ratio, np.sqrt(stiffness / mass) / (2 * np.pi * natural_hz)])
-    by_clock, own = np.array([order - 2, 1]), np.array([fit.errors[0] / mass, 0.5 * fit.errors[2] / stiffness])
-    of_mass = float(np.hypot.reduce([tolerances.mass, tolerances.gain, tolerances.force_gain, LEAST]))
-    deviation = np.hypot([of_mass, np.hypot(np.sqrt(2) * tolerances.frequency, LEAST)], own)
+    off, deviation, by_clock = _off(body, order, fit, tolerances)
     along, size = by_clock / deviation @ (off / deviation), float(np.linalg.norm(by_clock / deviation))
     fast = along / size**2
     beside = np.abs(off - fast * by_clock) / deviation
@@ -209,6 +219,31 @@ def _clock(body: Body, order: int, fit: MassFit, tolerances: Tolerances) -> Find
         f"{'short' if fast > 0 else 'long'}",
         mend="check the sampling rate, and weigh the mass: one that is off by twice that share looks alike",
     )
+
+
+def _told_hz(body: Body) -> float:
+    """The natural frequency, where the middle of a gap tells it: beside a strong damper a spring's force is small."""
+    return float(body.frequencies_hz(1)[0]) if body.damping_ratios(1)[0] < DAMPED else 0.0
+
+
+def _off(
+    body: Body, order: int, fit: MassFit, tolerances: Tolerances
+) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """How far mass and frequency are off, as logarithms; their standard deviations; what a clock does to them.
+
+    Of a mass without a spring, or where a sign is turned, nothing of the frequency, or of both.
+    """
+    mass, _, stiffness = fit.values
+    natural_hz = _told_hz(body)
+    ratio = mass / float(getattr(body, "mass_kg", np.nan)) / fit.explained
+    of_fit, of_spring = fit.errors[0] / abs(mass), fit.errors[2] / abs(stiffness)
+    own = np.array([of_fit, 0.5 * float(np.hypot(of_fit, of_spring)) + 1 - fit.explained])
+    of_mass = float(np.hypot.reduce([tolerances.mass, tolerances.gain, tolerances.force_gain, LEAST]))
+    deviation = np.hypot([of_mass, np.hypot(np.sqrt(2) * tolerances.frequency, LEAST)], own)
+    known = natural_hz > 0 and stiffness > 0 and mass > 0
+    by_frequency = np.log(np.sqrt(stiffness / mass) / (2 * np.pi * natural_hz)) if known else 0.0
+    off = np.array([np.log(ratio) if ratio > 0 else 0.0, by_frequency])
+    return off, deviation, np.array([order - 2.0, 1.0])
 
 
 def _size(body: Body, sensor: tuple[str, ...], ratio: float) -> Finding:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from identify.checks.masses import mass_pull
 from identify.contacts.beginning import settled_s
 from identify.contacts.forces import RING_S, ContactForces, separated_forces
 from identify.contacts.joint import Joint, fit_joint
@@ -68,6 +69,7 @@ def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Con
     if motion.zero_known:
         _check_displacements(rig, motion)
     noise = acceleration_noise(motion, rig)
+    in_gaps = mass_pull(rig, motion, tolerances)
     from_rest = recording.start_s > 0 or motion.excited_from > 0
     separated = separated_forces(rig, motion, factor, noise, tolerances, from_rest)
     if recording.start_s > 0 or not from_rest:
@@ -80,7 +82,8 @@ def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Con
     observed = _observed(rig, motion, noise, separated, tolerances)
     parameters = separated.nuisances.parameters
     estimates = tuple(
-        widened(e, parameters) if isinstance(e, Joint) else e for e in _estimates(observed, separated.slow_n_per_m)
+        widened(e, parameters, in_gaps) if isinstance(e, Joint) else e
+        for e in _estimates(observed, separated.slow_n_per_m)
     )
     if is_unforced(motion):
         estimates = free_fits([c.name for c in rig.contacts], estimates)

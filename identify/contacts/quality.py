@@ -46,13 +46,14 @@ def findings_before(recording: Recording, use: Use, tolerances: Tolerances | Non
     return tuple(f for f in check_recording(recording, use, tolerances) if f.cause != "not at rest")
 
 
-def widened(found: Joint, parameters: Sequence[Nuisance]) -> Joint:
-    """Standard errors times the largest pull of what belongs to a whole body or to the force, where it is unusual.
+def widened(found: Joint, parameters: Sequence[Nuisance], in_gaps: float) -> Joint:
+    """Standard errors times the largest pull of what belongs to a whole body or to the force, where it is unusual; or
+    times that of a mass while its contacts are open.
 
     A clock, a density or a unit that is off shows there, and what it does beside is in no tolerance.
     """
     pulls = [abs(p) for p, of in zip(found.pulls, parameters, strict=True) if of.kind in WHOLE and of.mode is None]
-    factor = max(pulls, default=0.0)
+    factor = max([in_gaps, *pulls])
     if factor < USUAL:
         return found
     square = factor**2
