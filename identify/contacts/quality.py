@@ -47,16 +47,14 @@ def findings_before(recording: Recording, use: Use, tolerances: Tolerances | Non
 
 
 def widened(found: Joint, parameters: Sequence[Nuisance], in_gaps: float) -> Joint:
-    """Standard errors times the largest pull of what belongs to a whole body or to the force, where it is unusual; or
-    times that of a mass while its contacts are open.
+    """Standard errors times the largest pull of what belongs to a whole body or to the force, where it is unusual.
 
-    A clock, a density or a unit that is off shows there, and what it does beside is in no tolerance.
+    A clock, a density or a unit that is off shows there, and what it does beside is in no tolerance. What shows of a
+    mass while its contacts are open is no part of the fit: its pull p always counts, as sqrt(1 + p^2).
     """
     pulls = [abs(p) for p, of in zip(found.pulls, parameters, strict=True) if of.kind in WHOLE and of.mode is None]
-    factor = max([in_gaps, *pulls])
-    if factor < USUAL:
-        return found
-    square = factor**2
+    factor = max(pulls, default=0.0)
+    square = max(factor**2 if factor > USUAL else 1.0, 1 + in_gaps**2)
     return replace(
         found,
         covariance=square * found.covariance,

@@ -29,7 +29,8 @@ def joint(pulls=(0.0, 0.0, 0.0), damping=1.0, halves=(0.0, 0.0), unexplained=0.0
 
 
 @pytest.mark.parametrize(
-    ("pull", "in_gaps", "factor"), [(1.0, 0.0, 1.0), (2.0, 1.0, 2.0), (-3.0, 2.0, 3.0), (0.0, 2.5, 2.5)]
+    ("pull", "in_gaps", "factor"),
+    [(1.0, 0.0, 1.0), (2.0, 1.0, 2.0), (-3.0, 2.0, 3.0), (0.0, 0.75, 1.25), (2.0, 2.4, 2.6)],
 )
 def test_errors_grow_with_the_pull_of_a_whole_body(pull, in_gaps, factor):
     found = widened(joint((pull, 4.0, 4.0)), PARAMETERS, in_gaps)
