@@ -20,8 +20,9 @@ from identify.signals.spectra import decimated, force_band
 from rig.model.description import Body, Rig
 from rig.model.tolerances import Tolerances
 
-OPEN = 0.4
-"""The middle of a gap: relative displacements below this quantile."""
+OPEN, CLEAN = (0.4, 0.2, 0.1), 0.95
+"""The middle of a gap: relative displacements below this quantile; below the next one, where less of the force is
+explained, as closed contacts are among them."""
 SHORTEST = 8
 TO_FORCE = 3.0
 FAR, LEAST = 4.0, 2e-3
@@ -78,13 +79,25 @@ def mass_pull(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> float:
 
 def open_fit(rig: Rig, motion: Kinematics, row: int) -> MassFit | None:
     """None where there are too few samples with open contacts, or no force acts in them."""
+    best: MassFit | None = None
+    for share in OPEN:
+        fit = _fit_below(share, rig, motion, row)
+        if fit is None or (best and fit.explained < best.explained):
+            break
+        best = fit
+        if best.explained > CLEAN:
+            break
+    return best
+
+
+def _fit_below(share: float, rig: Rig, motion: Kinematics, row: int) -> MassFit | None:
     high_hz = force_band(motion.force_n, motion.sample_rate_hz)[1]
     factor = max(1, int(motion.sample_rate_hz / 2 / (TO_FORCE * high_hz)))
     rate = motion.sample_rate_hz / factor
     rows = (motion.acceleration_m_per_s2[row], motion.velocity_m_per_s[row], motion.displacement_m[row])
     signals = decimated(np.stack([motion.force_n, *rows]), factor)
     begun = motion.excited_from // factor + 1
-    passages = _passages(_open(rig, motion, factor), begun)
+    passages = _passages(_open(rig, motion, factor, share), begun)
     if sum(p.stop - p.start for p in passages) < 50:
         return None
     if np.concatenate([signals[0, p] for p in passages]).std() < LEAST_DRIVEN * signals[0].std():
@@ -115,7 +128,7 @@ def open_fit(rig: Rig, motion: Kinematics, row: int) -> MassFit | None:
     return MassFit(values, errors, best, explained)
 
 
-def _open(rig: Rig, motion: Kinematics, factor: int) -> Bool[np.ndarray, " fewer"]:
+def _open(rig: Rig, motion: Kinematics, factor: int, share: float) -> Bool[np.ndarray, " fewer"]:
     """Where every contact of the force's body is in the middle of its gap."""
     found = np.ones(-(-motion.force_n.size // factor), dtype=bool)
     for contact in rig.contacts:
@@ -126,7 +139,7 @@ def _open(rig: Rig, motion: Kinematics, factor: int) -> Bool[np.ndarray, " fewer
             continue
         eta = motion.displacement_m[sides[0]] - (motion.displacement_m[sides[1]] if len(sides) > 1 else 0.0)
         size = np.abs(eta - np.median(eta))[::factor]
-        found &= size < np.quantile(size[motion.excited_from // factor :], OPEN)
+        found &= size < np.quantile(size[motion.excited_from // factor :], share)
     return found
 
 
