@@ -65,9 +65,9 @@ def mass_findings(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> list[
 
 def mass_pull(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> float:
     """By how many standard deviations of tolerances and errors mass and frequency of the mass on which the force acts
-    are off, or the clock with them, whichever is most; 0 where nothing tells."""
+    are off, or the clock with them, whichever is most; 0 where nothing tells, or other bodies' channels tell more."""
     body, row = rig.body(rig.force_at.body), motion.row(rig.force_at)
-    if row is None or not body.is_mass or not np.any(motion.force_n):
+    if row is None or len(rig.bodies) > 1 or not body.is_mass or not np.any(motion.force_n):
         return 0.0
     fit = open_fit(rig, motion, row)
     if fit is None or fit.explained < UNRELATED:
