@@ -75,13 +75,15 @@ def _free_port() -> int:
 def main() -> None:
     parser = argparse.ArgumentParser(description="A picture of an .rrd file, taken without a screen.")
     parser.add_argument("rrd", type=Path)
-    parser.add_argument("--at", type=float, required=True, metavar="SECONDS", help="time of the record")
-    parser.add_argument("--out", type=Path, required=True, help="the .png to write")
+    parser.add_argument("--at", type=float, default=0.0, metavar="SECONDS", help="time of the record")
+    parser.add_argument("--out", type=Path, help="the .png to write")
     parser.add_argument("--view", help="one view instead of the window; `list` prints them")
     chosen = parser.parse_args()
     try:
         if chosen.view == "list":
             print("\n".join(views(chosen.rrd)))
+        elif chosen.out is None:
+            parser.error("the following arguments are required: --out")
         else:
             chosen.out.write_bytes(screenshot(chosen.rrd, chosen.at, chosen.view))
     except (RigError, TimeoutError) as error:

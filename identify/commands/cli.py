@@ -246,7 +246,7 @@ def print_laws(report: LawReport, console: Console) -> None:
 def print_report(report: ContactReport, console: Console) -> None:
     """The answer as tables: contacts, then NIFO by modal equation; before them what speaks against it."""
     print_findings(report.findings, console)
-    table = Table(title=f"Contacts of {report.rig}, modal equation {report.main_equation} (value ± 95 %)")
+    table = Table(title=f"Contacts of {report.rig}, ± 95 %")
     for heading in ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m"):
         table.add_column(heading, justify="left" if heading == "contact" else "right")
     for found in report.contacts:

@@ -52,7 +52,7 @@ def rows(history: History) -> Iterator[tuple[str, ...]]:
     """A row a quantity: mean, change along the trend, and the chances of both if nothing changed."""
     for found in history.quantities:
         _, unit, scale = WORDS[found.quantity]
-        chances = ("" if p is None else f"{p:.2g}" for p in (found.p_trend, found.p_different))
+        chances = ("" if p is None else f"{p:.2g}" if p > 0 else "< 1e-300" for p in (found.p_trend, found.p_different))
         yield name_of(found), f"{number(scale * found.mean)} {unit}", drift(found), *chances
 
 

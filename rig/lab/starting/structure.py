@@ -141,6 +141,7 @@ def _given(body: Structure, place_m: float, what: str) -> float:
     nearest = float(body.positions_m[np.argmin(np.abs(body.positions_m - place_m))])
     if not abs(nearest - place_m) <= NEAR * body.length_m:
         raise RigError(
-            f"{what} has {place_m} m, where {body.name!r} has no shapes; the nearest place that has is {nearest:g} m"
+            f"{what} has {place_m} m, where {body.name!r} has no shapes; the nearest place that has is {nearest:g} m "
+            "(places begin at the first of its nodes or stations)"
         )
     return nearest
