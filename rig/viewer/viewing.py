@@ -1,10 +1,12 @@
 """A recording as an .rrd file for the rerun viewer: the moving bodies, the contacts close up, and the time series."""
 
+import os
+import signal
 import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import MappingProxyType
 from urllib.parse import quote
@@ -125,12 +127,13 @@ def serve_viewer(path: Path, say: Callable[[str], None]) -> None:
     page, data = _free_port(), _free_port()
     ports = ("--bind", "127.0.0.1", "--port", str(data), "--web-viewer-port", str(page))
     say(f"http://127.0.0.1:{page}?url={quote(f'rerun+http://127.0.0.1:{data}/proxy', safe='')}")
-    quiet = subprocess.DEVNULL
-    server = subprocess.Popen([sys.executable, "-m", "rerun", "--serve-web", *ports, path], stdout=quiet, stderr=quiet)
+    quiet, words = subprocess.DEVNULL, [sys.executable, "-m", "rerun", "--serve-web", *ports, str(path)]
+    server = subprocess.Popen(words, stdout=quiet, stderr=quiet, start_new_session=True)
     try:
         server.wait()
     finally:
-        server.terminate()
+        with suppress(ProcessLookupError):
+            os.killpg(server.pid, signal.SIGTERM)  # rerun runs its program in a process of its own
         server.wait()
 
 

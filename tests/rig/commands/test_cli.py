@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
+from urllib.error import URLError
 from urllib.request import urlopen
 
 import msgspec
@@ -328,6 +329,9 @@ def test_a_browser_is_served_until_it_is_interrupted(tmp_path):
         running.send_signal(signal.SIGINT)
         assert running.wait(60) == 130
     assert b"rerun" in page.lower()
+    time.sleep(1.0)
+    with pytest.raises(URLError):
+        urlopen(address)
 
 
 @pytest.mark.parametrize("command", ["record", "info", "check", "view"])
