@@ -215,7 +215,6 @@ def view(
         Path | None, typer.Option(help="A contact.json of `identify contact`, whose walls are drawn over the others.")
     ] = None,
     magnification: Annotated[float | None, typer.Option(help="Of the beams' deflection; otherwise chosen.")] = None,
-    web: Annotated[bool, typer.Option("--web", help="Show it in a browser: says the address; Ctrl-C ends it.")] = False,
     force: Force = False,
 ) -> None:
     """Write a recording for the rerun viewer, and open it where there is a display.
@@ -224,7 +223,7 @@ def view(
     """
     with needs_extra("view", "rig view (rerun)"):
         from rig.viewer.identified import identified_laws
-        from rig.viewer.viewing import open_viewer, serve_viewer, write_rrd
+        from rig.viewer.viewing import open_viewer, write_rrd
 
     if magnification is not None and not 0 < magnification < np.inf:
         raise typer.BadParameter(f"{magnification} is not a finite number above zero", param_hint="--magnification")
@@ -238,9 +237,7 @@ def view(
     with progress_bar(f"writing {target.name}") as progress:
         write_rrd(recording, known, target, magnification, identified=laws, progress=progress)
     print(f"{target}: written")
-    if web:
-        serve_viewer(target, lambda address: print(f"open {address}", flush=True))
-    elif out is None and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    if out is None and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         open_viewer(target)
 
 

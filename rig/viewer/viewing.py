@@ -1,15 +1,11 @@
 """A recording as an .rrd file for the rerun viewer: the moving bodies, the contacts close up, and the time series."""
 
-import os
-import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
-from urllib.parse import quote
 
 import numpy as np
 import rerun as rr
@@ -120,27 +116,6 @@ def _others(contact: Contact, recording: Recording, identified: Mapping[str, Con
 def open_viewer(path: Path) -> None:
     """Opens the file in the rerun viewer and returns at once."""
     subprocess.Popen([sys.executable, "-m", "rerun", str(path)], start_new_session=True)
-
-
-def serve_viewer(path: Path, say: Callable[[str], None]) -> None:
-    """Serves the file to browsers on this computer, and says where, until it is interrupted."""
-    page, data = _free_port(), _free_port()
-    ports = ("--bind", "127.0.0.1", "--port", str(data), "--web-viewer-port", str(page))
-    say(f"http://127.0.0.1:{page}?url={quote(f'rerun+http://127.0.0.1:{data}/proxy', safe='')}")
-    quiet, words = subprocess.DEVNULL, [sys.executable, "-m", "rerun", "--serve-web", *ports, str(path)]
-    server = subprocess.Popen(words, stdout=quiet, stderr=quiet, start_new_session=True)
-    try:
-        server.wait()
-    finally:
-        with suppress(ProcessLookupError):
-            os.killpg(server.pid, signal.SIGTERM)  # rerun runs its program in a process of its own
-        server.wait()
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def _belongs(truth: Recording, recording: Recording) -> bool:

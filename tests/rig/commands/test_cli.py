@@ -5,9 +5,6 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
-from urllib.error import URLError
-from urllib.request import urlopen
 
 import msgspec
 import numpy as np
@@ -313,25 +310,6 @@ def test_the_viewer_opens_where_there_is_a_display(rig, tmp_path, monkeypatch, d
     monkeypatch.setenv("DISPLAY", display)
     assert rig("view", "r.mcap", *words)[0] == 0
     assert len(started) == opened
-
-
-def test_a_browser_is_served_until_it_is_interrupted(tmp_path):
-    sound(tmp_path / "r.mcap")
-    words = [sys.executable, "-c", "from rig_start import rig; rig()", "view", str(tmp_path / "r.mcap"), "--web"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
-        assert running.stdout.readline().endswith("r.rrd: written\n")
-        address = running.stdout.readline().removeprefix("open ").partition("?")[0]
-        page, until = b"", time.monotonic() + 60
-        while not page and time.monotonic() < until:
-            with suppress(OSError), urlopen(address) as answer:
-                page = answer.read()
-            time.sleep(0.2)
-        running.send_signal(signal.SIGINT)
-        assert running.wait(60) == 130
-    assert b"rerun" in page.lower()
-    time.sleep(1.0)
-    with pytest.raises(URLError):
-        urlopen(address)
 
 
 @pytest.mark.parametrize("command", ["record", "info", "check", "view"])
