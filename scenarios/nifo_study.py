@@ -14,7 +14,7 @@ from identify.paper.nifo import Form, Nifo, nifo
 from identify.signals.finely import penetration
 from identify.signals.kinematics import kinematics
 from identify.signals.spectra import Averaging, Blocks, Term, blocks, decimated
-from identify.structure.modal import ModalEquation, modal_equations, relative_displacements, without_higher_modes
+from identify.structure.modal import ModalEquation, modal_equations, relative_displacements
 from rig.model.description import Rig
 from rig.recording import Recording, Signals, channel_groups
 from rig.simulation.excitation import QUIET_S, force_signal
@@ -145,10 +145,10 @@ def reduced(rig: Rig, delivered: Float[np.ndarray, "channels samples"]) -> Reduc
         ]
     )
     stiffness = np.array([[contact.law.stiffness_n_per_m] for contact in rig.contacts])
-    cleaned = without_higher_modes(rig, motion, stiffness * depth_m)
-    equation = modal_equations(rig, cleaned, rig.body(BODY))[MODE - 1]
+    equation = modal_equations(rig, motion, rig.body(BODY), contact_force_n=stiffness * depth_m)[MODE - 1]
     mode = equation.displacement, equation.velocity, equation.acceleration
-    wide = np.stack([cleaned.force_n, *mode, *depth_m[:, : cleaned.force_n.size]])
+    samples = mode[0].size
+    wide = np.stack([motion.force_n[:samples], *mode, *depth_m[:, :samples]])
     rows = decimated(wide, round(rate / REDUCED_HZ))[:, _own(REDUCED_HZ)].copy()  # no view that holds the piece
     clearances = np.array([[contact.law.clearance_m] for contact in rig.contacts])
     return ReducedRecord(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Complex, Float
 
-from identify.structure.nuisance import BodyMotion, Change, Nuisance
+from identify.structure.nuisance import BodyMotion, Nuisance
 from identify.structure.response import times
 from rig.model.description import Sensor
 from rig.model.tolerances import Tolerances
@@ -21,7 +21,7 @@ class Suspect:
 
 
 def candidates_of(
-    changes: list[Change],
+    parameters: list[Nuisance],
     bodies: tuple[BodyMotion, ...],
     sensors: tuple[Sensor, ...],
     by_force: Complex[np.ndarray, "sensors lines"],
@@ -30,14 +30,14 @@ def candidates_of(
 ) -> tuple[list[Suspect], Complex[np.ndarray, "added sensors lines"]]:
     """All nuisance parameters; then, with columns of their own, densities, a clock that is off and a force that comes
     late."""
-    found = [_of(c.parameter, tolerances) for c in changes]
+    found = [_of(p, tolerances) for p in parameters]
     added = []
     clock = np.zeros_like(by_force)
     for body in bodies:
         r = body.response
         rows = [i for i, s in enumerate(sensors) if s.station.body == r.body.name]
         shapes = r.shapes([sensors[i].station for i in rows])
-        tuned = times(shapes, r.sensitivities["frequency"] * body.acceleration)
+        tuned = times(shapes, r.sensitivity("frequency") * body.acceleration)
         clock[rows] += tuned
         if r.body.length_m and tolerances.mass:
             heavier = np.zeros_like(by_force)

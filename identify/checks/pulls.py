@@ -10,7 +10,6 @@ hold. The largest is freed, and the rest are asked again.
 """
 
 from dataclasses import dataclass
-from itertools import chain
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -57,36 +56,35 @@ def broken(
     by_force = check.accelerance[0][kept] * check.spectra.force
     modelled = check.predicted(kept)
     bodies = tuple(_body(rig, r, check, kept, modelled) for r in responses)
-    changes = list(
-        changes_of(
-            Observed(
-                sensors=sensors,
-                displaced_by=sensors,
-                tolerances=tolerances,
-                omega=omega,
-                sensor_response=np.ones_like(measured),
-                explained=modelled.acceleration[kept],
-                by_force=by_force,
-                displaced=np.zeros_like(measured),
-                bodies=bodies,
-            )
-        )
+    observed = Observed(
+        sensors=sensors,
+        displaced_by=sensors,
+        tolerances=tolerances,
+        omega=omega,
+        sensor_response=np.ones_like(measured),
+        explained=modelled.acceleration[kept],
+        by_force=by_force,
+        displaced=np.zeros_like(measured),
+        bodies=bodies,
     )
-    if not changes:
-        return [], np.zeros(0)
-    candidates, added = candidates_of(changes, bodies, sensors, by_force, omega, tolerances)
-    project, count = Projector(check, kept), len(changes)
+    project = Projector(check, kept)
     left = project(measured - by_force)
-    columns = np.empty((len(candidates), *left.shape), left.dtype)
-    for column, spectra in zip(columns, chain((_whole(c, measured.shape) for c in changes), added), strict=True):
-        column[:] = project(spectra)
+    parameters, columns = [], []
+    for change in changes_of(observed):
+        parameters.append(change.parameter)
+        columns.append(project(_whole(change, measured.shape)))
+    if not parameters:
+        return [], np.zeros(0)
+    candidates, added = candidates_of(parameters, bodies, sensors, by_force, omega, tolerances)
+    count = len(parameters)
+    columns += [project(spectra) for spectra in added]
     found: list[Broken] = []
     free: list[int] = []
     weights = np.ones(left.shape[1], left.dtype)
     for _ in range(MOST + 1):
         pulls, z, size = _scores(left, columns, count, free, weights)
         for _ in range(3):  # lines that nothing explains weigh little
-            unexplained = left - _along(columns[:count], pulls) - _along(columns[free], size.free)
+            unexplained = left - _along(columns[:count], pulls) - _along([columns[k] for k in free], size.free)
             per_line = np.mean(unexplained**2, axis=0)
             weights = 1 / np.sqrt(1 + per_line / max(4 * np.median(per_line), np.float32(1)))
             pulls, z, size = _scores(left, columns, count, free, weights)
@@ -107,8 +105,8 @@ def broken(
     return found, pulls
 
 
-def _along(columns: np.ndarray, values: np.ndarray) -> np.ndarray:
-    return np.tensordot(values.astype(columns.dtype), columns, axes=1)
+def _along(columns: list[np.ndarray], values: np.ndarray) -> np.ndarray | float:
+    return sum((np.float32(value) * column for value, column in zip(values, columns, strict=True)), start=0.0)
 
 
 @dataclass(frozen=True)
@@ -118,13 +116,13 @@ class _Sizes:
 
 
 def _scores(
-    left: np.ndarray, columns: np.ndarray, count: int, free: list[int], weights: np.ndarray
+    left: np.ndarray, columns: list[np.ndarray], count: int, free: list[int], weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, _Sizes]:
     """The pulls of the first `count`, each candidate's score and its size, with the free ones without a prior."""
     fitted = [*range(count), *free]
     products, along = np.zeros((len(columns), len(columns))), np.zeros(len(columns))
     for sensor, target in enumerate(left * weights):
-        rows = columns[:, sensor] * weights
+        rows = np.stack([column[sensor] for column in columns]) * weights
         products += rows @ rows.T
         along += rows @ target
     prior = np.r_[np.ones(count), np.full(len(free), 1e-9)]

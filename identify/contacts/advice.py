@@ -55,7 +55,7 @@ def assumed(found: Identification) -> Iterator[str]:
     low, high = report.trusted_hz
     yield (
         f"Frequencies: the motion is trusted from {low:g} to {high:.4g} Hz, the contact forces are separated up to "
-        f"{motion.sample_rate_hz / 2 / found.separated.factor:.4g} Hz"
+        f"{motion.sample_rate_hz / 2 / found.factor:.4g} Hz"
         + (", and the slow motion below is solved for within the noise of the accelerometers." if low else ".")
     )
     if found.forms is None:

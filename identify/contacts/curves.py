@@ -24,8 +24,8 @@ def curves(found: Identification) -> dict[str, Table]:
 
 def _motion(found: Identification, names: list[str]) -> Table:
     """At the rate of the separated forces."""
-    factor = found.separated.factor
-    force = found.separated.force_n
+    factor = found.factor
+    force = found.separated_n
     eta = found.eta_m[:, ::factor]
     rows = min(eta.shape[1], force.shape[1])
     table: Table = {"time_s": np.arange(rows) * factor / found.motion.sample_rate_hz}

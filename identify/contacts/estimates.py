@@ -168,7 +168,6 @@ def _observed(
                 noise_in_m=separated.nuisances.noise_in_m[moving, j],
                 moving=moving,
                 nuisance_m=nuisance_m,
-                nuisance_m_per_s=np.gradient(nuisance_m, 1 / motion.sample_rate_hz, axis=1),
             )
         )
     return found

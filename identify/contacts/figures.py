@@ -19,6 +19,10 @@ Marks = Mapping[str, tuple[float, float]]
 """Reference values by contact: clearance (m) and stiffness (N/m), drawn as dashed lines."""
 
 
+LONGEST = 1 << 18
+"""So many samples show the output with and without the contacts."""
+
+
 def drawn(found: Identification, marks: Marks, marks_name: str) -> dict[str, Picture]:
     """The figures of the paper (4 to 9, 12 to 17) for the main modal equation, and the separated contact forces.
 
@@ -62,9 +66,9 @@ def segments_drawn(report: ContactReport, parts: Sequence[Segment]) -> Picture:
 def _outputs(figure: Any, found: Identification, _marks: Marks, _marks_name: str) -> None:
     """Figures 4 and 12: the main modal coordinate as measured, and as it would be without contact."""
     equation, rate = found.surface.equation, found.motion.sample_rate_hz
-    measured = equation.displacement
+    measured = equation.displacement[:LONGEST]
     low_hz = max(found.weak.frequency_hz[0], found.motion.trusted_hz[0])
-    spectrum = np.fft.rfft(equation.shape_at_force * found.motion.force_n, 2 * measured.size)
+    spectrum = np.fft.rfft(equation.shape_at_force * found.motion.force_n[:LONGEST], 2 * measured.size)
     at_hz = np.fft.rfftfreq(2 * measured.size, 1 / rate)
     frf = np.where(at_hz >= low_hz, receptance(equation.frequency_hz, equation.damping_ratio, at_hz), 0.0)
     free = np.fft.irfft(spectrum * frf)[: measured.size]
@@ -142,10 +146,10 @@ def _section(figure: Any, found: Identification, marks: Marks, marks_name: str) 
 def _separated(figure: Any, found: Identification, marks: Marks, marks_name: str) -> None:
     """Each contact force by itself, separated without a law, over its own relative displacement; the law found."""
     axes_row = figure.subplots(1, len(found.estimates), squeeze=False, sharey=True)[0]
-    few = slice(None, None, found.separated.factor)
+    few = slice(None, None, found.factor)
     for j, (axes, contact, answer) in enumerate(zip(axes_row, found.rig.contacts, found.estimates, strict=True)):
         eta = found.eta_m[j][few]
-        force = found.separated.force_n[j][: eta.size]
+        force = found.separated_n[j][: eta.size]
         axes.plot(1e3 * eta, force, ".", ms=1.2, color=BLUE, alpha=0.4, label="separated, no law assumed")
         if isinstance(answer, Joint):
             lower, upper, stiffness, _ = answer.values

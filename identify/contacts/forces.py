@@ -14,7 +14,7 @@ from identify.contacts.station_errors import StationErrors, forces_by_stations
 from identify.signals.kinematics import TAPER_S, Kinematics
 from identify.signals.spectra import decimated
 from identify.structure.nuisance import Observed, changes_of
-from identify.structure.response import Response, across
+from identify.structure.response import Response, across, forget
 from identify.structure.slow_motion import responses_of, slow_damping, slow_stiffness
 from rig.model.description import Rig
 from rig.model.modes import Modes, modes_of
@@ -69,6 +69,7 @@ def separated_forces(
     floats = {r.body.name: bool(np.any(r.dynamics.natural_hz == 0)) for r in responses}
     in_metres = np.array([[motion.zero_known and not floats[s.body]] for s in motion.stations]) & lines.slow
     drives, force = _accelerances(rig, motion, responses), lines.spectra(motion.force_n)
+    forget()
     observed = _observed(rig, motion, lines, responses, in_metres, tolerances, drives[0] * force, from_rest)
     measured, scale = observed.explained, observed.sensor_response
     noises = (samples * noise**2)[:, None] * np.abs(scale) ** 2

@@ -8,8 +8,8 @@ from jaxtyping import Float
 
 from identify.checks import naming
 from identify.contacts.estimates import LOOSE, ContactFit, find_contacts
-from identify.contacts.forces import ContactForces
-from identify.contacts.joint import Joint, law_force_n
+from identify.contacts.joint import Joint
+from identify.contacts.linearised import law_force_n
 from identify.contacts.quality import equation_findings, findings_before, fit_findings
 from identify.contacts.results import ContactReport
 from identify.contacts.start import ContactRecord
@@ -20,7 +20,7 @@ from identify.paper.surface import Stops, Surface, clearance_from_occurrence, fi
 from identify.signals.finely import penetration
 from identify.signals.kinematics import Kinematics, Use
 from identify.signals.spectra import Averaging, blocks, force_band
-from identify.structure.modal import modal_equations, transformation, without_higher_modes
+from identify.structure.modal import modal_equations, transformation, until
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.tolerances import LABORATORY, Tolerances
@@ -37,15 +37,17 @@ EQUATIONS = 4
 class Identification:
     """The report, and what it was drawn from, for figures and for further work.
 
-    eta_m is complete with its drift; answers has one entry a contact. forms are NIFO's weak form and the paper's of
-    the main equation; None of a record without a force.
+    motion has the force and what was measured where, but not the stations' rows. eta_m is complete with its drift;
+    separated_n are the contact forces at every `factor`-th sample; estimates has one entry a contact. forms are NIFO's
+    weak form and the paper's of the main equation; None of a record without a force.
     """
 
     report: ContactReport
     rig: Rig
     motion: Kinematics
     eta_m: Float[np.ndarray, "contacts samples"]
-    separated: ContactForces
+    separated_n: Float[np.ndarray, "contacts fewer"]
+    factor: int
     estimates: tuple[ContactFit, ...]
     surface: Surface
     forms: tuple[Nifo, Nifo] | None
@@ -111,18 +113,18 @@ def identify_contact(
         min(high, motion.trusted_hz[1]),
     )
     eta, force, depth = _with_law(found.observed, estimates)
-    samples = eta.shape[1]
-    cleaned = without_higher_modes(rig, motion.part(slice(samples)), force)
-    eta, depth = eta[:, : cleaned.force_n.size], depth[:, : cleaned.force_n.size]
+    seen = motion.part(slice(eta.shape[1]))
+    kept = until(seen)
+    eta, depth, exciting_n = eta[:, :kept], depth[:, :kept], seen.force_n[:kept]
     stops = tuple(_stops(a) for a in estimates)
-    cut = blocks(cleaned.force_n.size, motion.sample_rate_hz, averaging, band)
-    equations = [e for body in rig.bodies for e in modal_equations(rig, cleaned, body, EQUATIONS)]
+    cut = blocks(kept, motion.sample_rate_hz, averaging, band)
+    equations = [e for body in rig.bodies for e in modal_equations(rig, seen, body, EQUATIONS, force)]
     forced = [e for e in equations if e.shape_at_force != 0]
-    spectra = [] if unforced else [nifo(e, cleaned.force_n, depth, cut) for e in forced]
+    spectra = [] if unforced else [nifo(e, exciting_n, depth, cut) for e in forced]
     findings += tuple(equation_findings(names, estimates, spectra))
     progress(0.7)
     coarse = _decimation(rig, motion)
-    surfaces = [fit_surface(e, cleaned.force_n, eta, coarse, stops) for e in equations]
+    surfaces = [fit_surface(e, exciting_n, eta, coarse, stops) for e in equations]
     progress(0.95)
     weak = _main(spectra, equation) if spectra else None
     name = weak.equation.name if weak else equation or forced[0].name
@@ -141,12 +143,13 @@ def identify_contact(
             findings=findings,
         ),
         rig=rig,
-        motion=cleaned,
+        motion=seen.part(slice(kept)).without_rows,
         eta_m=eta,
-        separated=found.separated,
+        separated_n=found.separated.force_n,
+        factor=found.separated.factor,
         estimates=estimates,
         surface=next(s for s in surfaces if s.equation.name == name),
-        forms=(weak, nifo(weak.equation, cleaned.force_n, depth, cut, "paper")) if weak else None,
+        forms=(weak, nifo(weak.equation, exciting_n, depth, cut, "paper")) if weak else None,
         tolerances=tolerances or rig.tolerances or LABORATORY,
     )
 

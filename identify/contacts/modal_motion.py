@@ -20,10 +20,8 @@ def told_motion(
 ) -> BodyMotion:
     """The modal accelerations that the stations tell; those of higher modes are left out."""
     transform = transformation(rig, response.body, motion)
-    found = np.zeros((response.count, accelerated.shape[1]), dtype=complex)
-    told = len(transform.inverse)
-    found[:told] = transform.inverse @ accelerated[list(transform.rows)]
-    return BodyMotion(response, found, np.arange(response.body.rigid_modes, told))
+    found = times(transform.inverse, accelerated[list(transform.rows)])
+    return BodyMotion(response, found, np.arange(response.body.rigid_modes, len(found)))
 
 
 def has_hidden_modes(response: Response, motion: Kinematics) -> bool:
@@ -50,8 +48,11 @@ def whole_motion(
     hidden = response.accelerance[told:] * modal_force[told:]
     rest = accelerated - times(response.shapes(motion.stations)[:, told:], hidden)
     found = told_motion(rig, response, motion, rest)
-    found.acceleration[told:] = hidden
-    return replace(found, elastic=np.arange(response.body.rigid_modes, max(told, _near(response))))
+    return replace(
+        found,
+        acceleration=np.concatenate([found.acceleration, hidden]),
+        elastic=np.arange(response.body.rigid_modes, max(told, _near(response))),
+    )
 
 
 def _near(response: Response) -> int:

@@ -48,8 +48,8 @@ class ContactRecord:
     The force has been low-passed and is that of every `factor`-th sample; quiet_n is its standard deviation where there
     is no contact, unmodelled the share of it that no law explains. drift is None where nothing was lost. One standard
     deviation of each nuisance parameter adds its row of nuisance_n to the force; those that are `moving` add theirs of
-    nuisance_m and nuisance_m_per_s to the motion. Shares of the noise of the force and of the motion are in
-    these rows (noise_in_n and noise_in_m).
+    nuisance_m to the motion. Shares of the noise of the force and of the motion are in these rows (noise_in_n and
+    noise_in_m).
     """
 
     eta_m: Float[np.ndarray, " samples"]
@@ -65,7 +65,10 @@ class ContactRecord:
     moving: Bool[np.ndarray, " nuisances"]
     noise_in_m: Float[np.ndarray, " some"]
     nuisance_m: Float[np.ndarray, "some samples"]
-    nuisance_m_per_s: Float[np.ndarray, "some samples"]
+
+    def rate_of(self, moved_m: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
+        """By differences, m/s."""
+        return np.asarray(np.gradient(moved_m, 1 / self.sample_rate_hz))
 
     @property
     def sample_ratio(self) -> float:

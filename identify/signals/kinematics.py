@@ -10,7 +10,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from identify.signals.beginning import QUIET_S, at_rest_until, led_in
 from rig.errors import RigError
-from rig.model.description import Sensor, Station
+from rig.model.description import Sensor, Station, contact_stations
 from rig.model.quantities import QUANTITIES
 from rig.model.sensing import PASSBAND
 from rig.recording import Recording
@@ -34,7 +34,7 @@ class Kinematics:
 
     sensors tells which sensor gave the acceleration of each station, and displaced_by which gave its displacement.
     trusted_hz is the band in which every row is right. zero_known says whether a constant displacement is seen.
-    lost is the slow part of the acceleration that an integrated displacement lacks; zero where none was integrated.
+    lost is the slow part of the acceleration that an integrated displacement at a contact lacks; zero elsewhere.
     excited_from is the first sample at which the force has begun; 0 of a record without a quiet start.
     """
 
@@ -73,6 +73,12 @@ class Kinematics:
             excited_from=max(0, self.excited_from - (now.start or 0)),
         )
 
+    @property
+    def without_rows(self) -> "Kinematics":
+        """With no station's motion, which takes much memory."""
+        none = np.empty((0, self.force_n.size))
+        return replace(self, displacement_m=none, velocity_m_per_s=none, acceleration_m_per_s2=none, lost_m_per_s2=none)
+
 
 def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNER_HZ) -> Kinematics:
     """Displacement, velocity and acceleration at every station with a sensor.
@@ -107,37 +113,39 @@ def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNE
     # silence behind the record, as the Fourier transform wraps its end, which integration falsifies, round to its start
     length = next_fast_len(recording.samples + round(2 * left_out * rate), real=True)
     omega = 2 * np.pi * np.fft.rfftfreq(length, 1 / rate)
-    spectra: dict[tuple[str, int], Complex[np.ndarray, " lines"]] = {}
-    rows: dict[int, list[Float[np.ndarray, " samples"]]] = {0: [], 1: [], 2: []}
-    lost: list[Float[np.ndarray, " samples"]] = []
+    moved_by, lost = np.empty((3, len(stations), usable)), np.zeros((len(stations), usable))
+    channels: dict[str, None] = {}
+    at_contacts = {s for c in rig.contacts for s in contact_stations(c)}
     excited_from = at_rest_until(recording.force_n, (_channel(recording, s) for s in sensors), rate)
     lead = 0 if excited_from or recording.start_s > 0 else round(TAPER_S * rate)
     below = 1 - _high_pass(omega, corner_hz)
     powers = cache(lambda power: integrated(omega, power, corner_hz))
-    for station in stations:
-        for order, motion in rows.items():
+    for row, station in enumerate(stations):
+        spectra: dict[tuple[str, int], Complex[np.ndarray, " lines"]] = {}
+        for order, motion in enumerate(moved_by):
             sensor = _nearest(chosen[station], order)
             own = lead if order > sensor.measures.order else 0  # of an integral nothing may come before the record
             if (sensor.name, own) not in spectra:
                 delivered = _channel(recording, sensor) * ending
                 spectra[sensor.name, own] = _undone(sensor, delivered, omega, length, own)
             moved = spectra[sensor.name, own] * powers(order - sensor.measures.order)
-            motion.append(irfft(moved, length)[:usable])
-        nothing = 0 in chosen[station]  # else the last sensor gave the acceleration
-        lost.append(np.zeros(usable) if nothing else irfft(moved * below, length)[:usable])
+            motion[row] = irfft(moved, length)[:usable]
+        channels |= dict.fromkeys(name for name, _ in spectra)
+        if station in at_contacts and 0 not in chosen[station]:  # the last sensor gave the acceleration
+            lost[row] = irfft(moved * below, length)[:usable]
     return Kinematics(
         stations=stations,
-        channels=tuple(dict.fromkeys(name for name, _ in spectra)),
+        channels=tuple(channels),
         sensors=tuple(_nearest(chosen[s], 2) for s in stations),
         displaced_by=tuple(_nearest(chosen[s], 0) for s in stations),
         sample_rate_hz=rate,
         trusted_hz=(corner_hz if integrates else 0.0, PASSBAND * rate),
         zero_known=not integrates,
         force_n=recording.force_n[:usable],
-        displacement_m=np.stack(rows[0]),
-        velocity_m_per_s=np.stack(rows[1]),
-        acceleration_m_per_s2=np.stack(rows[2]),
-        lost_m_per_s2=np.stack(lost),
+        displacement_m=moved_by[0],
+        velocity_m_per_s=moved_by[1],
+        acceleration_m_per_s2=moved_by[2],
+        lost_m_per_s2=lost,
         excited_from=excited_from,
     )
 

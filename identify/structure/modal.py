@@ -1,6 +1,6 @@
 """The modal transformation (equations 21 and 22 of the paper): from stations to modal coordinates."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -79,14 +79,27 @@ def transformation(rig: Rig, body: Body, motion: Kinematics) -> Transformation:
     return Transformation(body, rows, inverse, condition, _lost(rig, body, places, inverse))
 
 
-def modal_equations(rig: Rig, motion: Kinematics, body: Body, modes: int = 4) -> tuple[ModalEquation, ...]:
-    """The first `modes` modal equations of a body, with their coordinates from the measured motion."""
+def modal_equations(
+    rig: Rig,
+    motion: Kinematics,
+    body: Body,
+    modes: int = 4,
+    contact_force_n: Float[np.ndarray, "contacts samples"] | None = None,
+) -> tuple[ModalEquation, ...]:
+    """The first `modes` modal equations of a body, with their coordinates from the measured motion.
+
+    Given the contact forces, what the modes beyond the fitted ones do to the stations is taken off: the response of
+    each is its receptance, as the rig's description has it, times its modal force. Then the last quarter second is left
+    out (`until`), as the contact forces after the record's end are not known.
+    """
     transform = transformation(rig, body, motion)
     modes = min(modes, transform.inverse.shape[0])
     coordinates = [
         transform.inverse[:modes] @ rows[list(transform.rows)]
         for rows in (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
     ]
+    if contact_force_n is not None:
+        coordinates = _without_higher_modes(rig, motion, transform, coordinates, contact_force_n)
     at_force = shape_at(body, rig.force_at, modes)
     at_contacts = np.array([contact_shapes(rig, body, j, modes) for j in range(len(rig.contacts))]).reshape(-1, modes)
     largest = np.abs(body.shapes(np.linspace(0, body.length_m, 101), modes)).max(axis=0)
@@ -107,47 +120,40 @@ def modal_equations(rig: Rig, motion: Kinematics, body: Body, modes: int = 4) ->
     )
 
 
-def without_higher_modes(
-    rig: Rig, motion: Kinematics, contact_force_n: Float[np.ndarray, "contacts samples"]
-) -> Kinematics:
-    """The motion less what the modes beyond the fitted ones do under the exciting force and the contact forces.
+def until(motion: Kinematics) -> int:
+    """So many samples have modal coordinates from which the higher modes can be taken off."""
+    return motion.force_n.size - round(0.25 * motion.sample_rate_hz)
 
-    Each such mode's response is its receptance, as the rig's description has it, times its modal force. The last
-    quarter second is left out, as the contact forces after the record's end are not known. `relative_displacements`
-    needs the motion as it was.
-    """
-    keep = motion.force_n.size - round(0.25 * motion.sample_rate_hz)
+
+def _without_higher_modes(
+    rig: Rig,
+    motion: Kinematics,
+    transform: Transformation,
+    coordinates: list[Float[np.ndarray, "modes samples"]],
+    contact_force_n: Float[np.ndarray, "contacts samples"],
+) -> list[Float[np.ndarray, "modes fewer"]]:
+    """Mode by mode, as all their responses together take much memory."""
+    body, fitted, keep = transform.body, len(transform.inverse), until(motion)
     length = next_fast_len(motion.force_n.size, real=True)
     at_hz = np.fft.rfftfreq(length, 1 / motion.sample_rate_hz)
-    force, contact = np.fft.rfft(motion.force_n, length), np.fft.rfft(contact_force_n, length)
-    rows = [
-        np.array(r[:, :keep]) for r in (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
-    ]
-    for body in rig.bodies:
-        stations = [i for i, s in enumerate(motion.stations) if s.body == body.name]
-        all_modes = body.max_modes
-        if len(stations) >= all_modes:
-            continue
-        beyond = slice(len(stations), all_modes)
-        places = np.array([motion.stations[i].position_m for i in stations])
-        shapes = body.shapes(places, all_modes)[:, beyond]
-        drive = [shape_at(body, rig.force_at, all_modes)] + [
-            -contact_shapes(rig, body, j, all_modes) for j in range(len(rig.contacts))
-        ]
-        modal_force = np.array(drive)[:, beyond].T @ np.concatenate([force[None, :], contact])
-        response = modal_force * receptance(
-            body.frequencies_hz(all_modes)[beyond], body.damping_ratios(all_modes)[beyond], at_hz
+    forces = np.fft.rfft(np.concatenate([motion.force_n[None], -contact_force_n]), length)
+    places = np.array([motion.stations[i].position_m for i in transform.rows])
+    shown = transform.inverse[: len(coordinates[0])] @ body.shapes(places, body.max_modes)
+    contacts = [contact_shapes(rig, body, j, body.max_modes) for j in range(len(rig.contacts))]
+    drive = np.stack([shape_at(body, rig.force_at, body.max_modes), *contacts])
+    natural_hz, ratios = body.frequencies_hz(body.max_modes), body.damping_ratios(body.max_modes)
+    falsified = np.zeros((len(shown), at_hz.size), dtype=complex)
+    for m in range(fitted, body.max_modes):
+        response = receptance(float(natural_hz[m]), float(ratios[m]), at_hz) * (drive[:, m] @ forces)
+        for i, share in enumerate(shown[:, m]):
+            falsified[i] += share * response
+    cleaned = []
+    for rows in coordinates:
+        cleaned.append(
+            np.stack([r - np.fft.irfft(f, length)[:keep] for r, f in zip(rows[:, :keep], falsified, strict=True)])
         )
-        for order, row in enumerate(rows):
-            row[stations] -= np.fft.irfft(shapes @ response * (2j * np.pi * at_hz) ** order, length)[:, :keep]
-    return replace(
-        motion,
-        force_n=motion.force_n[:keep],
-        displacement_m=rows[0],
-        velocity_m_per_s=rows[1],
-        acceleration_m_per_s2=rows[2],
-        lost_m_per_s2=motion.lost_m_per_s2[:, :keep],
-    )
+        falsified *= 2j * np.pi * at_hz
+    return cleaned
 
 
 def receptance(

@@ -38,11 +38,19 @@ class Nuisance:
 
 @dataclass(frozen=True)
 class BodyMotion:
-    """A body's modes and their accelerations; `elastic` are the modes with parameters of their own, from 0."""
+    """A body's modes and their accelerations, of the first ones alone where the others are taken to rest.
+
+    `elastic` are the modes with parameters of their own, from 0.
+    """
 
     response: Response
     acceleration: Complex[np.ndarray, "modes lines"]
     elastic: Int[np.ndarray, " some"]
+
+    @property
+    def moving(self) -> slice:
+        """The modes that do not rest."""
+        return slice(len(self.acceleration))
 
 
 @dataclass(frozen=True)
@@ -110,7 +118,7 @@ def _of_force(observed: Observed) -> Iterator[Change]:
 def _of_positions(observed: Observed, body: BodyMotion, rows: list[int]) -> Iterator[Change]:
     if not (body.response.body.length_m and rows):
         return
-    slopes = body.response.slopes([observed.sensors[i].station for i in rows])
+    slopes = body.response.slopes([observed.sensors[i].station for i in rows])[:, body.moving]
     twice = integrated(observed.omega, -2, CORNER_HZ)
     for i, slope in zip(rows, slopes @ body.acceleration, strict=True):
         sensor, other = observed.sensors[i], observed.displaced_by[i]
@@ -125,12 +133,14 @@ def _of_modes(observed: Observed, motion: BodyMotion, rows: list[int]) -> Iterat
     """The mass of a body; its frequencies and its damping together, and of each mode by itself."""
     response, believed = motion.response, observed.tolerances
     body, sensor_response = response.body, observed.sensor_response[rows]
-    shapes = response.shapes([observed.sensors[i].station for i in rows])
+    shapes = response.shapes([observed.sensors[i].station for i in rows])[:, motion.moving]
     if believed.mass:
         change = -believed.mass * sensor_response * times(shapes, motion.acceleration)
         yield Change(Nuisance("mass", body.name), rows, change)
-    for kind, sensitivity in response.sensitivities.items():
-        change = sensitivity * motion.acceleration
+    kinds: tuple[Literal["frequency", "damping"], ...] = ("frequency", "damping")
+    for kind in kinds:
+        change = response.sensitivity(kind, motion.moving)
+        change *= motion.acceleration
         if common := float(getattr(believed, kind)):
             yield Change(Nuisance(kind, body.name), rows, common * sensor_response * times(shapes, change))
         for m in motion.elastic if not body.is_mass else []:

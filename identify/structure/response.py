@@ -71,16 +71,20 @@ class Response:
         beside = [self.modes.shapes(at, self.count) for at in (right, left)]
         return np.asarray((beside[0] - beside[1]) / (right - left)[:, None])
 
-    @property
-    def sensitivities(self) -> dict[Literal["frequency", "damping"], Complex[np.ndarray, "modes lines"]]:
-        """The relative change of each mode's acceleration by that of its frequency, and of its damping: -dD / D.
+    def sensitivity(
+        self, kind: Literal["frequency", "damping"], modes: slice = slice(None)
+    ) -> Complex[np.ndarray, "modes lines"]:
+        """The relative change of each mode's acceleration by that of its frequency, or of its damping: -dD / D.
 
         An error dD changes a mode's acceleration by -dD / D of what it truly is: of what was measured.
         """
-        hz, zeta, omega = self.dynamics.natural_hz, self.dynamics.damping_ratios, self.dynamics.omega
-        flexible, natural = receptance(hz, zeta, omega / (2 * np.pi)), 2 * np.pi * hz[:, None]
-        loss = 1j * zeta[:, None] * natural * omega
-        return {"frequency": -2 * (natural**2 + loss) * flexible, "damping": -2 * loss * flexible}
+        hz, zeta, omega = self.dynamics.natural_hz[modes], self.dynamics.damping_ratios[modes], self.dynamics.omega
+        natural = 2 * np.pi * hz[:, None]
+        changed = -2j * zeta[:, None] * natural * omega
+        if kind == "frequency":
+            changed -= 2 * natural**2
+        changed *= receptance(hz, zeta, omega / (2 * np.pi))
+        return changed
 
     def transfer(
         self, outputs: Float[np.ndarray, "outputs modes"], inputs: Float[np.ndarray, "inputs modes"]
@@ -129,6 +133,12 @@ def _transfer(dynamics: Dynamics, outputs: bytes, inputs: bytes) -> Complex[np.n
     found = times((by[:, None, :] * to[None]).reshape(-1, modes), accelerance)
     found.flags.writeable = False
     return found.reshape(len(by), len(to), lines)
+
+
+def forget() -> None:
+    """Frees what is kept of a record that is done with."""
+    for kept in (_transfer, _accelerance, _dynamics):
+        kept.cache_clear()
 
 
 def across(rig: Rig, response: Response) -> Float[np.ndarray, "contacts modes"]:

@@ -156,7 +156,6 @@ def start_of(
         moving=np.zeros(0, dtype=bool),
         noise_in_m=np.zeros(0),
         nuisance_m=np.zeros((0, force.size)),
-        nuisance_m_per_s=np.zeros((0, force.size)),
     )
     if seen.curve.knots:
         with suppress(RigError):

@@ -67,7 +67,7 @@ def nuisances(
             take(f"place of {sensor.name}", exact_m * single[:, None], slope @ motion, slope @ inverse)
         shapes = response.shapes(list(places))
         natural_hz = response.dynamics.natural_hz
-        stiffer, damped = response.sensitivities["frequency"], response.sensitivities["damping"]
+        stiffer, damped = response.sensitivity("frequency"), response.sensitivity("damping")
         for m in np.flatnonzero((natural_hz > 0) & (natural_hz < BEYOND * omega[-1] / (2 * np.pi))):
             exact, shape = tolerances.of_mode(body.name, int(m) + 1), shapes[:, m : m + 1]
             take(f"frequency of {body.name} {m + 1}", shape * exact.frequency * stiffer[m], motion[m], inverse[m])

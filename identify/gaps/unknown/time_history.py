@@ -55,8 +55,8 @@ class ForceHistory:
 
     @cached_property
     def factor(self) -> tuple[Float[np.ndarray, "columns columns"], bool]:
-        found: tuple[Float[np.ndarray, "columns columns"], bool] = cho_factor(self.matrix)
-        return found
+        found, lower = cho_factor(self.matrix)
+        return found, bool(lower)
 
     @cached_property
     def free_gain(self) -> float:

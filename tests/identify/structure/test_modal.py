@@ -12,7 +12,7 @@ from identify.structure.modal import (
     relative_displacements,
     relative_velocities,
     transformation,
-    without_higher_modes,
+    until,
 )
 from rig.errors import RigError
 from rig.model.beam import MAX_MODES
@@ -171,16 +171,15 @@ def test_the_higher_modes_are_taken_off(stations):
     force_n, *contact_n = np.cos(phases + shifts).sum(axis=1)  # periodic, up to 300 Hz
     contact_n = np.stack(contact_n)
     motion = motion_at_sensors(rig, lambda body: forced(rig, body, MAX_MODES, force_n, contact_n), force_n)
-    cleaned = without_higher_modes(rig, motion, contact_n)
-    samples = cleaned.force_n.size
+    samples = until(motion)
     assert samples == SAMPLES - RATE_HZ / 4
     for body in rig.bodies:
         true = forced(rig, body, stations, force_n, contact_n)
         for order, row in enumerate(("displacement", "velocity", "acceleration")):
             left = [
-                np.stack([getattr(e, row)[:samples] for e in modal_equations(rig, m, body, stations)])
+                np.stack([getattr(e, row)[:samples] for e in modal_equations(rig, motion, body, stations, given)])
                 - true[order][:, :samples]
-                for m in (motion, cleaned)
+                for given in (None, contact_n)
             ]
             before, after = (np.linalg.norm(x) / np.linalg.norm(true[order]) for x in left)
             assert after < 1e-9
@@ -193,8 +192,7 @@ def test_the_modal_equations_balance_once_the_higher_modes_are_off(barrel_cradle
     contact_n = read_truth(truth_path(barrel_cradle)).signals["contact_force"].values
     rig, motion = recording.rig, kinematics(recording, "displacement")
     contact_n = contact_n[:, : motion.force_n.size]
-    cleaned = without_higher_modes(rig, motion, contact_n)
-    samples = cleaned.force_n.size
+    samples = until(motion)
     in_band = np.fft.rfftfreq(samples, 1 / RATE_HZ) < 200.0
     hann = np.hanning(samples)
 
@@ -202,7 +200,9 @@ def test_the_modal_equations_balance_once_the_higher_modes_are_off(barrel_cradle
         return np.linalg.norm(np.fft.rfft(hann * signal[:samples])[in_band])
 
     for body in rig.bodies:
-        for measured, clean in zip(*(modal_equations(rig, m, body) for m in (motion, cleaned)), strict=True):
+        for measured, clean in zip(
+            *(modal_equations(rig, motion, body, 4, given) for given in (None, contact_n)), strict=True
+        ):
             forced_by = measured.shape_at_force * motion.force_n - measured.shape_at_contacts @ contact_n
             natural = 2 * np.pi * measured.frequency_hz
             residual = [

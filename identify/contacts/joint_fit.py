@@ -1,0 +1,88 @@
+"""Gauss-Newton for one contact: by steps from the normal equations, with weights that the scatter left asks for."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from identify.contacts.linearised import Knots, State, jacobian, state_at
+from identify.contacts.normal_equations import normal_equations
+from identify.contacts.start import LAW, STIFFNESS, ContactRecord, Law
+from identify.signals.descent import Step, descended
+from identify.signals.drift import Spline
+
+STEPS, ROUNDS, SETTLED = 30, 3, 1e-7
+
+Weights = Float[np.ndarray, " fewer"]
+
+
+def fitted(
+    seen: ContactRecord, curve: Spline, tie: Float[np.ndarray, "4 free"], law: Law, begun: list[Knots]
+) -> tuple[State, Weights]:
+    """Descends from the drift of each start, and from the best again with the weights renewed from the scatter that is
+    left, until they stand."""
+    rough_n, none = 0.02 * float(np.std(seen.force_n)), np.zeros(len(seen.nuisance_n))
+    state = None
+    for knots in begun:
+        start = state_at(seen, curve, law, knots, none)
+        end = _descended(seen, curve, start, tie, weights_of(seen, start, rough_n))
+        if state is None or np.sum(end.residual**2) < np.sum(state.residual**2):
+            state = end
+    assert state is not None
+    weights = weights_of(seen, state, _scatter(state))
+    for _ in range(ROUNDS):
+        state = _descended(seen, curve, state, tie, weights)
+        before, weights = weights, weights_of(seen, state, _scatter(state))
+        if np.allclose(weights, before, rtol=0.1):
+            break
+    return state, weights
+
+
+def _descended(
+    seen: ContactRecord, curve: Spline, state: State, tie: Float[np.ndarray, "4 free"], weights: Weights
+) -> State:
+    """The state of least cost under some weights."""
+
+    def step_from(at: State) -> Step[State]:
+        to_law = tie * scales(at, tie)
+        equations, *down = normal_equations(seen, at, jacobian(seen, curve, at), curve, to_law, weights)
+        knots, others = equations.solved(*down)
+
+        def after(share: float) -> State | None:
+            law = at.law + share * to_law @ others[at.pulls.size :, 0]
+            if np.any(law < LAW.bounds[0]) or STIFFNESS @ law == 0:
+                return None
+            pulls = at.pulls + share * others[: at.pulls.size, 0]
+            return _weighed(seen, curve, state_at(seen, curve, law, at.knots + share * knots[:, 0], pulls), weights)
+
+        return Step(after, float(np.sum(down[0] * knots) + np.sum(down[1] * others)))
+
+    return descended(_weighed(seen, curve, state, weights), step_from, lambda at: SETTLED * at.cost, STEPS)[0]
+
+
+def _weighed(seen: ContactRecord, curve: Spline, state: State, weights: Weights) -> State:
+    """With its cost."""
+    prior = curve.curvature @ state.knots - curve.target
+    squares = np.sum((weights * state.residual) ** 2) + np.sum(prior**2) + seen.sample_ratio * np.sum(state.pulls**2)
+    return replace(state, cost=float(squares))
+
+
+def scales(state: State, tie: Float[np.ndarray, "4 free"]) -> Float[np.ndarray, " free"]:
+    """Sizes of the free parameters, so that the normal equations are well conditioned."""
+    lower, upper, stiffness, _ = state.law
+    gap = max(min(lower, upper), 1e-9)
+    return np.asarray(np.max(tie * np.array([gap, gap, stiffness, 1e-3 * stiffness])[:, None], axis=0))
+
+
+def _scatter(state: State) -> float:
+    """Standard deviation of the residual while the contact is open; of all of it where that is larger."""
+    free = state.residual[np.abs(state.by_eta) < 1e-3 * state.stiffness_n_per_m]
+    return float(np.std(free)) if np.any(free) else float(np.std(state.residual))
+
+
+def weights_of(seen: ContactRecord, state: State, open_n: float) -> Weights:
+    """One over the standard deviation of each residual: that of the force, the share of it that no law explains, and
+    what the relative displacement's noise, where the drift's knots do not follow it, does through the stiffness."""
+    fast_m = 0.0 if seen.drift is None else seen.drift.unfollowed_m
+    unmodelled_n = seen.unmodelled * np.hypot(seen.force_n, np.std(seen.force_n))
+    return np.asarray(1 / np.sqrt(open_n**2 + (state.by_eta * fast_m) ** 2 + unmodelled_n**2))

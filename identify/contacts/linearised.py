@@ -1,0 +1,166 @@
+"""One contact's residual at some parameters, and its derivatives."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from jaxtyping import Float
+from scipy.sparse import csr_matrix, diags
+
+from identify.contacts.start import STIFFNESS, ContactRecord, Law
+from identify.signals.drift import Spline
+from identify.signals.finely import finely
+from identify.signals.spectra import decimated
+from rig.model.contact_laws import DeadZone
+
+FINE_HZ = 16384.0
+"""The contact force is evaluated at this rate at least, so that its kinks do not alias."""
+AT_ONCE = 1 << 14
+"""So many samples of single precision are taken in double at once."""
+
+Knots = Float[np.ndarray, " knots"]
+Pulls = Float[np.ndarray, " nuisances"]
+
+
+@dataclass(frozen=True)
+class State:
+    """Parameters, the residual there and its cost; by_eta is the low-passed slope of the law."""
+
+    law: Law
+    knots: Knots
+    pulls: Pulls
+    residual: Float[np.ndarray, " fewer"]
+    by_eta: Float[np.ndarray, " fewer"]
+    cost: float = np.inf
+
+    @property
+    def stiffness_n_per_m(self) -> float:
+        return float(STIFFNESS @ self.law)
+
+
+@dataclass(frozen=True)
+class Jacobian:
+    """Of the fitted force: by the drift's knots, the nuisance parameters, and the law.
+
+    The low-pass acts on the slope of the law; the drift is slow against it.
+    """
+
+    by_knots: csr_matrix
+    by_pulls: Float[np.ndarray, "fewer nuisances"]
+    by_law: Float[np.ndarray, "fewer 4"]
+
+    def times(
+        self, knots: Float[np.ndarray, "knots columns"], others: Float[np.ndarray, "others columns"]
+    ) -> Float[np.ndarray, "fewer columns"]:
+        """others are the nuisance parameters, then the law's."""
+        pulls = self.by_pulls.shape[1]
+        of_pulls = np.concatenate([self.by_pulls[part] @ others[:pulls] for part in parts(len(self.by_law))])
+        return np.asarray(self.by_knots @ knots + of_pulls + self.by_law @ others[pulls:])
+
+
+def parts(samples: int) -> Iterator[slice]:
+    return (slice(first, first + AT_ONCE) for first in range(0, samples, AT_ONCE))
+
+
+def law_force_n(
+    law: Law, eta_m: Float[np.ndarray, "*samples"], rate_m_per_s: Float[np.ndarray, "*samples"]
+) -> Float[np.ndarray, "*samples"]:
+    """Stiffness and damping times what a `DeadZone` makes of one of each; the damping may have any sign."""
+    _, _, stiffness, damping = law
+    by_stiffness, by_damping = _by_stiffness_and_damping(law, eta_m, rate_m_per_s)
+    return np.asarray(stiffness * by_stiffness + damping * by_damping)
+
+
+def _by_stiffness_and_damping(
+    law: Law, eta_m: Float[np.ndarray, "*samples"], rate: Float[np.ndarray, "*samples"]
+) -> tuple[Float[np.ndarray, "*samples"], Float[np.ndarray, "*samples"]]:
+    lower, upper, _, _ = law.tolist()
+    spring, damper = (
+        DeadZone(lower_clearance_m=lower, upper_clearance_m=upper, stiffness_n_per_m=k, damping_n_s_per_m=c)
+        for k, c in ((1.0, 0.0), (0.0, 1.0))
+    )
+    return spring.force_n(eta_m), damper.force_n(eta_m, rate)
+
+
+def state_at(seen: ContactRecord, curve: Spline, law: Law, knots: Knots, pulls: Pulls) -> State:
+    """Without a cost, which takes weights."""
+    eta, velocity = moved(seen, curve, knots, pulls)
+    fine = max(1, round(FINE_HZ / seen.sample_rate_hz))
+    fitted = finely(partial(law_force_n, law), np.stack([eta, velocity]), fine)
+    fast = (seen.force_n - _summed(pulls, seen.nuisance_n) - _fewer(seen, fitted)) / (1 - pulls @ seen.noise_in_n)
+    return State(
+        law, knots, pulls, fast - _held(seen, curve) @ knots, _fewer(seen, STIFFNESS @ law * _outside(law, eta))
+    )
+
+
+def moved(
+    seen: ContactRecord, curve: Spline, knots: Knots, pulls: Pulls
+) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
+    """The relative displacement with drift and nuisance parameters, and its rate."""
+    drift, rate = drift_of(seen, curve, knots, pulls)
+    return seen.eta_m + drift, seen.velocity_m_per_s + rate
+
+
+def drift_of(
+    seen: ContactRecord, curve: Spline, knots: Knots, pulls: Pulls
+) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
+    """What the knots and the nuisance parameters add to the relative displacement, and to its rate."""
+    moving = pulls[seen.moving]
+    kept, nuisance_m = 1 - moving @ seen.noise_in_m, _summed(moving, seen.nuisance_m)
+    return kept * (curve.value @ knots) - nuisance_m, kept * (curve.rate @ knots) - seen.rate_of(nuisance_m)
+
+
+def _summed(
+    shares: Float[np.ndarray, " rows"], rows: Float[np.ndarray, "rows samples"]
+) -> Float[np.ndarray, " samples"]:
+    """Their product, without taking all rows in double precision at once."""
+    total = np.zeros(rows.shape[1])
+    for share, row in zip(shares, rows, strict=True):
+        total += share * row
+    return total
+
+
+def jacobian(seen: ContactRecord, curve: Spline, state: State) -> Jacobian:
+    """At a state."""
+    lower, upper, stiffness, damping = state.law
+    eta, velocity = moved(seen, curve, state.knots, state.pulls)
+    outside = _outside(state.law, eta)
+    by_law = [
+        stiffness * (eta < -lower),
+        -stiffness * (eta > upper),
+        *_by_stiffness_and_damping(state.law, eta, velocity),
+    ]
+    by_drift = diags(state.by_eta) @ curve.value[:: seen.factor][: seen.force_n.size]
+    fast, slow_n = state.residual + _held(seen, curve) @ state.knots, by_drift @ state.knots
+    by_pulls = seen.nuisance_n.astype(np.float32)  # a copy
+    for index, noise in enumerate(seen.noise_in_n):
+        by_pulls[index] -= noise * fast
+    for row, nuisance_m, noise in zip(np.flatnonzero(seen.moving), seen.nuisance_m, seen.noise_in_m, strict=True):
+        pushed = outside * (stiffness * nuisance_m + damping * seen.rate_of(nuisance_m))
+        by_pulls[row] -= _fewer(seen, pushed) + noise * slow_n
+    kept = 1 - state.pulls @ seen.noise_in_n
+    by_pulls /= np.float32(kept)
+    drift_kept = 1 - state.pulls[seen.moving] @ seen.noise_in_m
+    return Jacobian(
+        by_knots=drift_kept / kept * by_drift + _held(seen, curve),
+        by_pulls=by_pulls.T,
+        by_law=np.stack([_fewer(seen, row) for row in by_law], axis=1) / kept,
+    )
+
+
+def _outside(law: Law, eta_m: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
+    """One where the contact is closed."""
+    lower, upper, _, _ = law
+    return ((eta_m > upper) | (eta_m < -lower)).astype(float)
+
+
+def _held(seen: ContactRecord, curve: Spline) -> csr_matrix:
+    """The force of the spring and the damper to the ground, by the knots."""
+    value, rate = (rows[:: seen.factor][: seen.force_n.size] for rows in (curve.value, curve.rate))
+    return seen.spring_n_per_m * value + seen.damper_n_s_per_m * rate
+
+
+def _fewer(seen: ContactRecord, signal: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " fewer"]:
+    """As the separated force was low-passed."""
+    return decimated(signal, seen.factor)[: seen.force_n.size]
