@@ -18,7 +18,7 @@ from scipy.ndimage import uniform_filter1d
 from identify.checks.candidates import Suspect, candidates_of
 from identify.checks.prediction import ROUGH, LinearCheck, Predicted
 from identify.structure.nuisance import BodyMotion, Change, Observed, changes_of
-from identify.structure.response import Response, across, response_of, times
+from identify.structure.response import Response, across, forget, response_of, times
 from rig.model.description import Rig
 from rig.model.tolerances import Tolerances
 
@@ -30,6 +30,8 @@ MOST, NEXT = 4, 0.25
 """No more are named, and none that is asked for by less than this share of the first."""
 STEADY = 2.0
 """Motion that lasts for half of the record is taken to last for all of it."""
+AT_ONCE = 4096
+"""Samples of all columns that are worked on at once."""
 FLOOR = 0.003
 """No model is believed to fit better than to this share of what a body does at a line."""
 
@@ -67,6 +69,7 @@ def broken(
         displaced=np.zeros_like(measured),
         bodies=bodies,
     )
+    forget()
     project = Projector(check, kept)
     left = project(measured - by_force)
     parameters, columns = [], []
@@ -121,10 +124,11 @@ def _scores(
     """The pulls of the first `count`, each candidate's score and its size, with the free ones without a prior."""
     fitted = [*range(count), *free]
     products, along = np.zeros((len(columns), len(columns))), np.zeros(len(columns))
-    for sensor, target in enumerate(left * weights):
-        rows = np.stack([column[sensor] for column in columns]) * weights
+    for first in range(0, left.shape[1], AT_ONCE):
+        part = slice(first, first + AT_ONCE)
+        rows = np.stack([column[:, part] * weights[part] for column in columns]).reshape(len(columns), -1)
         products += rows @ rows.T
-        along += rows @ target
+        along += rows @ (left[:, part] * weights[part]).reshape(-1)
     prior = np.r_[np.ones(count), np.full(len(free), 1e-9)]
     inverse = np.linalg.inv(products[np.ix_(fitted, fitted)] + np.diag(prior))
     across = products[:, fitted]

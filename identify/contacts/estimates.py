@@ -147,7 +147,7 @@ def _observed(
         displaced = separated.nuisances.eta_m[:, j]
         moving = np.any(displaced, axis=1)
         drift = drift_of(rig, motion, j, noise, tolerances, samples)
-        nuisance_m = oversampled(displaced[moving], separated.factor)[:, :samples]
+        nuisance_m = oversampled(displaced[moving], separated.factor)[:, :samples].astype(np.float32)
         found.append(
             ContactRecord(
                 eta_m=eta[j, :samples],

@@ -91,7 +91,9 @@ def separated_forces(
     left_out_s = LEFT_OUT_S if any(b.length_m for b in rig.bodies) else TAPER_S
     kept = (samples - round(left_out_s * rate)) // factor
     signs = np.array([[float(s == c.at) - float(s == c.against) for s in motion.stations] for c in rig.contacts])
-    nuisances = nuisance_signals(changes, noisy, to_force, signs, lines, kept)
+    parameters = tuple(c.parameter for c in changes)
+    del changes, errors  # they take much memory
+    nuisances = nuisance_signals(parameters, observed, noisy, to_force, signs, lines, kept)
     found = lines.in_time(weighed(to_force, rest), kept)
     slow_n_per_m = slow_stiffness(rig, responses)
     if rig.bodies[0].is_mass and len(rig.bodies) == len(rig.contacts) == 1:

@@ -106,19 +106,22 @@ def identify_contact(
     findings = without_dead_force(findings) if unforced else findings
     findings += tuple(fit_findings(names, found.estimates, found.separated.nuisances.parameters))
     progress(0.5)
-    rig, motion, estimates = found.rig, found.motion, found.estimates
+    rig, motion, estimates, separated = found.rig, found.motion, found.estimates, found.separated.force_n
+    factor = found.separated.factor
     low, high = (0.0, driven_to_hz(motion)) if unforced else force_band(motion.force_n, motion.sample_rate_hz)
     band = averaging.band_hz or (
         max(low, CLEAR_OF_CORNER * motion.trusted_hz[0], LOWEST_HZ),
         min(high, motion.trusted_hz[1]),
     )
     eta, force, depth = _with_law(found.observed, estimates)
-    seen = motion.part(slice(eta.shape[1]))
-    kept = until(seen)
-    eta, depth, exciting_n = eta[:, :kept], depth[:, :kept], seen.force_n[:kept]
+    del found  # the nuisance parameters over time take much memory
+    motion = motion.part(slice(eta.shape[1]))
+    kept = until(motion)
+    eta, depth, exciting_n = eta[:, :kept], depth[:, :kept], motion.force_n[:kept]
     stops = tuple(_stops(a) for a in estimates)
     cut = blocks(kept, motion.sample_rate_hz, averaging, band)
-    equations = [e for body in rig.bodies for e in modal_equations(rig, seen, body, EQUATIONS, force)]
+    equations = [e for body in rig.bodies for e in modal_equations(rig, motion, body, EQUATIONS, force)]
+    motion = motion.part(slice(kept)).without_rows
     forced = [e for e in equations if e.shape_at_force != 0]
     spectra = [] if unforced else [nifo(e, exciting_n, depth, cut) for e in forced]
     findings += tuple(equation_findings(names, estimates, spectra))
@@ -143,10 +146,10 @@ def identify_contact(
             findings=findings,
         ),
         rig=rig,
-        motion=seen.part(slice(kept)).without_rows,
+        motion=motion,
         eta_m=eta,
-        separated_n=found.separated.force_n,
-        factor=found.separated.factor,
+        separated_n=separated,
+        factor=factor,
         estimates=estimates,
         surface=next(s for s in surfaces if s.equation.name == name),
         forms=(weak, nifo(weak.equation, exciting_n, depth, cut, "paper")) if weak else None,

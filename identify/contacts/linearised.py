@@ -157,6 +157,8 @@ def _outside(law: Law, eta_m: Float[np.ndarray, " samples"]) -> Float[np.ndarray
 
 def _held(seen: ContactRecord, curve: Spline) -> csr_matrix:
     """The force of the spring and the damper to the ground, by the knots."""
+    if not (seen.spring_n_per_m or seen.damper_n_s_per_m):
+        return csr_matrix((seen.force_n.size, curve.knots))
     value, rate = (rows[:: seen.factor][: seen.force_n.size] for rows in (curve.value, curve.rate))
     return seen.spring_n_per_m * value + seen.damper_n_s_per_m * rate
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
-from scipy.sparse import csr_matrix, diags
+from scipy.sparse import csr_matrix, diags, spmatrix
 
 from identify.contacts.linearised import Jacobian, State, parts
 from identify.contacts.start import ContactRecord
@@ -70,7 +70,7 @@ def normal_equations(
     return Normal(cholesky, mixed, kept, rest), of_knots[:, None], gradient[:, None]
 
 
-def _banded(matrix: csr_matrix) -> Float[np.ndarray, "band knots"]:
+def _banded(matrix: spmatrix) -> Float[np.ndarray, "band knots"]:
     """The Cholesky factor of a symmetric matrix with so many diagonals."""
     knots = matrix.shape[0]
     upper = np.zeros((BAND + 1, knots))

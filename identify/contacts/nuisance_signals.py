@@ -1,6 +1,5 @@
 """What the nuisance parameters add to the contact forces and to the relative displacements, over time."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,7 +7,7 @@ from jaxtyping import Complex, Float
 
 from identify.contacts.lines import Lines
 from identify.signals.drift import KNOT_S
-from identify.structure.nuisance import THE_RECORD, Change, Kind, Nuisance, Observed, changes_of
+from identify.structure.nuisance import THE_RECORD, Kind, Nuisance, Observed, changes_of
 from identify.structure.response import times
 
 ToForce = Complex[np.ndarray, "contacts stations lines"]
@@ -56,26 +55,28 @@ class NuisanceSignals:
 
 
 def nuisance_signals(
-    changes: Sequence[Change],
+    parameters: tuple[Nuisance, ...],
+    observed: Observed,
     noise: Observed,
     to_force: ToForce,
     signs: Float[np.ndarray, "contacts stations"],
     lines: Lines,
     kept: int,
 ) -> NuisanceSignals:
-    """Over `kept` samples; noise is what the sensors' noise alone would show."""
-    count = (len(changes), len(signs), kept)
+    """Over `kept` samples, of the parameters of `changes_of(observed)`; noise is what the sensors' noise alone would
+    show."""
+    count = (len(parameters), len(signs), kept)
     forces, eta = np.empty(count, np.float32), np.zeros(count, np.float32)
     in_n, in_m = np.zeros(count[:2]), np.zeros(count[:2])
     noise_n, noise_eta = weighed(to_force, noise.explained), times(signs, noise.displaced)
-    for i, (change, noisy) in enumerate(zip(changes, changes_of(noise), strict=True)):
+    for i, (change, noisy) in enumerate(zip(changes_of(observed), changes_of(noise), strict=True)):
         to_own, own_signs = to_force[:, change.sensors], signs[:, change.sensors]
         forces[i] = lines.in_time(weighed(to_own, change.delivered), kept)
         in_n[i] = _share(noise_n, weighed(to_own, noisy.delivered))
         if change.displaced is not None and noisy.displaced is not None and np.any(own_signs):
             eta[i] = lines.in_time(times(own_signs, change.displaced), kept)
             in_m[i] = _share(noise_eta, times(own_signs, noisy.displaced))
-    return NuisanceSignals(tuple(c.parameter for c in changes), forces, eta, in_n, in_m)
+    return NuisanceSignals(parameters, forces, eta, in_n, in_m)
 
 
 def drawn_noise(
