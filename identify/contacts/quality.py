@@ -47,14 +47,17 @@ def findings_before(recording: Recording, use: Use, tolerances: Tolerances | Non
 
 
 def widened(found: Joint, parameters: Sequence[Nuisance], in_gaps: float) -> Joint:
-    """Standard errors times the largest pull of what belongs to a whole body or to the force, where it is unusual.
+    """Standard errors times the largest pull p of what belongs to a whole body or to the force, where it is unusual.
 
-    A clock, a density or a unit that is off shows there, and what it does beside is in no tolerance. What shows of a
-    mass while its contacts are open is no part of the fit: its pull p always counts, as sqrt(1 + p^2).
+    A clock, a density or a unit that is off shows there, and what it does beside is in no tolerance. A rig of one body
+    has no second one to tell a clock from its frequencies by: there p always counts, as sqrt(1 + p^2). So does the
+    pull of a mass while its contacts are open, which is no part of the fit.
     """
-    pulls = [abs(p) for p, of in zip(found.pulls, parameters, strict=True) if of.kind in WHOLE and of.mode is None]
-    factor = max(pulls, default=0.0)
-    square = max(factor**2 if factor > USUAL else 1.0, 1 + in_gaps**2)
+    whole = {of: abs(p) for p, of in zip(found.pulls, parameters, strict=True) if of.kind in WHOLE and of.mode is None}
+    pull = max(whole.values(), default=0.0)
+    alone = sum(of.kind == "frequency" for of in whole) == 1
+    unusual = 1 + pull**2 if alone else pull**2 if pull > USUAL else 1.0
+    square = max(unusual, 1 + in_gaps**2)
     return replace(
         found,
         covariance=square * found.covariance,

@@ -33,6 +33,12 @@ def joint(pulls=(0.0, 0.0, 0.0), damping=1.0, halves=(0.0, 0.0), unexplained=0.0
     [(1.0, 0.0, 1.0), (2.0, 1.0, 2.0), (-3.0, 2.0, 3.0), (0.0, 0.75, 1.25), (2.0, 2.4, 2.6)],
 )
 def test_errors_grow_with_the_pull_of_a_whole_body(pull, in_gaps, factor):
+    found = widened(joint((pull, 4.0, 4.0, 0.0)), (*PARAMETERS, Nuisance("frequency", "base")), in_gaps)
+    np.testing.assert_allclose(found.errors, factor * joint().errors)
+
+
+@pytest.mark.parametrize(("pull", "in_gaps", "factor"), [(0.0, 0.0, 1.0), (0.75, 0.0, 1.25), (-2.4, 0.75, 2.6)])
+def test_of_a_rig_of_one_body_any_pull_counts(pull, in_gaps, factor):
     found = widened(joint((pull, 4.0, 4.0)), PARAMETERS, in_gaps)
     np.testing.assert_allclose(found.errors, factor * joint().errors)
 
