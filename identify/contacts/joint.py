@@ -1,12 +1,13 @@
 """Clearances, stiffness and damping of one contact, the slow drift of its relative displacement, and the tolerances
 of rig.json, together."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import norm, t
 
+from identify.contacts.first_pulls import first_pulls
 from identify.contacts.joint_fit import fitted, scales
 from identify.contacts.linearised import State, drift_of, jacobian
 from identify.contacts.normal_equations import normal_equations
@@ -103,13 +104,15 @@ def fit_joint(seen: ContactRecord) -> Joint:
     Raises RigError if the contact is hardly ever closed or the fit does not converge.
     """
     curve = spline(seen.eta_m.size, seen.sample_rate_hz, seen.drift)
-    touched = touched_stops(seen)
+    pulls = first_pulls(seen)
+    told = replace(seen, force_n=seen.force_n - pulls @ seen.nuisance_n) if pulls.any() else seen
+    touched = touched_stops(told)
     tie = np.eye(len(LAW))[:, [*touched, True, True]]
     if not seen.sides_known:
         tie = np.column_stack([2 * _clearance(touched), tie[:, 2:]])
-    law, knots = regressed(seen, curve)
+    law, knots = regressed(told, curve)
     begun = [knots, np.zeros_like(knots)] if curve.knots else [knots]  # rarely, the regression's drift leads astray
-    state, weights = fitted(seen, curve, tie, law, begun)
+    state, weights = fitted(seen, curve, tie, law, begun, pulls)
     if _curvature_pull(curve, state) > MOST_PULL:
         raise RigError(
             "the drift that would explain it is larger than the noise of the accelerometers allows; check their noise "

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from identify.contacts.linearised import Knots, State, jacobian, state_at
+from identify.contacts.linearised import Knots, Pulls, State, jacobian, state_at
 from identify.contacts.normal_equations import normal_equations
 from identify.contacts.start import LAW, STIFFNESS, ContactRecord, Law
 from identify.signals.descent import Step, descended
@@ -17,14 +17,14 @@ Weights = Float[np.ndarray, " fewer"]
 
 
 def fitted(
-    seen: ContactRecord, curve: Spline, tie: Float[np.ndarray, "4 free"], law: Law, begun: list[Knots]
+    seen: ContactRecord, curve: Spline, tie: Float[np.ndarray, "4 free"], law: Law, begun: list[Knots], pulls: Pulls
 ) -> tuple[State, Weights]:
     """Descends from the drift of each start, and from the best again with the weights renewed from the scatter that is
     left, until they stand."""
-    rough_n, none = 0.02 * float(np.std(seen.force_n)), np.zeros(len(seen.nuisance_n))
+    rough_n = 0.02 * float(np.std(seen.force_n))
     state = None
     for knots in begun:
-        start = state_at(seen, curve, law, knots, none)
+        start = state_at(seen, curve, law, knots, pulls)
         end = _descended(seen, curve, start, tie, weights_of(seen, start, rough_n))
         if state is None or np.sum(end.residual**2) < np.sum(state.residual**2):
             state = end

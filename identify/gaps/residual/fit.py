@@ -58,8 +58,8 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class Normal:
-    """Normal equations of nuisance parameters and parameters with the contacts' own unknowns eliminated."""
+class NormalEquations:
+    """NormalEquations equations of nuisance parameters and parameters with the contacts' own unknowns eliminated."""
 
     matrix: Float[np.ndarray, "global global"]
     gradient: Float[np.ndarray, " global"]
@@ -151,7 +151,7 @@ class Eliminated:
 
 @dataclass(frozen=True)
 class Reduced:
-    """Normal equations of the nuisance parameters at a residual; columns join them.
+    """NormalEquations equations of the nuisance parameters at a residual; columns join them.
 
     The contacts' own unknowns are eliminated.
     """
@@ -168,7 +168,7 @@ class Reduced:
         more = self.linearization.columns.products((at.quiet - self.at.quiet).ravel())
         return replace(self, at=at, gradient=self.gradient + more)
 
-    def joined(self, columns: list[Column]) -> Normal:
+    def joined(self, columns: list[Column]) -> NormalEquations:
         """Over the nuisance parameters, then the columns."""
         count, size = len(self.gradient), len(self.gradient) + len(columns)
         matrix, gradient = np.zeros((size, size)), np.zeros(size)
@@ -188,7 +188,7 @@ class Reduced:
             back.append((eliminated.solved_free, np.concatenate([eliminated.solved, solved], axis=1)))
         matrix[count:, :count] = matrix[:count, count:].T
         without = float(sum(e.free @ e.solved_free for e in self.contacts))
-        return Normal(matrix, gradient, tuple(back), without)
+        return NormalEquations(matrix, gradient, tuple(back), without)
 
 
 def reduced(linearization: Linearization, at: Residual) -> Reduced:

@@ -35,7 +35,7 @@ def kept(history: ForceHistory, law: ForceLaw) -> float:
     return history.gain(history.spectra(force)) / max(history.free_gain, 1e-300)
 
 
-def begun_at(history: ForceHistory, form: Form, only: float | None = None) -> "tuple[Descent, State]":
+def begun_at(history: ForceHistory, form: Form, only: float | None = None) -> "tuple[Descent, DescentState]":
     """The first numbers, by a law of which little is trusted: from the best of a grid, without slow motion."""
     soft = softened(history, TRUSTED[0])
     largest = float(np.abs(history.moved_m * (history.finely(history.counted) > 0)).max())
@@ -52,7 +52,7 @@ def begun_at(history: ForceHistory, form: Form, only: float | None = None) -> "t
     return at, at.descended(state)
 
 
-def ended(history: ForceHistory, at: "Descent", state: "State") -> "State":
+def ended(history: ForceHistory, at: "Descent", state: "DescentState") -> "DescentState":
     """From the first numbers on, the law trusted more and more."""
     for law_error in TRUSTED[2:]:
         state = replace(at, history=softened(history, law_error)).descended(state)
@@ -60,7 +60,7 @@ def ended(history: ForceHistory, at: "Descent", state: "State") -> "State":
 
 
 @dataclass(frozen=True)
-class State:
+class DescentState:
     coefficients: Float[np.ndarray, " coefficients"]
     parameter: float
     knots: Float[np.ndarray, " knots"]
@@ -95,7 +95,7 @@ class Descent:
     prior: Float[np.ndarray, "knots knots"]
     frozen: bool = False
 
-    def start(self, parameter: float) -> State:
+    def start(self, parameter: float) -> DescentState:
         coefficients, gain, errors = solved(self.history, self.form, parameter)
         knots = np.zeros(len(self.prior))
         law = ForceLaw(
@@ -107,7 +107,7 @@ class Descent:
             0.0,
             gain / self.history.free_gain,
         )
-        return State(coefficients, parameter, knots, law)
+        return DescentState(coefficients, parameter, knots, law)
 
     def shapes(
         self, parameter: float, knots: Float[np.ndarray, " knots"], more_m: float = 0.0
@@ -118,7 +118,7 @@ class Descent:
     def value(self, force: Fine, knots: Float[np.ndarray, " knots"]) -> float:
         return self.history.gain(self.history.spectra(force)) - float(knots @ self.prior @ knots)
 
-    def descended(self, state: State) -> State:
+    def descended(self, state: DescentState) -> DescentState:
         at, last = descended(self._at(state.coefficients, state.parameter, state.knots), self._step, _settled, STEPS)
         kinds, errors = len(self.form.units), np.sqrt(np.maximum(np.diag(last.covariance), 0.0))
         law = ForceLaw(
@@ -130,7 +130,7 @@ class Descent:
             float(np.mean((self.history.slow @ at.knots)[self.history.counted > 0])),
             -at.cost / max(self.history.free_gain, 1e-300),
         )
-        return State(at.coefficients, at.parameter, at.knots, law)
+        return DescentState(at.coefficients, at.parameter, at.knots, law)
 
     def _at(
         self,
