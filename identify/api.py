@@ -352,6 +352,7 @@ def gap(
         sources = [Path(one) for one in (*every, validation, rig) if isinstance(one, str | Path)]
         check_target(kept, *sources, new_folder=True)
     with threadpool_limits(1):  # the matrices are small
+        findings = [f for one in given.values() for f in check_recording(one, tolerances=_believed(tolerances))]
         found, corrected = diagnose(
             list(given.values()),
             None if validation is None else given.get(_identity(validation)) or _of_rig(validation, believed, rig),
@@ -362,7 +363,6 @@ def gap(
             matters or Matters(),
             next_experiment,
         )
-        findings = [f for one in given.values() for f in check_recording(one, tolerances=_believed(tolerances))]
     return GapResult(found, corrected, _title(every, first), tuple(dict.fromkeys(findings)), _files(every))
 
 

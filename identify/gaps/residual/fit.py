@@ -59,7 +59,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """NormalEquations equations of nuisance parameters and parameters with the contacts' own unknowns eliminated."""
+    """Normal equations of nuisance parameters and parameters with the contacts' own unknowns eliminated."""
 
     matrix: Float[np.ndarray, "global global"]
     gradient: Float[np.ndarray, " global"]
@@ -151,7 +151,7 @@ class Eliminated:
 
 @dataclass(frozen=True)
 class Reduced:
-    """NormalEquations equations of the nuisance parameters at a residual; columns join them.
+    """Normal equations of the nuisance parameters at a residual; columns join them.
 
     The contacts' own unknowns are eliminated.
     """

@@ -39,9 +39,10 @@ SHOWN = 2
 def search(begun: Search, progress: Callable[[float], None]) -> list[Hypothesis]:
     """The believed rig, and the single effects and pairs that explain most, the likeliest on this record first.
 
-    Every effect is screened, those that promise most are fitted for a few steps, the best of them to the end. Behind
-    the best the library is screened again, and a pair is fitted together. Each part of the best pair is in turn taken
-    first, so that a pair does not depend on which of the two was found first.
+    Every effect is screened, those that promise most are fitted for a few steps, the best of them to the end. Where a
+    tolerance stays at its limit, factors and linear effects are fitted whatever they promise, from their typical size.
+    Behind the best the library is screened again, and a pair is fitted together. Each part of the best pair is in turn
+    taken first, so that a pair does not depend on which of the two was found first.
     """
     nothing = begun.nothing()
     singles = _singles(begun, nothing)
@@ -107,7 +108,8 @@ def _singles(begun: Search, nothing: Tried) -> list[Tried]:
     if not min(refined, key=_cost, default=nothing).hypothesis.at_limit:
         return refined
     found = {one.hypothesis.parts[0].name: one for one in refined}
-    for candidate in (c for c in steady if c.neutral == 1 and "sensor" not in c.place):
+    placed = [c for c in steady if "sensor" not in c.place]
+    for candidate in (c for c in placed if c.neutral == 1 or (c not in laws and len(c.starts()) == 1)):
         with suppress(RigError):
             take(candidate.name, fit_effects(begun, (candidate,), candidate.default, fresh))
     return sorted(found.values(), key=_cost)
