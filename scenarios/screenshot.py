@@ -16,7 +16,7 @@ from pathlib import Path
 from rerun.experimental import ViewerClient
 
 from rig.errors import RigError
-from rig.viewer.blueprint import TIMELINE
+from rig.viewer.drawing import TIMELINE
 
 PATIENCE_S = 120.0
 SETTLE_S = 5.0

@@ -212,7 +212,11 @@ def view(
     out: Annotated[Path | None, typer.Option(help="The .rrd to write; otherwise beside the recording.")] = None,
     truth: Annotated[Path | None, typer.Option(help="The truth file; otherwise the one beside the recording.")] = None,
     contact: Annotated[
-        Path | None, typer.Option(help="A contact.json of `identify contact`, whose walls are drawn over the others.")
+        Path | None,
+        typer.Option(
+            help="A contact.json of `identify contact`, or its folder: its walls; where there is no truth file, with "
+            "`--export csv` or `parquet` also its relative displacements and separated forces."
+        ),
     ] = None,
     magnification: Annotated[float | None, typer.Option(help="Of the beams' deflection; otherwise chosen.")] = None,
     force: Force = False,
@@ -222,7 +226,7 @@ def view(
     Example: rig view barrel_cradle.mcap --contact results/contact.json --out barrel_cradle.rrd
     """
     with needs_extra("view", "rig view (rerun)"):
-        from rig.viewer.identified import identified_laws
+        from rig.viewer.identified import NOTHING_IDENTIFIED, read_identified
         from rig.viewer.viewing import open_viewer, write_rrd
 
     if magnification is not None and not 0 < magnification < np.inf:
@@ -233,9 +237,11 @@ def view(
     refuse_existing(target, force, file, beside, *([] if contact is None else [contact]))
     recording = read(file)
     known = read_truth(beside) if truth or beside.exists() else None
-    laws = {} if contact is None else identified_laws(contact, recording.rig)
+    identified = NOTHING_IDENTIFIED
+    if contact is not None:
+        identified = read_identified(contact, recording.rig, recording.duration_s)
     with progress_bar(f"writing {target.name}") as progress:
-        write_rrd(recording, known, target, magnification, identified=laws, progress=progress)
+        write_rrd(recording, known, target, magnification, identified=identified, progress=progress)
     print(f"{target}: written")
     if out is None and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         open_viewer(target)
