@@ -8,7 +8,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from jaxtyping import Float
 
-from rig.viewer.drawing import FAINT, STEEL, Colour, entity, pixels, send_labels, style
+from rig.viewer.drawing import GRID, STEEL, Colour, entity, pixels, send_labels, style
 
 WIDTH, HEIGHT = 1.6, 1.0
 LETTERS = 0.06
@@ -37,16 +37,19 @@ class Axes:
         return np.asarray((scale(inside) - low) / (high - low))
 
     def send(self, stream: rr.RecordingStream, path: str, legend: Mapping[str, Colour]) -> None:
-        """The frame, a grid with its figures, the names of the axes, and names in their colours beside it."""
+        """The frame, a grid with its figures, the names of the axes, and names in their colours beside it.
+
+        Labels hang below their places at any scale: a figure of y stands below the end of its line.
+        """
         x, y = (decades(*ends) if self.logarithmic else figures(*ends) for ends in (self.x, self.y))
         across = self.points(x, np.full(x.size, self.y[0])).tolist()
         up = self.points(np.full(y.size, self.x[0]), y).tolist()
-        grid = [[[a, 0], [a, -HEIGHT]] for a, _ in across] + [[[0, b], [WIDTH, b]] for _, b in up]
+        grid = [[[a, 0], [a, -HEIGHT]] for a, _ in across] + [[[-0.25, b], [WIDTH, b]] for _, b in up]
         frame = [[0, 0], [WIDTH, 0], [WIDTH, -HEIGHT], [0, -HEIGHT], [0, 0]]
-        colours = [FAINT] * len(grid) + [STEEL]
+        colours = [GRID] * len(grid) + [STEEL]
         style(stream, f"{path}/grid", rr.LineStrips2D([*grid, frame], colors=colours, radii=pixels(0.5)))
-        places = [[a, 0.5 * LETTERS] for a, _ in across] + [[-0.15, b - LETTERS] for _, b in up]
-        places += [[WIDTH / 2, 3 * LETTERS], [0, -HEIGHT - 0.15]]
+        places = [[a, 0.5 * LETTERS] for a, _ in across] + [[-0.15, b] for _, b in up]
+        places += [[WIDTH / 2, 3 * LETTERS], [0.0, -HEIGHT - 0.15]]
         words = [f"{value:.6g}" for value in (*x, *y)] + [self.x_name, self.y_name]
         send_labels(stream, f"{path}/figures", places, words, STEEL)
         for row, (name, colour) in enumerate(legend.items()):

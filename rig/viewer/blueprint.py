@@ -1,4 +1,4 @@
-"""What the rerun viewer shows where: the moving rig and the contacts on the left, the time series on the right."""
+"""What the rerun viewer shows where: the moving rig and its contacts left, time series right; spectra behind a tab."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -12,6 +12,7 @@ from rig.model.quantities import QUANTITIES, QuantityName
 from rig.model.sensing import quantities_of, sensors_of
 from rig.viewer.axes import axes_view
 from rig.viewer.drawing import LEGEND_ROWS, TIMELINE, entity, legend_of
+from rig.viewer.spectra import Spectra
 
 WINDOW_S = 0.5
 """What the plots show before and after the moment."""
@@ -34,6 +35,7 @@ class Layout:
     frame_rate_hz: float
     reach_mm: dict[str, float]
     """How far the views of each contact reach."""
+    spectra: tuple[Spectra, ...]
 
 
 def plotted(rig: Rig) -> list[QuantityName]:
@@ -52,7 +54,11 @@ def blueprint(layout: Layout) -> rrb.Blueprint:
     left = rrb.Vertical(_model(layout), *rows, row_shares=[3, 2, 2]) if close_ups else _model(layout)
     speed = float(f"{60 / layout.frame_rate_hz:.1g}")
     return rrb.Blueprint(
-        rrb.Horizontal(left, rrb.Vertical(*_plots(layout)), column_shares=[1, 1]),
+        rrb.Tabs(
+            rrb.Horizontal(left, rrb.Vertical(*_plots(layout)), column_shares=[1, 1], name="Motion"),
+            rrb.Grid(*(axes_view(one.origin, one.title) for one in layout.spectra), name="Spectra"),
+            active_tab=0,
+        ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused", playback_speed=speed),

@@ -22,6 +22,7 @@ from rig.viewer.deflection import Deflection, deflection
 from rig.viewer.drawing import FAINT, FORCE, LINES, STEEL, entity, pixels, send, send_legend, send_lines, style
 from rig.viewer.identified import NOTHING_IDENTIFIED, Identified
 from rig.viewer.phase import send_histogram, send_phase
+from rig.viewer.spectra import send_spectra, spectra_of
 from rig.viewer.stage import Stage, stage
 
 SCALARS = 1_000_000
@@ -66,6 +67,7 @@ def write_rrd(
         extent_m=scene.extent_m,
         frame_rate_hz=scene.frame_rate_hz,
         reach_mm={play.contact.name: play.reach_mm for play in plays},
+        spectra=tuple(spectra_of(recording, {p.contact.name: p.force_n for p in plays if p.force_n is not None})),
     )
     with rr.RecordingStream("rig") as stream, _drained(stream) as encoded:
         stream.send_blueprint(blueprint(layout), make_active=False)
@@ -80,6 +82,8 @@ def write_rrd(
             send_events(stream, play)
             progress(0.3 + 0.5 * done / len(plays))
         _send_series(stream, recording, plays, stride)
+        for spectra in layout.spectra:
+            send_spectra(stream, spectra, recording.rig.sample_rate_hz)
         write_bytes(encoded.read() or b"", path)
 
 
