@@ -218,6 +218,12 @@ def view(
             "`--export csv` or `parquet` also its relative displacements and separated forces."
         ),
     ] = None,
+    gap: Annotated[
+        Path | None,
+        typer.Option(
+            help="A gap.json of `identify gap`, or its folder: where and when the gap acts, with the verdict."
+        ),
+    ] = None,
     magnification: Annotated[float | None, typer.Option(help="Of the beams' deflection; otherwise chosen.")] = None,
     force: Force = False,
 ) -> None:
@@ -226,6 +232,7 @@ def view(
     Example: rig view barrel_cradle.mcap --contact results/contact.json --out barrel_cradle.rrd
     """
     with needs_extra("view", "rig view (rerun)"):
+        from rig.viewer.gap import read_gap
         from rig.viewer.identified import NOTHING_IDENTIFIED, read_identified
         from rig.viewer.viewing import open_viewer, write_rrd
 
@@ -234,14 +241,15 @@ def view(
     check_source(file)
     target = out or file.with_suffix(".rrd")
     beside = truth or truth_path(file)
-    refuse_existing(target, force, file, beside, *([] if contact is None else [contact]))
+    refuse_existing(target, force, file, beside, *(one for one in (contact, gap) if one is not None))
     recording = read(file)
     known = read_truth(beside) if truth or beside.exists() else None
     identified = NOTHING_IDENTIFIED
     if contact is not None:
         identified = read_identified(contact, recording.rig, recording.duration_s)
+    diagnosed = None if gap is None else read_gap(gap, recording.rig)
     with progress_bar(f"writing {target.name}") as progress:
-        write_rrd(recording, known, target, magnification, identified=identified, progress=progress)
+        write_rrd(recording, known, target, magnification, identified=identified, gap=diagnosed, progress=progress)
     print(f"{target}: written")
     if out is None and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         open_viewer(target)

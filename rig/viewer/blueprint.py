@@ -11,7 +11,7 @@ from rig.model.description import UNITS, Contact, Rig
 from rig.model.quantities import QUANTITIES, QuantityName
 from rig.model.sensing import quantities_of, sensors_of
 from rig.viewer.axes import axes_view
-from rig.viewer.drawing import LEGEND_ROWS, TIMELINE, entity, legend_of
+from rig.viewer.drawing import DIAGNOSIS, GAP_OVER_TIME, LEGEND_ROWS, TIMELINE, entity, legend_of
 from rig.viewer.spectra import Spectra
 
 WINDOW_S = 0.5
@@ -36,6 +36,7 @@ class Layout:
     reach_mm: dict[str, float]
     """How far the views of each contact reach."""
     spectra: tuple[Spectra, ...]
+    diagnosis: bool
 
 
 def plotted(rig: Rig) -> list[QuantityName]:
@@ -136,7 +137,15 @@ def _plots(layout: Layout) -> list[rrb.View | rrb.Container]:
         columns=rrb.TextLogColumns(timeline_columns=[time], text_log_columns=[text]),
     )
     exciting = _plot(layout, "exciting_force", "Exciting force, N")
-    return [*relative, *force, rrb.Tabs(*([events] if relative else []), exciting, *measured, active_tab=0)]
+    tabs = [*(_diagnosis() if layout.diagnosis else []), *([events] if relative else []), exciting, *measured]
+    return [*relative, *force, rrb.Tabs(*tabs, active_tab=0)]
+
+
+def _diagnosis() -> list[rrb.View]:
+    return [
+        rrb.TextDocumentView(origin=DIAGNOSIS, name="Diagnosis"),
+        rrb.TimeSeriesView(origin=GAP_OVER_TIME, name="Gap over time, %", plot_legend=rrb.PlotLegend(visible=False)),
+    ]
 
 
 def _plot(layout: Layout, origin: str, name: str, near: str = "", reach: float | None = None) -> rrb.Horizontal:

@@ -8,11 +8,12 @@ import rerun as rr
 from jaxtyping import Float
 
 TIMELINE = "sim_time"
+DIAGNOSIS, GAP_OVER_TIME = "diagnosis", "gap_over_time"
 ROWS = 8192
 
 Colour = tuple[int, int, int]
 FREE, CLOSED, STEEL, FAINT, FORCE = (90, 200, 120), (255, 70, 60), (170, 175, 185), (85, 90, 100), (255, 190, 60)
-GRID = (50, 54, 62)
+GRID, GAP = (50, 54, 62), (255, 90, 220)
 FOUND, BELIEVED = (90, 230, 230), (205, 120, 230)
 """What was identified, and what rig.json believes."""
 LINES = (

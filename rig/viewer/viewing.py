@@ -20,6 +20,8 @@ from rig.viewer.blueprint import Layout, blueprint, plotted
 from rig.viewer.contact_view import Known, Play, send_close_up, send_events, send_over_time
 from rig.viewer.deflection import Deflection, deflection
 from rig.viewer.drawing import FAINT, FORCE, LINES, STEEL, entity, pixels, send, send_legend, send_lines, style
+from rig.viewer.gap import Gap
+from rig.viewer.gap_view import send_gap
 from rig.viewer.identified import NOTHING_IDENTIFIED, Identified
 from rig.viewer.phase import send_histogram, send_phase
 from rig.viewer.spectra import send_spectra, spectra_of
@@ -36,6 +38,7 @@ def write_rrd(
     magnification: float | None = None,
     *,
     identified: Identified = NOTHING_IDENTIFIED,
+    gap: Gap | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> None:
     """Writes the recording for the rerun viewer; `truth`, where there is one, adds what only a simulator knows.
@@ -44,7 +47,7 @@ def write_rrd(
     lack everything below 1 Hz; relative displacements and contact forces from the truth file, else from the curves that
     were `identified`. `magnification` is that of the deflection in the 3D view; without it a round one is chosen. The
     walls are the true ones, else those identified, else those that rig.json believes in; the others are drawn over
-    them.
+    them. A diagnosed `gap` is marked on the bodies.
 
     Raises RigError if the truth belongs to another recording, a body has no sensor, the magnification is not above
     zero, or the file cannot be written.
@@ -68,6 +71,7 @@ def write_rrd(
         frame_rate_hz=scene.frame_rate_hz,
         reach_mm={play.contact.name: play.reach_mm for play in plays},
         spectra=tuple(spectra_of(recording, {p.contact.name: p.force_n for p in plays if p.force_n is not None})),
+        diagnosis=gap is not None,
     )
     with rr.RecordingStream("rig") as stream, _drained(stream) as encoded:
         stream.send_blueprint(blueprint(layout), make_active=False)
@@ -81,6 +85,8 @@ def write_rrd(
             send_histogram(stream, play)
             send_events(stream, play)
             progress(0.3 + 0.5 * done / len(plays))
+        if gap is not None:
+            send_gap(stream, gap, scene, plays)
         _send_series(stream, recording, plays, stride)
         for spectra in layout.spectra:
             send_spectra(stream, spectra, recording.rig.sample_rate_hz)
