@@ -19,7 +19,7 @@ print("imported")
 """
 
 
-DRAWS = ("axes", "blueprint", "contact_view", "drawing", "gap_view", "phase", "spectra", "viewing")
+DRAWS = ("axes", "blueprint", "contact_view", "drawing", "gap_view", "phase", "spectra", "viewing", "web")
 """What draws for the viewer, by rerun."""
 
 

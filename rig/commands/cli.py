@@ -225,6 +225,7 @@ def view(
         ),
     ] = None,
     magnification: Annotated[float | None, typer.Option(help="Of the beams' deflection; otherwise chosen.")] = None,
+    web: Annotated[bool, typer.Option("--web", help="Serve it to a browser on this computer; Ctrl-C ends it.")] = False,
     force: Force = False,
 ) -> None:
     """Write a recording for the rerun viewer, and open it where there is a display.
@@ -235,6 +236,7 @@ def view(
         from rig.viewer.gap import read_gap
         from rig.viewer.identified import NOTHING_IDENTIFIED, read_identified
         from rig.viewer.viewing import open_viewer, write_rrd
+        from rig.viewer.web import serve
 
     if magnification is not None and not 0 < magnification < np.inf:
         raise typer.BadParameter(f"{magnification} is not a finite number above zero", param_hint="--magnification")
@@ -250,8 +252,10 @@ def view(
     diagnosed = None if gap is None else read_gap(gap, recording.rig)
     with progress_bar(f"writing {target.name}") as progress:
         write_rrd(recording, known, target, magnification, identified=identified, gap=diagnosed, progress=progress)
-    print(f"{target}: written")
-    if out is None and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    print(f"{target}: written", flush=True)
+    if web:
+        serve(target, lambda address: print(f"open {address}; Ctrl-C ends it", flush=True))
+    elif out is None and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         open_viewer(target)
 
 

@@ -74,7 +74,7 @@ def write_rrd(
         diagnosis=gap is not None,
     )
     with rr.RecordingStream("rig") as stream, _drained(stream) as encoded:
-        stream.send_blueprint(blueprint(layout), make_active=False)
+        stream.send_blueprint(blueprint(layout))
         stream.send_recording_name(f"{recording.rig.name}, {recording.duration_s:g} s")
         _send_model(stream, scene, recording, plays)
         progress(0.3)
