@@ -8,7 +8,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from jaxtyping import Float
 
-from rig.viewer.drawing import GRID, STEEL, Colour, entity, pixels, send_labels, style
+from rig.viewer.drawing import GRID, STEEL, Colour, pixels, send_labels, style
 
 WIDTH, HEIGHT = 1.6, 1.0
 LETTERS = 0.06
@@ -54,7 +54,7 @@ class Axes:
         send_labels(stream, f"{path}/figures", places, words, STEEL)
         for row, (name, colour) in enumerate(legend.items()):
             place = [WIDTH + 0.4, -HEIGHT + 2.6 * LETTERS * row]
-            send_labels(stream, f"{path}/legend/{entity(name)}", [place], [name], colour)
+            send_labels(stream, f"{path}/legend/{row}", [place], [name], colour)
 
 
 def axes_view(
