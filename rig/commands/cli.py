@@ -249,7 +249,7 @@ def view(
     identified = NOTHING_IDENTIFIED
     if contact is not None:
         identified = read_identified(contact, recording.rig, recording.duration_s)
-    diagnosed = None if gap is None else read_gap(gap, recording.rig)
+    diagnosed = None if gap is None else read_gap(gap, recording.rig, recording.duration_s)
     with progress_bar(f"writing {target.name}") as progress:
         write_rrd(recording, known, target, magnification, identified=identified, gap=diagnosed, progress=progress)
     print(f"{target}: written", flush=True)

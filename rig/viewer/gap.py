@@ -84,10 +84,10 @@ class Gap:
     spans: tuple[tuple[float, float, float], ...]
 
 
-def read_gap(path: Path, rig: Rig) -> Gap:
+def read_gap(path: Path, rig: Rig, duration_s: float) -> Gap:
     """The gap.json, or that of its folder.
 
-    Raises RigError if it cannot be read, is no gap.json, or names a place that the rig lacks.
+    Raises RigError if it cannot be read, is no gap.json, or names a place that the rig or a time that the record lacks.
     """
     file = path / "gap.json" if path.is_dir() else path
     try:
@@ -109,6 +109,8 @@ def read_gap(path: Path, rig: Rig) -> Gap:
             raise RigError(
                 f"{file}: has {place.position_m:g} m on {place.body!r}, which the rig lacks; take its own file"
             )
+    if any(end > duration_s for _, end, _ in spans):
+        raise RigError(f"{file}: is of a record longer than {duration_s:g} s; show the one that validates")
     return Gap(_text(report), marks, shares if report.verdict != "no_gap" else {}, spans)
 
 

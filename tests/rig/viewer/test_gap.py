@@ -34,7 +34,7 @@ MARKS = {
 @pytest.mark.parametrize("name", GAPS)
 def test_what_acts_is_marked_at_its_place(tmp_path, name):
     (tmp_path / "gap.json").write_bytes(msgspec.json.encode(GAPS[name]))
-    gap = read_gap(tmp_path, RIGS[name])
+    gap = read_gap(tmp_path, RIGS[name], 61.0)
     assert [(m.place, m.words) for m in gap.marks] == MARKS[name]
     assert GAPS[name].sentence in gap.text
     assert bool(gap.shares) == (name != "null")
@@ -46,6 +46,7 @@ def test_what_acts_is_marked_at_its_place(tmp_path, name):
         ("{", "is no gap.json"),
         ('{"verdict": "unknown"}', "is no gap.json"),
         (GAPS["explained"], "has 0.2 m on 'cradle'"),
+        (GAPS["one_mass"], "is of a record longer than 19 s"),
         (replace(GAPS["one_mass"], attribution=replace(ONE_MASS, positions_m={"mass": {"0": -1.0}})), "is no gap.json"),
         (
             replace(GAPS["one_mass"], attribution=replace(ONE_MASS, positions_m={"mass": {"2": 1.0}})),
@@ -58,7 +59,7 @@ def test_a_file_that_is_no_gap_json_of_the_rig_is_named(tmp_path, text, said):
     file = tmp_path / "gap.json"
     file.write_bytes(text.encode() if isinstance(text, str) else msgspec.json.encode(text))
     with pytest.raises(RigError, match=f"gap.json: .*{said}"):
-        read_gap(file, RIGS["one_mass"])
+        read_gap(file, RIGS["one_mass"], 19.0)
 
 
 def test_a_force_in_contact_shows_while_one_is_closed_and_as_strong_as_it_is_then(tmp_path):
