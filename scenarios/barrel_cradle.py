@@ -11,7 +11,7 @@ import typer
 from rig.commands.command_line import run
 from rig.recording import read, read_truth, truth_path
 from rig.simulation.reference import BarrelCradle
-from rig.viewer.identified import identified_laws
+from rig.viewer.identified import read_identified
 from rig.viewer.viewing import write_rrd
 from scenarios.compare import equation_by_equation, forms_beside, identified_against_true, recorded, shown
 
@@ -42,8 +42,8 @@ def barrel_cradle(
 
     # for the viewer: the walls found over the true ones
     rig = read(recording)
-    laws = identified_laws(out / "accelerometers" / "contact.json", rig.rig)
-    write_rrd(rig, read_truth(truth_path(recording)), out / "barrel_cradle.rrd", identified=laws)
+    found = read_identified(out / "accelerometers", rig.rig, rig.duration_s)
+    write_rrd(rig, read_truth(truth_path(recording)), out / "barrel_cradle.rrd", identified=found)
 
 
 if __name__ == "__main__":

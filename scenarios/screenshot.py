@@ -1,8 +1,8 @@
 """A picture of an .rrd file without a screen: python -m scenarios.screenshot FILE.rrd --at 3.4 --out FILE.png
 
-`--view model`, `--view close_up/contact_1` or `--view phase/contact_1` takes one view instead of the whole window;
-`--view list` prints what there is. Needs a Vulkan driver; on Debian without a graphics card: mesa-vulkan-drivers and
-libvulkan1.
+`--view model`, `--view close_up/contact_1` or any other takes one view, as large as the window, instead of the whole
+window; without `--out` it prints which views there are. Needs a Vulkan driver; on Debian without a graphics card:
+mesa-vulkan-drivers and libvulkan1.
 """
 
 import argparse
@@ -16,17 +16,18 @@ from pathlib import Path
 from rerun.experimental import ViewerClient
 
 from rig.errors import RigError
-from rig.viewer.blueprint import TIMELINE
+from rig.files import check_source, write_bytes
+from rig.viewer.drawing import TIMELINE
 
 PATIENCE_S = 120.0
-SETTLE_S = 5.0
+SETTLE_S = 2.0
 
 
 def screenshot(rrd: Path, at_s: float, view: str | None = None) -> bytes:
     """The viewer's window, or one view, at that time of the record, as PNG, once two pictures in a row are equal."""
     with _opened(rrd) as viewer:
         viewer.set_time(TIMELINE, duration=at_s, play_state="paused")
-        chosen = None if view is None else _view_id(viewer, view)
+        chosen = None if view is None else _alone(viewer, view)
         picture, until = b"", time.monotonic() + PATIENCE_S
         while time.monotonic() < until:
             time.sleep(SETTLE_S)
@@ -44,6 +45,7 @@ def views(rrd: Path) -> list[str]:
 
 @contextmanager
 def _opened(rrd: Path) -> Iterator[ViewerClient]:
+    check_source(rrd)
     program = str(Path(sys.executable).with_name("rerun"))  # beside Python, should no environment be active
     with ViewerClient.spawn(
         headless=True, port=_free_port(), hide_welcome_screen=True, executable_path=program
@@ -56,12 +58,16 @@ def _opened(rrd: Path) -> Iterator[ViewerClient]:
 
 
 def _origins(viewer: ViewerClient) -> list[str]:
-    return [view.origin.strip("/") for view in viewer.get_state().views]
+    return sorted(view.origin.strip("/") for view in viewer.get_state().views)
 
 
-def _view_id(viewer: ViewerClient, origin: str) -> str:
+def _alone(viewer: ViewerClient, origin: str) -> str:
+    """Fills the window with a view, which may stand behind a tab, and tells its id."""
     for view in viewer.get_state().views:
         if view.origin.strip("/") == origin.strip("/"):
+            blueprint = viewer.get_blueprint("recording").blueprint
+            blueprint["/viewport"]["ViewportBlueprint"]["maximized"] = str(view.view_id)
+            viewer.set_blueprint(blueprint, "recording")
             return str(view.view_id)
     raise RigError(f"there is no view {origin!r}; there are {', '.join(_origins(viewer))}")
 
@@ -76,16 +82,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="A picture of an .rrd file, taken without a screen.")
     parser.add_argument("rrd", type=Path)
     parser.add_argument("--at", type=float, default=0.0, metavar="SECONDS", help="time of the record")
-    parser.add_argument("--out", type=Path, help="the .png to write")
-    parser.add_argument("--view", help="one view instead of the window; `list` prints them")
+    parser.add_argument("--out", type=Path, help="the .png to write; without it the names of the views are printed")
+    parser.add_argument("--view", help="one view instead of the window")
     chosen = parser.parse_args()
     try:
-        if chosen.view == "list":
+        if chosen.out is None:
             print("\n".join(views(chosen.rrd)))
-        elif chosen.out is None:
-            parser.error("the following arguments are required: --out")
         else:
-            chosen.out.write_bytes(screenshot(chosen.rrd, chosen.at, chosen.view))
+            write_bytes(screenshot(chosen.rrd, chosen.at, chosen.view), chosen.out)
     except (RigError, TimeoutError) as error:
         sys.exit(f"scenarios.screenshot: {error}")
 

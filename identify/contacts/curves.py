@@ -22,13 +22,18 @@ def curves(found: Identification) -> dict[str, Table]:
     return tables | ({"nifo": _nifo(found, names)} if found.forms else {})
 
 
+def _time_s(found: Identification, factor: int, rows: int) -> Float[np.ndarray, " rows"]:
+    """In the record, of which the start may be left out."""
+    return found.motion.first_s + np.arange(rows) * factor / found.motion.sample_rate_hz
+
+
 def _motion(found: Identification, names: list[str]) -> Table:
     """At the rate of the separated forces."""
     factor = found.factor
     force = found.separated_n
     eta = found.eta_m[:, ::factor]
     rows = min(eta.shape[1], force.shape[1])
-    table: Table = {"time_s": np.arange(rows) * factor / found.motion.sample_rate_hz}
+    table: Table = {"time_s": _time_s(found, factor, rows)}
     for name, displacement, contact_n in zip(names, eta, force, strict=True):
         table[f"{name} relative displacement m"] = displacement[:rows]
         table[f"{name} contact force N"] = contact_n[:rows]
@@ -40,7 +45,7 @@ def _surface(found: Identification, names: list[str]) -> Table:
     eta = found.eta_m[:, :: surface.factor]
     velocity = surface.equation.velocity[:: surface.factor]
     rows = min(eta.shape[1], surface.measured.size, velocity.size)
-    table: Table = {"time_s": np.arange(rows) * surface.factor / found.motion.sample_rate_hz}
+    table: Table = {"time_s": _time_s(found, surface.factor, rows)}
     table |= {f"{name} relative displacement m": row[:rows] for name, row in zip(names, eta, strict=True)}
     table["modal velocity sqrt(kg) m/s"] = velocity[:rows]
     table["restoring force N/sqrt(kg)"] = surface.measured[:rows]

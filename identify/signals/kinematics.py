@@ -35,7 +35,8 @@ class Kinematics:
     sensors tells which sensor gave the acceleration of each station, and displaced_by which gave its displacement.
     trusted_hz is the band in which every row is right. zero_known says whether a constant displacement is seen.
     lost is the slow part of the acceleration that an integrated displacement at a contact lacks; zero elsewhere.
-    excited_from is the first sample at which the force has begun; 0 of a record without a quiet start.
+    excited_from is the first sample at which the force has begun; 0 of a record without a quiet start. first_s is the
+    time of the first sample in the record.
     """
 
     stations: tuple[Station, ...]
@@ -51,6 +52,7 @@ class Kinematics:
     acceleration_m_per_s2: Float[np.ndarray, "stations samples"]
     lost_m_per_s2: Float[np.ndarray, "stations samples"]
     excited_from: int
+    first_s: float = 0.0
 
     @property
     def quiet_samples(self) -> int:
@@ -71,6 +73,7 @@ class Kinematics:
             acceleration_m_per_s2=self.acceleration_m_per_s2[:, now],
             lost_m_per_s2=self.lost_m_per_s2[:, now],
             excited_from=max(0, self.excited_from - (now.start or 0)),
+            first_s=self.first_s + (now.start or 0) / self.sample_rate_hz,
         )
 
     @property

@@ -212,9 +212,20 @@ def view(
     out: Annotated[Path | None, typer.Option(help="The .rrd to write; otherwise beside the recording.")] = None,
     truth: Annotated[Path | None, typer.Option(help="The truth file; otherwise the one beside the recording.")] = None,
     contact: Annotated[
-        Path | None, typer.Option(help="A contact.json of `identify contact`, whose walls are drawn over the others.")
+        Path | None,
+        typer.Option(
+            help="A contact.json of `identify contact`, or its folder: its walls; where there is no truth file, with "
+            "`--export csv` or `parquet` also its relative displacements and separated forces."
+        ),
+    ] = None,
+    gap: Annotated[
+        Path | None,
+        typer.Option(
+            help="A gap.json of `identify gap`, or its folder: where and when the gap acts, with the verdict."
+        ),
     ] = None,
     magnification: Annotated[float | None, typer.Option(help="Of the beams' deflection; otherwise chosen.")] = None,
+    web: Annotated[bool, typer.Option("--web", help="Serve it to a browser on this computer; Ctrl-C ends it.")] = False,
     force: Force = False,
 ) -> None:
     """Write a recording for the rerun viewer, and open it where there is a display.
@@ -222,22 +233,29 @@ def view(
     Example: rig view barrel_cradle.mcap --contact results/contact.json --out barrel_cradle.rrd
     """
     with needs_extra("view", "rig view (rerun)"):
-        from rig.viewer.identified import identified_laws
+        from rig.viewer.gap import read_gap
+        from rig.viewer.identified import NOTHING_IDENTIFIED, read_identified
         from rig.viewer.viewing import open_viewer, write_rrd
+        from rig.viewer.web import serve
 
     if magnification is not None and not 0 < magnification < np.inf:
         raise typer.BadParameter(f"{magnification} is not a finite number above zero", param_hint="--magnification")
     check_source(file)
     target = out or file.with_suffix(".rrd")
     beside = truth or truth_path(file)
-    refuse_existing(target, force, file, beside, *([] if contact is None else [contact]))
+    refuse_existing(target, force, file, beside, *(one for one in (contact, gap) if one is not None))
     recording = read(file)
     known = read_truth(beside) if truth or beside.exists() else None
-    laws = {} if contact is None else identified_laws(contact, recording.rig)
+    identified = NOTHING_IDENTIFIED
+    if contact is not None:
+        identified = read_identified(contact, recording.rig, recording.duration_s)
+    diagnosed = None if gap is None else read_gap(gap, recording.rig, recording.duration_s)
     with progress_bar(f"writing {target.name}") as progress:
-        write_rrd(recording, known, target, magnification, identified=laws, progress=progress)
-    print(f"{target}: written")
-    if out is None and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        write_rrd(recording, known, target, magnification, identified=identified, gap=diagnosed, progress=progress)
+    print(f"{target}: written", flush=True)
+    if web:
+        serve(target, lambda address: print(f"open {address}; Ctrl-C ends it", flush=True))
+    elif out is None and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         open_viewer(target)
 
 

@@ -86,9 +86,16 @@ def _prepare(name: str) -> None:
             stream.reconfigure(errors="backslashreplace")
     for ending in ("SIGTERM", "SIGHUP"):
         if hasattr(signal, ending) and signal.getsignal(getattr(signal, ending)) == signal.SIG_DFL:
-            signal.signal(getattr(signal, ending), lambda *_: signal.raise_signal(signal.SIGINT))
+            signal.signal(getattr(signal, ending), _interrupt)
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
+
+
+def _interrupt(*_: object) -> None:
+    """As Ctrl-C does, also where that is ignored, as of a command that a shell runs in the background."""
+    if signal.getsignal(signal.SIGINT) in (signal.SIG_IGN, signal.SIG_DFL):
+        raise KeyboardInterrupt
+    signal.raise_signal(signal.SIGINT)
 
 
 def say(text: str) -> None:

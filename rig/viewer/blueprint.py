@@ -1,15 +1,19 @@
-"""What the rerun viewer shows where: the moving rig and the contacts on the left, the time series on the right."""
+"""What the rerun viewer shows where: the moving rig and its contacts left, time series right; spectra behind a tab."""
 
 from dataclasses import dataclass
+from typing import Literal
 
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
 from rig.model.description import UNITS, Contact, Rig
 from rig.model.quantities import QUANTITIES, QuantityName
 from rig.model.sensing import quantities_of, sensors_of
+from rig.viewer.axes import axes_view
+from rig.viewer.drawing import DIAGNOSIS, GAP_OVER_TIME, LEGEND_ROWS, TIMELINE, entity, legend_of
+from rig.viewer.spectra import Spectra
 
-TIMELINE = "sim_time"
 WINDOW_S = 0.5
 """What the plots show before and after the moment."""
 TRAIL_S = 0.1
@@ -21,7 +25,7 @@ class Layout:
     """What of a recording there is to show, and how it is drawn."""
 
     rig: Rig
-    contact_force: bool
+    contact_force: Literal["true", "separated"] | None
     magnification: float
     approximate: bool
     stride: int
@@ -29,18 +33,10 @@ class Layout:
     centre_m: float
     extent_m: float
     frame_rate_hz: float
-    largest_relative_m: tuple[float, ...]
-    """Of each contact's relative displacement."""
-
-    def reach_mm(self, contact: Contact) -> float:
-        """How far the views of a contact need to reach."""
-        largest = self.largest_relative_m[self.rig.contacts.index(contact)]
-        return 1.2e3 * max(contact.law.lower_clearance_m, contact.law.upper_clearance_m, largest) or 1.0
-
-
-def entity(*parts: str) -> str:
-    """The entity path of these parts, whatever characters their names have."""
-    return str(rr.new_entity_path(list(parts)))
+    reach_mm: dict[str, float]
+    """How far the views of each contact reach."""
+    spectra: tuple[Spectra, ...]
+    diagnosis: bool
 
 
 def plotted(rig: Rig) -> list[QuantityName]:
@@ -50,13 +46,20 @@ def plotted(rig: Rig) -> list[QuantityName]:
 
 def blueprint(layout: Layout) -> rrb.Blueprint:
     """Paused and slowed down so that every frame is seen; the plots show a window around the moment."""
-    close_ups = [_close_up(contact, layout.reach_mm(contact), _caveat(layout)) for contact in layout.rig.contacts]
+    close_ups = [
+        _close_up(contact, layout.reach_mm[contact.name], _caveat(layout, contact=True))
+        for contact in layout.rig.contacts
+    ]
     phases = [_phase(layout, contact) for contact in layout.rig.contacts]
     rows = [rrb.Horizontal(*close_ups), rrb.Horizontal(*phases)]
     left = rrb.Vertical(_model(layout), *rows, row_shares=[3, 2, 2]) if close_ups else _model(layout)
     speed = float(f"{60 / layout.frame_rate_hz:.1g}")
     return rrb.Blueprint(
-        rrb.Horizontal(left, rrb.Vertical(*_plots(layout)), column_shares=[1, 1]),
+        rrb.Tabs(
+            rrb.Horizontal(left, rrb.Vertical(*_plots(layout)), column_shares=[1, 1], name="Motion"),
+            rrb.Grid(*(axes_view(one.origin, one.title) for one in layout.spectra), name="Spectra"),
+            active_tab=0,
+        ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused", playback_speed=speed),
@@ -81,66 +84,76 @@ def _close_up(contact: Contact, reach_mm: float, caveat: str) -> rrb.Spatial2DVi
     return rrb.Spatial2DView(
         origin=entity("close_up", contact.name),
         name=f"{contact.name}: last {TRAIL_S:g} s, true scale{caveat}",
-        visual_bounds=rrb.VisualBounds2D(x_range=[-1.2 * reach_mm, 1.2 * reach_mm], y_range=[-reach_mm, reach_mm]),
+        visual_bounds=rrb.VisualBounds2D(
+            x_range=[-2.6 * reach_mm, 2.6 * reach_mm], y_range=[-1.5 * reach_mm, 1.2 * reach_mm]
+        ),
     )
 
 
 def _phase(layout: Layout, contact: Contact) -> rrb.View | rrb.Container:
     """Force over relative displacement, all of it until the moment; behind it how often each displacement occurs."""
-    reach_mm = layout.reach_mm(contact)
     histogram = rrb.BarChartView(
-        origin=entity("histogram", contact.name), name=f"{contact.name}: histogram, % of the time over mm"
+        origin=entity("histogram", contact.name),
+        name=f"{contact.name}: histogram, % of the time over mm",
+        plot_legend=rrb.PlotLegend(visible=False),
     )
-    if not layout.contact_force:
+    if layout.contact_force is None:
         return histogram
     until_now = rr.VisibleTimeRange(
         TIMELINE, start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.cursor_relative()
     )
-    force = rrb.Spatial2DView(
-        origin=entity("phase", contact.name),
-        name=f"{contact.name}: force over relative displacement",
-        visual_bounds=rrb.VisualBounds2D(x_range=[-1.2 * reach_mm, 1.2 * reach_mm], y_range=[-reach_mm, reach_mm]),
-        time_ranges=[until_now],
-    )
+    name = f"{contact.name}: {layout.contact_force} force over relative displacement"
+    force = axes_view(entity("phase", contact.name), name, time_ranges=[until_now])
     return rrb.Tabs(force, histogram, active_tab=0)
 
 
 def _plots(layout: Layout) -> list[rrb.View | rrb.Container]:
+    near = ", all near contacts"
+    identified = "identified " if layout.contact_force == "separated" else ""
     measured = [
         _plot(layout, entity(quantity, body.name), f"{body.name}: {quantity}, {UNITS[quantity].replace('^2', '²')}")
         for quantity in plotted(layout.rig)
         for body in layout.rig.bodies
         if any(s.station.body == body.name for s in sensors_of(layout.rig, quantity))
     ]
+    relative = [
+        _plot(
+            layout,
+            entity("relative_displacement", c.name),
+            f"{c.name}: {identified}relative displacement, mm{_caveat(layout, contact=True)}",
+            near,
+            figured(layout.reach_mm[c.name]),
+        )
+        for c in layout.rig.contacts
+    ]
+    force, known = [], layout.contact_force
+    if known is not None:
+        force = [_plot(layout, "contact_force", f"{known.capitalize()} contact force, N", near)]
+    time = rrb.encodings.TimelineColumn(TIMELINE)
+    text = rrb.encodings.TextLogColumn("Body")
+    events = rrb.TextLogView(
+        origin="/events",
+        name="Contacts that close and open",
+        columns=rrb.TextLogColumns(timeline_columns=[time], text_log_columns=[text]),
+    )
+    exciting = _plot(layout, "exciting_force", "Exciting force, N")
+    tabs = [*(_diagnosis() if layout.diagnosis else []), *([events] if relative else []), exciting, *measured]
+    return [*relative, *force, rrb.Tabs(*tabs, active_tab=0)]
+
+
+def _diagnosis() -> list[rrb.View]:
     return [
-        *(
-            _plot(
-                layout,
-                entity("relative_displacement", c.name),
-                f"{c.name}: relative displacement, mm{_caveat(layout)}",
-                layout.reach_mm(c),
-            )
-            for c in layout.rig.contacts
-        ),
-        *([_plot(layout, "contact_force", "Contact force, N")] if layout.contact_force else []),
-        rrb.Tabs(
-            *([rrb.TextLogView(origin="/events", name="Contacts that close and open")] if layout.rig.contacts else []),
-            _plot(layout, "exciting_force", "Exciting force, N"),
-            *measured,
-            active_tab=0,
-        ),
+        rrb.TextDocumentView(origin=DIAGNOSIS, name="Diagnosis"),
+        rrb.TimeSeriesView(origin=GAP_OVER_TIME, name="Gap over time, %", plot_legend=rrb.PlotLegend(visible=False)),
     ]
 
 
-def _plot(layout: Layout, origin: str, name: str, reach: float | None = None) -> rrb.TimeSeriesView:
-    thinned = ""
-    if layout.stride > 1:
-        near = ", all near contacts" if origin.startswith(("/relative", "/contact", "relative", "contact")) else ""
-        thinned = f" (every {layout.stride}th sample{near})"
-    return rrb.TimeSeriesView(
+def _plot(layout: Layout, origin: str, name: str, near: str = "", reach: float | None = None) -> rrb.Horizontal:
+    """A time series, and beside it the names of its lines."""
+    plot = rrb.TimeSeriesView(
         origin=origin,
-        name=name + thinned,
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
+        name=name + (f" (1 of {layout.stride} samples{near})" if layout.stride > 1 else ""),
+        plot_legend=rrb.PlotLegend(visible=False),
         axis_y=None if reach is None else rrb.ScalarAxis(range=(-reach, reach)),
         axis_x=rrb.TimeAxis(
             view_range=rr.TimeRange(
@@ -149,7 +162,17 @@ def _plot(layout: Layout, origin: str, name: str, reach: float | None = None) ->
             )
         ),
     )
+    bounds = rrb.VisualBounds2D(x_range=[-2.4, 2.4], y_range=[0, LEGEND_ROWS])
+    legend = rrb.Spatial2DView(origin=legend_of(origin), name="Lines", visual_bounds=bounds)
+    return rrb.Horizontal(plot, legend, column_shares=[5, 1], name=name)
 
 
-def _caveat(layout: Layout) -> str:
-    return " (approximate, above 1 Hz)" if layout.approximate else ""
+def figured(reach: float) -> float:
+    """The end of an axis about zero at which the viewer, which writes powers of ten alone, has room for a figure."""
+    power = 10.0 ** np.ceil(np.log10(reach))
+    return reach if reach < 0.4 * power else max(reach, 1.05 * power)
+
+
+def _caveat(layout: Layout, contact: bool = False) -> str:
+    integrated = layout.approximate and not (contact and layout.contact_force == "separated")
+    return " (approximate, above 1 Hz)" if integrated else ""

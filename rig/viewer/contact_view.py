@@ -1,9 +1,9 @@
-"""A contact in the viewer: close up, over time, as force over relative displacement, and its events."""
+"""A contact in the viewer: close up, over time, and its events."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 import rerun as rr
@@ -12,34 +12,64 @@ from scipy.ndimage import binary_dilation
 
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Contact
-from rig.viewer.blueprint import TRAIL_S, entity
-from rig.viewer.drawing import CLOSED, FAINT, FOUND, FREE, LINES, STEEL, Colour, pixels, send, send_lines, style
+from rig.viewer.blueprint import TRAIL_S
+from rig.viewer.drawing import (
+    BELIEVED,
+    CLOSED,
+    FAINT,
+    FOUND,
+    FREE,
+    LINES,
+    STEEL,
+    TIMELINE,
+    Colour,
+    entity,
+    pixels,
+    send,
+    send_labels,
+    send_legend,
+    send_lines,
+    style,
+)
 
 TRAIL_POINTS = 60
 HATCHES = 16
 DASHES = 24
-BINS = 120
 NEAR_S = 0.005
 """So long before and after a contact every sample is drawn."""
-OTHERS: dict[str, Colour] = {"believed": FAINT, "identified": FOUND}
+OTHERS: dict[str, Colour] = {"believed": BELIEVED, "identified": FOUND}
+SIDES = {-1: "upper", 1: "lower"}
+COLUMNS = (1.85, -1.85, 0.55)
+"""Where the figures of the walls and of the others stand, of the reach."""
+
+
+Known = Literal["true", "identified", "believed"]
 
 
 @dataclass(frozen=True)
 class Play:
-    """A contact over the record. Its own law is drawn as walls: the true one, or without a truth the believed one.
+    """A contact over the record. Its own law is drawn as walls, and says when it is closed; walls says whose it is.
 
-    others are laws drawn over it, by name; force_n is the contact force where it is known. frames are the samples that
-    are drawn, and one of `stride` samples is in the time series, but all near a contact.
+    others are laws drawn over it, by name; force_n is the contact force where it is known. The samples may be some of
+    the record's: what was identified begins later and ends at until_s. frames are those that are drawn, and one of
+    `stride` samples is in the time series, but all near a contact.
     """
 
     contact: Contact
-    others: Mapping[str, ContactLaw]
+    walls: Known
+    others: Mapping[Known, ContactLaw]
     time_s: Float[np.ndarray, " samples"]
+    until_s: float | None
     relative_m: Float[np.ndarray, " samples"]
     force_n: Float[np.ndarray, " samples"] | None
     frames: Int[np.ndarray, " frames"]
     stride: int
-    reach_mm: float
+
+    @cached_property
+    def reach_mm(self) -> float:
+        """How far the views of the contact need to reach."""
+        law, largest = self.contact.law, float(np.abs(self.relative_m).max())
+        return 1.2e3 * max(law.lower_clearance_m, law.upper_clearance_m, largest) or 1.0
 
     @cached_property
     def depth_m(self) -> Float[np.ndarray, " samples"]:
@@ -49,10 +79,14 @@ class Play:
     def closed(self) -> Bool[np.ndarray, " samples"]:
         return self.depth_m != 0
 
+    @property
+    def rate_hz(self) -> float:
+        return float((self.time_s.size - 1) / (self.time_s[-1] - self.time_s[0])) if self.time_s.size > 1 else 1.0
+
     @cached_property
     def kept(self) -> Int[np.ndarray, " kept"]:
         """Every sample near a contact, one of `stride` and the frames elsewhere."""
-        wide = max(1, round(NEAR_S / max(self.time_s[-1] / self.time_s.size, 1e-9)))
+        wide = max(1, round(NEAR_S * self.rate_hz))
         chosen = binary_dilation(self.closed, np.ones(2 * wide + 1, dtype=bool))
         chosen[:: self.stride] = True
         chosen[self.frames] = True
@@ -64,21 +98,27 @@ class Play:
 
 
 def send_close_up(stream: rr.RecordingStream, play: Play) -> None:
-    """The relative displacement in mm, upwards, between its two walls, with what it was just before to its left."""
+    """The relative displacement in mm, upwards, between its two walls, with what it was just before to its left.
+
+    The figures of a wall stand beyond it, so that they cannot be taken for the other's however close both are; those
+    of each law in a column of their own: right, left and before the trail.
+    """
     path, law, across = entity("close_up", play.contact.name), play.contact.law, 1.1 * play.reach_mm
     time_s = play.time_s[play.frames]
-    for level, solid in ((-1e3 * law.upper_clearance_m, -1), (1e3 * law.lower_clearance_m, 1)):  # y points downwards
-        side = "upper" if solid < 0 else "lower"
-        edges = np.linspace(-across, across, HATCHES + 1)
-        hatches = [[[x, level], [x - 0.05 * across, level + solid * 0.05 * across]] for x in edges[1:]]
+    edges = np.linspace(-across, across, HATCHES + 1)
+    for level, out in _levels(law):
+        hatches = [[[x, level], [x - 0.05 * across, level + out * 0.05 * across]] for x in edges[1:]]
         walls = [[[-across, level], [across, level]], *hatches]
-        style(stream, f"{path}/{side}", rr.LineStrips2D(walls, colors=[STEEL], radii=pixels(1.5)))
-        place = [0.85 * across, level if solid < 0 else level - 0.17 * play.reach_mm]
-        style(stream, f"{path}/{side}/level", rr.Points2D([place], colors=[STEEL], radii=0, labels=[f"{-level:+g} mm"]))
-    for name, other in play.others.items():
-        _send_dashed_walls(stream, f"{path}/{name}", other, across, name)
-    rate, now_x = play.time_s.size / play.time_s[-1], 0.15 * across
-    back = np.linspace(-TRAIL_S * rate, 0, TRAIL_POINTS).round().astype(int)
+        style(stream, f"{path}/{SIDES[out]}", rr.LineStrips2D(walls, colors=[STEEL], radii=pixels(1.5)))
+    _send_levels(stream, f"{path}/{play.walls}", play, law, COLUMNS[0], STEEL)
+    for column, (name, other) in zip(COLUMNS[1:], play.others.items(), strict=False):
+        ends = np.linspace(-across, across, 2 * DASHES).reshape(DASHES, 2)
+        dashes = [[[a, level], [b, level]] for level, _ in _levels(other) for a, b in ends]
+        drawn = rr.LineStrips2D(dashes, colors=[OTHERS[name]], radii=pixels(1.25), draw_order=40.0)
+        style(stream, f"{path}/{name}", drawn)
+        _send_levels(stream, f"{path}/{name}", play, other, column, OTHERS[name])
+    now_x = 0.15 * across
+    back = np.linspace(-TRAIL_S * play.rate_hz, 0, TRAIL_POINTS).round().astype(int)
     trail = np.empty((play.frames.size, TRAIL_POINTS, 2))
     trail[..., 0] = now_x + (across + now_x) * back / -back[0]
     trail[..., 1] = -1e3 * play.relative_m[np.maximum(play.frames[:, None] + back, 0)]
@@ -88,10 +128,28 @@ def send_close_up(stream: rr.RecordingStream, play: Play) -> None:
     send(stream, f"{path}/trail", time_s, rr.LineStrips2D, strips=trail)
     style(stream, f"{path}/point", rr.Points2D.from_fields(radii=[pixels(7.0)]))
     send(stream, f"{path}/point", time_s, rr.Points2D, positions=trail[:, -1], colors=play.colours)
-    style(
-        stream, f"{path}/reading", rr.Points2D.from_fields(positions=[[0.6 * across, -0.3 * play.reach_mm]], radii=[0])
-    )
+    above = [[0, -1.5 * play.reach_mm]]
+    style(stream, f"{path}/reading", rr.Points2D.from_fields(positions=above, radii=[0]))
     send(stream, f"{path}/reading", time_s, rr.Points2D, labels=_readings(play), colors=play.colours)
+    if play.until_s is not None:
+        stream.set_time(TIMELINE, duration=play.until_s)
+        for part in ("trail", "point"):
+            stream.log(f"{path}/{part}", rr.Clear(recursive=False))
+        stream.log(f"{path}/reading", rr.Points2D.from_fields(labels=["not identified"], colors=[STEEL]))
+
+
+def _levels(law: ContactLaw) -> list[tuple[float, int]]:
+    """Where the upper and the lower wall are in the view, mm, whose y points downwards, and which way is beyond it."""
+    return [(-1e3 * law.upper_clearance_m, -1), (1e3 * law.lower_clearance_m, 1)]
+
+
+def _send_levels(
+    stream: rr.RecordingStream, path: str, play: Play, law: ContactLaw, column: float, colour: Colour
+) -> None:
+    name = path.rpartition("/")[2]
+    for level, out in _levels(law):
+        place = [column * play.reach_mm, level - 0.28 * play.reach_mm * (out < 0)]
+        send_labels(stream, f"{path}/{SIDES[out]}", [place], [f"{name} {-level:+.4g} mm"], colour)
 
 
 def _readings(play: Play) -> list[str]:
@@ -104,31 +162,23 @@ def _readings(play: Play) -> list[str]:
     return words
 
 
-def _send_dashed_walls(stream: rr.RecordingStream, path: str, law: ContactLaw, across: float, name: str) -> None:
-    ends = np.linspace(-across, across, 2 * DASHES).reshape(DASHES, 2)
-    levels = (-1e3 * law.upper_clearance_m, 1e3 * law.lower_clearance_m)
-    dashes = [[[a, level], [b, level]] for level in levels for a, b in ends]
-    style(stream, path, rr.LineStrips2D(dashes, colors=[OTHERS[name]], radii=pixels(1.25), draw_order=40.0))
-    places = [[-0.75 * across, levels[0] + 0.2 * across], [-0.75 * across, levels[1] - 0.2 * across]]
-    labels = [f"{name} {-level:+.4g} mm" for level in levels]
-    style(stream, f"{path}/level", rr.Points2D(places, colors=[OTHERS[name]], radii=0, labels=labels))
-
-
 def send_over_time(stream: rr.RecordingStream, play: Play) -> None:
     """The relative displacement with all walls; where it closes and opens is marked."""
     path, ends = entity("relative_displacement", play.contact.name), play.time_s[[0, -1]]
-    for name, law, colour in (
-        ("walls", play.contact.law, CLOSED),
-        *((name, law, OTHERS[name]) for name, law in play.others.items()),
-    ):
+    legend = [(play.contact.name, LINES[0])]
+    for name, law in (("walls", play.contact.law), *play.others.items()):
+        colour = OTHERS.get(name, CLOSED)
         limits = 1e3 * np.array([law.upper_clearance_m, -law.lower_clearance_m])
-        names = [f"{'wall' if name == 'walls' else name}, {limit:+.5g} mm" for limit in limits]
+        names = [f"{play.walls if name == 'walls' else name} {limit:+.5g} mm" for limit in limits]
         send_lines(stream, f"{path}/{name}", ends, np.tile(limits[:, None], 2), names, (colour,))
+        legend += [(name, colour) for name in names]
     value = 1e3 * play.relative_m[None, play.kept]
     send_lines(stream, f"{path}/value", play.time_s[play.kept], value, [play.contact.name], LINES)
     for name, samples, colour in (("closes", _changes(play)[0], CLOSED), ("opens", _changes(play)[1], FREE)):
         style(stream, f"{path}/{name}", rr.SeriesPoints(colors=[colour], names=[name], marker_sizes=[3.0]))
         send(stream, f"{path}/{name}", play.time_s[samples], rr.Scalars, scalars=1e3 * play.relative_m[samples])
+        legend.append((f"● {name}", colour))
+    send_legend(stream, path, legend)
 
 
 def send_events(stream: rr.RecordingStream, play: Play) -> None:
@@ -150,7 +200,7 @@ def send_events(stream: rr.RecordingStream, play: Play) -> None:
         entity("events", play.contact.name),
         play.time_s[samples[order]],
         rr.TextLog,
-        text=[words[i] for i in order],
+        text=[f"{play.time_s[samples[i]]:.4f} s: {words[i]}" for i in order],
         level=[str(levels[i]) for i in order],
         color=colours[order],
     )
@@ -160,38 +210,3 @@ def _changes(play: Play) -> tuple[Int[np.ndarray, " closings"], Int[np.ndarray, 
     """The first samples at which it is closed, and at which it is free again."""
     steps = np.diff(play.closed.astype(int))
     return np.flatnonzero(steps == 1) + 1, np.flatnonzero(steps == -1) + 1
-
-
-def send_phase(stream: rr.RecordingStream, play: Play) -> None:
-    """Contact force (upwards) over relative displacement (mm), frame by frame, over the laws; and the histogram.
-
-    A frame's line goes from its sample to the next frame's, so that the view, which shows all until the moment, grows.
-    """
-    path, reach, name = entity("phase", play.contact.name), play.reach_mm, play.contact.name
-    if play.force_n is not None:
-        largest_n = float(np.abs(play.force_n).max()) or 1.0
-        scale = 0.8 * reach / largest_n
-        eta = np.linspace(play.relative_m.min(), play.relative_m.max(), 401)
-        laws = {"law": play.contact.law, **play.others}
-        for depth, (label, law) in enumerate(laws.items()):
-            line = np.stack([1e3 * eta, -scale * law.force_n(eta, np.zeros(eta.size))], axis=1)
-            drawn = {"colors": [OTHERS.get(label, STEEL)], "radii": pixels(1.0), "draw_order": 10.0 + depth}
-            style(stream, f"{path}/{label}", rr.LineStrips2D([line], **drawn))
-        labels = [f"{largest_n:.3g} N", f"{-largest_n:.3g} N", f"{reach:.3g} mm"]
-        places = [[0, -0.8 * reach], [0, 0.8 * reach], [1.05 * reach, 0]]
-        style(stream, f"{path}/scale", rr.Points2D(places, colors=[FAINT], radii=pixels(2.0), labels=labels))
-        axes = [[[-1.1 * reach, 0], [1.1 * reach, 0]], [[0, -0.95 * reach], [0, 0.95 * reach]]]
-        style(stream, f"{path}/axes", rr.LineStrips2D(axes, colors=[FAINT], radii=pixels(0.5)))
-        style(
-            stream,
-            f"{path}/seen",
-            rr.LineStrips2D.from_fields(colors=[LINES[1]], radii=[pixels(1.25)], draw_order=50.0),
-        )
-        points = np.stack([1e3 * play.relative_m, -scale * play.force_n], axis=1)[play.kept]
-        at = np.searchsorted(play.kept, play.frames)
-        strips = [points[a : b + 1] for a, b in pairwise(at)]
-        send(stream, f"{path}/seen", play.time_s[play.frames[1:]], rr.LineStrips2D, strips=strips)
-    counts, edges = np.histogram(1e3 * play.relative_m, BINS, range=(-reach, reach))
-    share = 100 * counts / max(play.relative_m.size, 1)
-    middle = (edges[1:] + edges[:-1]) / 2
-    style(stream, entity("histogram", name), rr.BarChart(share, abscissa=middle, color=LINES[0]))

@@ -7,14 +7,15 @@ import numpy as np
 import rerun as rr
 from jaxtyping import Float
 
-from rig.viewer.blueprint import TIMELINE
-
+TIMELINE = "sim_time"
+DIAGNOSIS, GAP_OVER_TIME = "diagnosis", "gap_over_time"
 ROWS = 8192
 
 Colour = tuple[int, int, int]
 FREE, CLOSED, STEEL, FAINT, FORCE = (90, 200, 120), (255, 70, 60), (170, 175, 185), (85, 90, 100), (255, 190, 60)
-FOUND = (90, 230, 230)
-"""What was identified."""
+GRID, GAP = (50, 54, 62), (255, 90, 220)
+FOUND, BELIEVED = (90, 230, 230), (205, 120, 230)
+"""What was identified, and what rig.json believes."""
 LINES = (
     (95, 160, 255),
     (255, 150, 90),
@@ -25,6 +26,18 @@ LINES = (
     (150, 210, 90),
     (200, 200, 200),
 )
+LEGEND_ROWS = 9
+"""As many names stand one below the other beside a plot."""
+
+
+def entity(*parts: str) -> str:
+    """The entity path of these parts, whatever characters their names have."""
+    return str(rr.new_entity_path(list(parts)))
+
+
+def legend_of(origin: str) -> str:
+    """The origin of the view that names the lines of a plot."""
+    return f"/legend/{origin.strip('/')}"
 
 
 def style(stream: rr.RecordingStream, path: str, layout: rr.AsComponents) -> None:
@@ -56,6 +69,22 @@ def send_lines(
     )
     style(stream, path, layout)
     send(stream, path, time_s, rr.Scalars, scalars=np.ascontiguousarray(values.T))
+
+
+def send_labels(
+    stream: rr.RecordingStream, path: str, places: Sequence[Sequence[float]], words: Sequence[str], colour: Colour
+) -> None:
+    """Words that hang below their places, centred."""
+    style(stream, path, rr.Points2D(places, colors=[colour], radii=0, labels=words, show_labels=True))
+
+
+def send_legend(stream: rr.RecordingStream, origin: str, names: Sequence[tuple[str, Colour]]) -> None:
+    """The names of a plot's lines in their colours, for the view beside it; more than nine in two columns."""
+    columns = 1 if len(names) <= LEGEND_ROWS else 2
+    rows = max(LEGEND_ROWS, -(-len(names) // columns))
+    for number, (name, colour) in enumerate(names):
+        place = [1.2 * (2 * (number % columns) - columns + 1), LEGEND_ROWS / rows * (number // columns)]
+        send_labels(stream, f"{legend_of(origin)}/{number}", [place], [name], colour)
 
 
 def pixels(radius: float) -> float:

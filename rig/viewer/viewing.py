@@ -2,24 +2,29 @@
 
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 import rerun as rr
+from jaxtyping import Int
+from msgspec.structs import replace
 
 from rig.errors import RigError
 from rig.files import write_bytes
 from rig.model.contact_laws import ContactLaw
-from rig.model.description import Contact
 from rig.model.sensing import sensors_of
 from rig.recording import Recording
-from rig.viewer.blueprint import Layout, blueprint, entity, plotted
-from rig.viewer.contact_view import Play, send_close_up, send_events, send_over_time, send_phase
-from rig.viewer.deflection import deflection
-from rig.viewer.drawing import FAINT, FORCE, LINES, STEEL, pixels, send, send_lines, style
+from rig.viewer.blueprint import Layout, blueprint, plotted
+from rig.viewer.contact_view import Known, Play, send_close_up, send_events, send_over_time
+from rig.viewer.deflection import Deflection, deflection
+from rig.viewer.drawing import FAINT, FORCE, LINES, STEEL, entity, pixels, send, send_legend, send_lines, style
+from rig.viewer.gap import Gap
+from rig.viewer.gap_view import send_gap
+from rig.viewer.identified import NOTHING_IDENTIFIED, Identified
+from rig.viewer.phase import send_histogram, send_phase
+from rig.viewer.spectra import send_spectra, spectra_of
 from rig.viewer.stage import Stage, stage
 
 SCALARS = 1_000_000
@@ -32,15 +37,17 @@ def write_rrd(
     path: Path,
     magnification: float | None = None,
     *,
-    identified: Mapping[str, ContactLaw] = MappingProxyType({}),
+    identified: Identified = NOTHING_IDENTIFIED,
+    gap: Gap | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> None:
     """Writes the recording for the rerun viewer; `truth`, where there is one, adds what only a simulator knows.
 
     The motion comes from the truth file, else from the displacement sensors, else from integrated accelerations, which
-    lack everything below 1 Hz. `magnification` is that of the deflection in the 3D view; without it a round one is
-    chosen. The walls are the true ones, else those that rig.json believes in; the laws `identified` are drawn over
-    them, and so is what rig.json believes where that is not true.
+    lack everything below 1 Hz; relative displacements and contact forces from the truth file, else from the curves that
+    were `identified`. `magnification` is that of the deflection in the 3D view; without it a round one is chosen. The
+    walls are the true ones, else those identified, else those that rig.json believes in; the others are drawn over
+    them. A diagnosed `gap` is marked on the bodies.
 
     Raises RigError if the truth belongs to another recording, a body has no sensor, the magnification is not above
     zero, or the file cannot be written.
@@ -51,35 +58,23 @@ def write_rrd(
         raise RigError("the truth file has other samples, contacts or groups than the recording; take it away")
     motion = deflection(recording, truth)
     scene = stage(motion, recording.rig.sample_rate_hz, magnification)
-    relative_m = motion.relative() if truth is None else truth.signals["relative_displacement"].values
     stride = max(1, -(-_series_scalars(recording, truth) // SCALARS))
-    shown_rig = recording.rig if truth is None else truth.rig
+    plays = _plays(recording, truth, motion, identified, scene.frames, stride)
     layout = Layout(
-        rig=shown_rig,
-        contact_force=truth is not None and bool(shown_rig.contacts),
+        rig=recording.rig if truth is None else truth.rig,
+        contact_force=None if not plays or plays[0].force_n is None else "separated" if truth is None else "true",
         magnification=scene.magnification,
         approximate=motion.approximate,
         stride=stride,
         centre_m=scene.centre_m,
         extent_m=scene.extent_m,
         frame_rate_hz=scene.frame_rate_hz,
-        largest_relative_m=tuple(float(np.abs(row).max()) for row in relative_m),
+        reach_mm={play.contact.name: play.reach_mm for play in plays},
+        spectra=tuple(spectra_of(recording, {p.contact.name: p.force_n for p in plays if p.force_n is not None})),
+        diagnosis=gap is not None,
     )
-    plays = [
-        Play(
-            contact=contact,
-            others=_others(contact, recording, identified),
-            time_s=recording.signals["force"].time_s,
-            relative_m=row,
-            force_n=None if truth is None else truth.signals["contact_force"].values[j],
-            frames=scene.frames,
-            stride=stride,
-            reach_mm=layout.reach_mm(contact),
-        )
-        for j, (contact, row) in enumerate(zip(shown_rig.contacts, relative_m, strict=True))
-    ]
     with rr.RecordingStream("rig") as stream, _drained(stream) as encoded:
-        stream.send_blueprint(blueprint(layout), make_active=False)
+        stream.send_blueprint(blueprint(layout))
         stream.send_recording_name(f"{recording.rig.name}, {recording.duration_s:g} s")
         _send_model(stream, scene, recording, plays)
         progress(0.3)
@@ -87,9 +82,14 @@ def write_rrd(
             send_close_up(stream, play)
             send_over_time(stream, play)
             send_phase(stream, play)
+            send_histogram(stream, play)
             send_events(stream, play)
             progress(0.3 + 0.5 * done / len(plays))
+        if gap is not None:
+            send_gap(stream, gap, scene, plays)
         _send_series(stream, recording, plays, stride)
+        for spectra in layout.spectra:
+            send_spectra(stream, spectra, recording.rig.sample_rate_hz)
         write_bytes(encoded.read() or b"", path)
 
 
@@ -106,11 +106,43 @@ def _drained(stream: rr.RecordingStream) -> Iterator[rr.BinaryStream]:
         encoded.read()
 
 
-def _others(contact: Contact, recording: Recording, identified: Mapping[str, ContactLaw]) -> dict[str, ContactLaw]:
-    """What is drawn over the walls: what rig.json believes where they are not that, and what was identified."""
-    believed = recording.rig.contact(contact.name).law
-    others = {} if believed == contact.law else {"believed": believed}
-    return others | ({"identified": identified[contact.name]} if contact.name in identified else {})
+def _plays(
+    recording: Recording,
+    truth: Recording | None,
+    motion: Deflection,
+    identified: Identified,
+    frames: Int[np.ndarray, " frames"],
+    stride: int,
+) -> list[Play]:
+    """Every contact with the best that is known of it: the truth, else what was identified, else what is believed."""
+    time_s = recording.signals["force"].time_s
+    relative_m, force_n = motion.relative(), None
+    if truth is not None:
+        relative_m, force_n = (truth.signals[name].values for name in ("relative_displacement", "contact_force"))
+    known = slice(0, time_s.size)
+    if truth is None and identified.curves is not None:
+        known = identified.curves.within(time_s)
+        relative_m, force_n = identified.curves.at(time_s[known])
+    plays = []
+    for j, believed in enumerate(recording.rig.contacts):
+        laws: dict[Known, ContactLaw] = {} if truth is None else {"true": truth.rig.contacts[j].law}
+        laws |= {"identified": identified.laws[believed.name]} if believed.name in identified.laws else {}
+        laws["believed"] = believed.law
+        walls = next(iter(laws))
+        others = {name: law for name, law in laws.items() if name == "identified" or law != laws[walls]}
+        play = Play(
+            contact=replace(believed, law=laws[walls]),
+            walls=walls,
+            others={name: law for name, law in others.items() if name != walls},
+            time_s=time_s[known],
+            until_s=float(time_s[known.stop]) if known.stop < time_s.size else None,
+            relative_m=relative_m[j],
+            force_n=None if force_n is None else force_n[j],
+            frames=frames[(frames >= known.start) & (frames < known.stop)] - known.start,
+            stride=stride,
+        )
+        plays.append(play)
+    return plays
 
 
 def open_viewer(path: Path) -> None:
@@ -147,8 +179,9 @@ def _send_model(stream: rr.RecordingStream, scene: Stage, recording: Recording, 
         style(stream, path, rr.LineStrips3D.from_fields(colors=[STEEL], radii=[pixels(2.0)]))
         send(stream, path, scene.time_s, rr.LineStrips3D, strips=scene.fork(play.contact, play.contact.law))
         style(stream, f"{path}/point", rr.Points3D.from_fields(radii=[pixels(5.0)]))
-        at = scene.point(play.contact.at)
-        send(stream, f"{path}/point", scene.time_s, rr.Points3D, positions=at, colors=play.colours)
+        at, colours = scene.point(play.contact.at), np.full((scene.time_s.size, 3), STEEL, dtype=np.uint8)
+        colours[np.searchsorted(scene.time_s, play.time_s[play.frames] - 1e-9)] = play.colours
+        send(stream, f"{path}/point", scene.time_s, rr.Points3D, positions=at, colors=colours)
     force = recording.force_n[scene.frames]
     arrows = np.zeros((force.size, 3))
     arrows[:, 2] = 0.2 * scene.extent_m * force / (np.abs(recording.force_n).max() or 1.0)
@@ -160,15 +193,20 @@ def _send_model(stream: rr.RecordingStream, scene: Stage, recording: Recording, 
 def _send_series(stream: rr.RecordingStream, recording: Recording, plays: Sequence[Play], stride: int) -> None:
     time_s = recording.signals["force"].time_s
     send_lines(stream, "exciting_force", time_s[::stride], recording.force_n[None, ::stride], ["force"], (FORCE,))
+    send_legend(stream, "exciting_force", [("force", FORCE)])
+    legend = []
     for number, play in enumerate(plays):
         if play.force_n is not None:
             path, name = entity("contact_force", play.contact.name), play.contact.name
-            colours = (LINES[number % len(LINES)],)
-            send_lines(stream, path, time_s[play.kept], play.force_n[None, play.kept], [name], colours)
+            colour = LINES[number % len(LINES)]
+            send_lines(stream, path, play.time_s[play.kept], play.force_n[None, play.kept], [name], (colour,))
+            legend.append((name, colour))
+    send_legend(stream, "contact_force", legend)
     for quantity in plotted(recording.rig):
         measured = recording.signals[quantity]
         for body in recording.rig.bodies:
             places = [(i, s) for i, s in enumerate(measured.channels.stations) if s is not None and s.body == body.name]
             values = measured.values[[i for i, _ in places], ::stride]
-            names = [f"{s.position_m:g} m" for _, s in places]
-            send_lines(stream, entity(quantity, body.name), time_s[::stride], values, names, LINES)
+            names, path = [f"{s.position_m:g} m" for _, s in places], entity(quantity, body.name)
+            send_lines(stream, path, time_s[::stride], values, names, LINES)
+            send_legend(stream, path, [(name, LINES[i % len(LINES)]) for i, name in enumerate(names)])

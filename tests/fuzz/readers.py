@@ -28,7 +28,7 @@ from rig.recording import Recording, channel_groups, read, writing
 from rig.simulation.plants import modal
 from rig.simulation.record import record
 from rig.simulation.reference import Sdof
-from rig.viewer.identified import identified_laws
+from rig.viewer.identified import Identified, identified_laws
 from rig.viewer.schematic import draw
 from rig.viewer.viewing import write_rrd
 from tests.fuzz.judging import refused_or_right
@@ -190,7 +190,9 @@ def viewed_contact_json(rng: np.random.Generator, folder: Path) -> str:
             assert isinstance(law, DeadZone)
             assert law.stiffness_n_per_m == said[name]["stiffness_n_per_m"]["value"]
         if drawn:
-            write_rrd(sound_recording(), None, folder / "r.rrd", None, identified=laws, progress=lambda _: None)
+            write_rrd(
+                sound_recording(), None, folder / "r.rrd", None, identified=Identified(laws), progress=lambda _: None
+            )
 
     return refused_or_right(folder, work)
 

@@ -1,6 +1,7 @@
 """What is exported is what the identification found, in every format."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -36,6 +37,13 @@ def test_every_curve_comes_back(found, tmp_path, form):
         assert names == list(table)
         np.testing.assert_array_equal(rows, [*table.values()])
     assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_the_time_is_that_of_the_record_where_its_start_is_left_out(found):
+    later = replace(found, motion=found.motion.part(slice(1024, None)))
+    for name in ("motion", "surface"):
+        times = [curves(one)[name]["time_s"] for one in (found, later)]
+        np.testing.assert_allclose(times[1] - times[0], 1024 / found.motion.sample_rate_hz)
 
 
 def test_the_curves_hold_the_law(found):

@@ -5,6 +5,9 @@ import signal
 import subprocess
 import sys
 import time
+from urllib.error import HTTPError, URLError
+from urllib.parse import unquote
+from urllib.request import urlopen
 
 import msgspec
 import numpy as np
@@ -310,6 +313,39 @@ def test_the_viewer_opens_where_there_is_a_display(rig, tmp_path, monkeypatch, d
     monkeypatch.setenv("DISPLAY", display)
     assert rig("view", "r.mcap", *words)[0] == 0
     assert len(started) == opened
+
+
+@pytest.mark.parametrize(("ending", "in_background"), [("SIGINT", False), ("SIGTERM", False), ("SIGTERM", True)])
+def test_a_browser_is_served_until_the_command_is_ended(tmp_path, ending, in_background):
+    """A shell has the commands that it runs in the background ignore SIGINT."""
+    sound(tmp_path / "r.mcap")
+    ignored = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); " if in_background else ""
+    program = [sys.executable, "-c", ignored + "from rig_start import rig; rig()"]
+    with (tmp_path / "said").open("wb") as said:
+        running = subprocess.Popen([*program, "view", str(tmp_path / "r.mcap"), "--web"], stdout=said, stderr=said)
+    try:
+        until = time.monotonic() + 60
+        while b"Ctrl-C" not in (tmp_path / "said").read_bytes():
+            assert time.monotonic() < until
+            assert running.poll() is None, (tmp_path / "said").read_bytes()
+            time.sleep(0.05)
+        address = (tmp_path / "said").read_text().split("open ")[1].partition(";")[0]
+        page, _, data = address.partition("?url=")
+        with urlopen(page, timeout=20) as answer:
+            assert b"rerun" in answer.read().lower()
+        with urlopen(unquote(data), timeout=20) as answer:
+            assert answer.read() == (tmp_path / "r.rrd").read_bytes()
+            assert answer.headers["Access-Control-Allow-Origin"] == page
+        with pytest.raises(HTTPError, match="404"):
+            urlopen(unquote(data).replace("recording", "r"), timeout=20)
+        running.send_signal(getattr(signal, ending))
+        assert running.wait(20) == 130
+        for one in (page, unquote(data)):
+            with pytest.raises(URLError):
+                urlopen(one, timeout=5)
+    finally:
+        running.kill()
+        running.wait(20)
 
 
 @pytest.mark.parametrize("command", ["record", "info", "check", "view"])

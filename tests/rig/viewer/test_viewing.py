@@ -18,9 +18,10 @@ from rig.simulation.excitation import BandLimitedGaussian
 from rig.simulation.plants import modal
 from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle, Sdof
-from rig.viewer.blueprint import entity
+from rig.viewer.axes import WIDTH
 from rig.viewer.deflection import deflection
-from rig.viewer.identified import identified_laws
+from rig.viewer.drawing import entity
+from rig.viewer.identified import Identified, identified_laws, read_identified
 from rig.viewer.stage import stage
 from rig.viewer.viewing import write_rrd
 
@@ -57,6 +58,16 @@ def column(path, place, component):
             values.extend(batch[component].to_pylist())
     order = np.argsort(times, kind="stable")
     return np.array(times)[order] / 1e9, [values[i] for i in order]
+
+
+def static(path, place, component):
+    """The one value of a component of an entity that does not change."""
+    reader = RrdReader(path)
+    for chunk in reader.stream(store=reader.recordings()[0]).filter(content=place):
+        batch = chunk.to_record_batch()
+        if component in batch.schema.names and "sim_time" not in batch.schema.names:
+            return batch[component].to_pylist()[0]
+    return None
 
 
 def series(path, place):
@@ -205,7 +216,9 @@ def test_every_closing_and_opening_is_an_event(mass, tmp_path):
     changes = np.flatnonzero(np.diff((depth != 0).astype(int))) + 1
     assert changes.size
     np.testing.assert_array_equal(np.round(times * recording.rig.sample_rate_hz).astype(int), changes)
-    for sample, (word,) in zip(changes, words, strict=True):
+    for sample, (said,) in zip(changes, words, strict=True):
+        time, _, word = said.partition(" s: ")
+        assert float(time) == pytest.approx(sample / recording.rig.sample_rate_hz, abs=1e-4)
         if depth[sample] > 0:
             assert word == "stop closes at its upper stop"
         elif depth[sample] < 0:
@@ -222,11 +235,15 @@ def test_the_phase_plot_grows_over_the_truth(mass, tmp_path):
     lines = [np.array(row[0]) for row in strips]
     for before, after in pairwise(lines):
         np.testing.assert_array_equal(before[-1], after[0])
-    eta_mm = np.concatenate([line[:-1, 0] for line in lines])
+    across = np.sort(np.concatenate([line[:-1, 0] for line in lines]))
     depth = recording.rig.contacts[0].law.penetration_m(relative(truth))
     last = round(times[-1] * recording.rig.sample_rate_hz)
-    shown = np.isin(np.float32(1e3 * relative(truth)[:last][depth[:last] != 0]), np.float32(eta_mm))
-    assert shown.all()
+    closed = depth[:last] != 0
+    reach_m = 1.2 * np.abs(relative(truth)).max()
+    wanted = WIDTH * (relative(truth)[:last][closed] / reach_m + 1) / 2
+    next_one = np.clip(np.searchsorted(across, wanted), 1, across.size - 1)
+    off = np.minimum(np.abs(across[next_one] - wanted), np.abs(across[next_one - 1] - wanted))
+    assert off.max() < 1e-6
 
 
 def test_identified_walls_stand_where_contact_json_says(mass, tmp_path):
@@ -235,9 +252,102 @@ def test_identified_walls_stand_where_contact_json_says(mass, tmp_path):
     value = {"value": 1.2e-3, "standard_error": 1e-6}
     found = {"name": "stop", "clearance_m": value, "stiffness_n_per_m": value, "damping_n_s_per_m": {"value": -1.0}}
     file.write_text(json.dumps({"rig": "sdof", "contacts": [found]}))
-    write_rrd(recording, truth, tmp_path / "r.rrd", identified=identified_laws(file, recording.rig))
+    write_rrd(recording, truth, tmp_path / "r.rrd", identified=read_identified(file, recording.rig, 8.0))
     _, walls = series(tmp_path / "r.rrd", entity("relative_displacement", "stop", "identified"))
     np.testing.assert_allclose(walls[:, 0], [1.2, -1.2])
+
+
+def with_clearances(machine, factor):
+    law = machine.contacts[0].law
+    law = replace_struct(law, **{f: factor * getattr(law, f) for f in ("lower_clearance_m", "upper_clearance_m")})
+    return replace_struct(machine, contacts=(replace_struct(machine.contacts[0], law=law),))
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.01])
+def test_the_figures_of_every_wall_stand_beyond_it_in_a_column_of_their_own(mass, tmp_path, scale):
+    """So they neither cross nor stand at another wall, however small the play is in the view."""
+    recording, truth = mass
+    told = replace(truth, rig=with_clearances(truth.rig, scale))
+    recording = replace(recording, rig=with_clearances(recording.rig, 1.3 * scale))
+    found = with_clearances(recording.rig, 1.1).contacts[0].law
+    write_rrd(recording, told, tmp_path / "r.rrd", identified=Identified({"stop": found}))
+    laws = {"true": told.rig.contacts[0].law, "identified": found, "believed": recording.rig.contacts[0].law}
+    columns = []
+    for name, law in laws.items():
+        for side, level, out in (("upper", -law.upper_clearance_m, -1), ("lower", law.lower_clearance_m, 1)):
+            place = entity("close_up", "stop", name, side)
+            (words,), ((x, y),) = (static(tmp_path / "r.rrd", place, f"Points2D:{c}") for c in ("labels", "positions"))
+            assert words == f"{name} {-1e3 * level:+.4g} mm"
+            assert out * (y - 1e3 * level) > -1e-6
+        columns.append(x)
+    reach = max(columns) / 1.85
+    assert np.diff(sorted(columns)).min() > reach
+
+
+def test_the_bars_of_the_histogram_span_their_bins(mass, tmp_path):
+    recording, truth = mass
+    write_rrd(recording, truth, tmp_path / "r.rrd")
+    drawn = [static(tmp_path / "r.rrd", entity("histogram", "stop"), f"BarChart:{n}") for n in ("abscissa", "values")]
+    left, share = (np.array(one[0]["buffer"]) for one in drawn)
+    width = np.array(static(tmp_path / "r.rrd", entity("histogram", "stop"), "BarChart:widths"))
+    np.testing.assert_allclose(left[1:], (left + width)[:-1], atol=1e-6)
+    eta_mm = 1e3 * relative(truth)
+    assert share.sum() == pytest.approx(100)
+    for k in np.flatnonzero(share)[::7]:
+        least, most = ((eta_mm > left[k] - e) & (eta_mm < left[k] + width[k] + e) for e in (-1e-6, 1e-6))
+        assert 100 * least.mean() - 1e-9 <= share[k] <= 100 * most.mean() + 1e-9
+
+
+CURVES = "time_s,stop relative displacement m,stop contact force N\n"
+
+
+def test_without_truth_the_identified_curves_are_shown_as_long_as_they_go(mass, tmp_path):
+    """Every fourth sample of the truth is exported, without the first and the last two seconds."""
+    recording, truth = mass
+    poor, rate = only_accelerometers(recording), round(recording.rig.sample_rate_hz)
+    rows = np.arange(2 * rate, 6 * rate, 4)
+    eta, force = (truth.signals[name].values[0] for name in ("relative_displacement", "contact_force"))
+    table = np.stack([rows / rate, eta[rows], force[rows]], axis=1)
+    value = {"value": 0.9e-3}
+    found = {"name": "stop", "clearance_m": value, "stiffness_n_per_m": value, "damping_n_s_per_m": value}
+    (tmp_path / "contact.json").write_text(json.dumps({"contacts": [found]}))
+    np.savetxt(tmp_path / "motion.csv", table, delimiter=",", header=CURVES.strip(), comments="")
+    write_rrd(poor, None, tmp_path / "r.rrd", identified=read_identified(tmp_path, poor.rig, 8.0))
+    for origin, wanted, scale in (
+        (entity("relative_displacement", "stop", "value"), eta, 1e3),
+        (entity("contact_force", "stop"), force, 1.0),
+    ):
+        times, values = series(tmp_path / "r.rrd", origin)
+        assert times.min() >= 2.0
+        assert times.max() <= rows[-1] / rate
+        at = np.isin(np.round(times * rate).astype(int), rows)
+        np.testing.assert_allclose(values[0, at], scale * wanted[np.round(times[at] * rate).astype(int)], atol=1e-12)
+    times, words = column(tmp_path / "r.rrd", entity("events", "stop"), "TextLog:text")
+    inner = np.abs(eta[2 * rate : rows[-1]]) > 0.9e-3
+    assert abs(len(words) - np.count_nonzero(np.diff(inner.astype(int)))) <= 2  # splines may miss a graze
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("time_s,other relative displacement m\n0,1\n1,2\n", "has no column 'stop relative displacement m'"),
+        ("", "is no table"),
+        (CURVES + "0,1,2\n1,x,2\n", "is no table"),
+        (CURVES + "0,1,2\n1,1\n", "is no table"),
+        (CURVES + "0,1,2\n", "too few rows"),
+        (CURVES + "0,1,2\n0.01,1,2\n", "too few rows"),
+        (CURVES + "0,1,2\n1,nan,2\n", "no number"),
+        (CURVES + "1,1,2\n0,1,2\n", "does not grow"),
+        (CURVES + "0,1,2\n9,1,2\n", "goes to 9 s, the recording to 8 s"),
+        ("\xff", "is no table"),
+    ],
+)
+@pytest.mark.parametrize("name", ["motion.csv", "motion.parquet"])
+def test_curves_that_cannot_be_used_are_named(mass, tmp_path, name, text, said):
+    (tmp_path / "contact.json").write_text('{"contacts": []}')
+    (tmp_path / name).write_bytes(text.encode("latin-1"))
+    with pytest.raises(RigError, match=f"{name}: .*{said if name.endswith('csv') else 'is no table'}"):
+        read_identified(tmp_path, mass[0].rig, 8.0)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,70 @@
+"""The spectra of forces and channels in the viewer: amplitude spectral densities over frequency."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+from jaxtyping import Float
+from scipy.signal import welch
+
+from rig.model.description import UNITS
+from rig.model.sensing import quantities_of
+from rig.recording import Recording
+from rig.viewer.axes import Axes
+from rig.viewer.drawing import LINES, entity, pixels, style
+
+BLOCK_S = 4.0
+"""Of the blocks that are averaged, so that lines are 0.25 Hz apart; a quarter of the record at most."""
+DECADES = 6
+"""So many are shown below the largest density at most."""
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """Signals of one unit by name, whose spectra are drawn in one view."""
+
+    origin: str
+    title: str
+    unit: str
+    signals: Mapping[str, Float[np.ndarray, " samples"]]
+
+
+def spectra_of(recording: Recording, forces_n: Mapping[str, Float[np.ndarray, " samples"]]) -> list[Spectra]:
+    """Of the exciting force, of the contact forces that are known, and of every body's channels of each quantity."""
+    found = [
+        Spectra(entity("spectra", "force"), "Exciting force", "N", {"force": recording.force_n}),
+        Spectra(entity("spectra", "contact_force"), "Contact force", "N", forces_n),
+    ]
+    for quantity in quantities_of(recording.rig):
+        measured = recording.signals[quantity]
+        for body in recording.rig.bodies:
+            rows = zip(measured.channels.stations, measured.values, strict=True)
+            signals = {f"{s.position_m:g} m": row for s, row in rows if s is not None and s.body == body.name}
+            origin, unit = entity("spectra", quantity, body.name), UNITS[quantity].replace("^2", "²")
+            found.append(Spectra(origin, f"{body.name}: {quantity}", unit, signals))
+    return [one for one in found if one.signals]
+
+
+def send_spectra(stream: rr.RecordingStream, spectra: Spectra, sample_rate_hz: float) -> None:
+    """Density over frequency of every signal, both logarithmic."""
+    frequency_hz, density = densities(np.array([*spectra.signals.values()]), sample_rate_hz)
+    high = 10.0 ** np.ceil(np.log10(density.max() or 1.0))
+    low = 10.0 ** np.floor(np.log10(max(density.min(), high / 10.0**DECADES)))
+    name = f"amplitude density, {spectra.unit}/√Hz"
+    axes = Axes((frequency_hz[0], frequency_hz[-1]), (min(low, high / 10), high), "frequency, Hz", name, True)
+    colours = {name: LINES[i % len(LINES)] for i, name in enumerate(spectra.signals)}
+    axes.send(stream, spectra.origin, colours)
+    lines = [axes.points(frequency_hz, row) for row in density]
+    drawn = rr.LineStrips2D(lines, colors=[*colours.values()], radii=pixels(0.75), draw_order=50.0)
+    style(stream, f"{spectra.origin}/lines", drawn)
+
+
+def densities(
+    values: Float[np.ndarray, "rows samples"], sample_rate_hz: float
+) -> tuple[Float[np.ndarray, " lines"], Float[np.ndarray, "rows lines"]]:
+    """Frequencies above zero, and the one-sided amplitude spectral density, unit/sqrt(Hz): the root of Welch's power
+    spectral density, of blocks by half over each other under Hann windows, each less its mean."""
+    block = max(2, min(round(BLOCK_S * sample_rate_hz), values.shape[1] // 4))
+    frequency_hz, power = welch(values, sample_rate_hz, nperseg=block)
+    return frequency_hz[1:], np.sqrt(power[:, 1:])
