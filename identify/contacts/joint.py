@@ -104,15 +104,15 @@ def fit_joint(seen: ContactRecord) -> Joint:
     Raises RigError if the contact is hardly ever closed or the fit does not converge.
     """
     curve = spline(seen.eta_m.size, seen.sample_rate_hz, seen.drift)
-    pulls = first_pulls(seen)
-    told = replace(seen, force_n=seen.force_n - pulls @ seen.nuisance_n) if pulls.any() else seen
+    begun_with = first_pulls(seen)
+    told = replace(seen, force_n=seen.force_n - begun_with @ seen.nuisance_n) if begun_with.any() else seen
     touched = touched_stops(told)
     tie = np.eye(len(LAW))[:, [*touched, True, True]]
     if not seen.sides_known:
         tie = np.column_stack([2 * _clearance(touched), tie[:, 2:]])
     law, knots = regressed(told, curve)
     begun = [knots, np.zeros_like(knots)] if curve.knots else [knots]  # rarely, the regression's drift leads astray
-    state, weights = fitted(seen, curve, tie, law, begun, pulls)
+    state, weights = fitted(seen, curve, tie, law, begun, begun_with)
     if _curvature_pull(curve, state) > MOST_PULL:
         raise RigError(
             "the drift that would explain it is larger than the noise of the accelerometers allows; check their noise "
