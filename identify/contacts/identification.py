@@ -7,19 +7,20 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.checks import naming
-from identify.contacts.estimates import LOOSE, ContactFit, find_contacts
+from identify.contacts.estimates import Contacts, find_contacts
 from identify.contacts.joint import Joint
 from identify.contacts.linearised import law_force_n
 from identify.contacts.quality import equation_findings, findings_before, fit_findings
 from identify.contacts.results import ContactReport
-from identify.contacts.start import ContactRecord
 from identify.contacts.summary import contact_report
+from identify.contacts.told import LOOSE, ContactFit
 from identify.contacts.unforced import driven_to_hz, is_unforced, without_dead_force
 from identify.paper.nifo import Nifo, nifo
 from identify.paper.surface import Stops, Surface, clearance_from_occurrence, fit_surface
 from identify.signals.finely import penetration
 from identify.signals.kinematics import Kinematics, Use
 from identify.signals.spectra import Averaging, blocks, force_band
+from identify.structure.joined import Joined
 from identify.structure.modal import modal_equations, transformation, until
 from rig.errors import RigError
 from rig.model.description import Rig
@@ -38,15 +39,17 @@ class Identification:
     """The report, and what it was drawn from, for figures and for further work.
 
     motion has the force and what was measured where, but not the stations' rows. eta_m is complete with its drift;
-    separated_n are the contact forces at every `factor`-th sample; estimates has one entry a contact. forms are NIFO's
-    weak form and the paper's of the main equation; None of a record without a force.
+    separated_n are the contact forces at every `factor`-th sample, one of all contacts that are of the `same_place`;
+    estimates has one entry a contact. forms are NIFO's weak form and the paper's of the main equation; None of a record
+    without a force.
     """
 
     report: ContactReport
     rig: Rig
     motion: Kinematics
     eta_m: Float[np.ndarray, "contacts samples"]
-    separated_n: Float[np.ndarray, "contacts fewer"]
+    same_place: tuple[Joined, ...]
+    separated_n: Float[np.ndarray, "places fewer"]
     factor: int
     estimates: tuple[ContactFit, ...]
     surface: Surface
@@ -107,13 +110,13 @@ def identify_contact(
     findings += tuple(fit_findings(names, found.estimates, found.separated.nuisances.parameters))
     progress(0.5)
     rig, motion, estimates, separated = found.rig, found.motion, found.estimates, found.separated.force_n
-    factor = found.separated.factor
+    factor, same_place = found.separated.factor, found.same_place
     low, high = (0.0, driven_to_hz(motion)) if unforced else force_band(motion.force_n, motion.sample_rate_hz)
     band = averaging.band_hz or (
         max(low, CLEAR_OF_CORNER * motion.trusted_hz[0], LOWEST_HZ),
         min(high, motion.trusted_hz[1]),
     )
-    eta, force, depth = _with_law(found.observed, estimates)
+    eta, force, depth = _with_law(found)
     del found  # the nuisance parameters over time take much memory
     motion = motion.part(slice(eta.shape[1]))
     kept = until(motion)
@@ -148,6 +151,7 @@ def identify_contact(
         rig=rig,
         motion=motion,
         eta_m=eta,
+        same_place=same_place,
         separated_n=separated,
         factor=factor,
         estimates=estimates,
@@ -158,19 +162,22 @@ def identify_contact(
 
 
 def _with_law(
-    observed: tuple[ContactRecord, ...], estimates: tuple[ContactFit, ...]
+    contacts: Contacts,
 ) -> tuple[
     Float[np.ndarray, "contacts samples"], Float[np.ndarray, "contacts samples"], Float[np.ndarray, "contacts samples"]
 ]:
     """Relative displacement with its drift; contact force and penetration by the law found, zero where none was."""
-    eta = np.stack([o.eta_m for o in observed])
+    each = {j: (sign, seen) for one, seen in zip(contacts.same_place, contacts.observed, strict=True)
+            for j, sign in zip(one.members, one.signs, strict=True)}
+    eta = np.stack([sign * seen.eta_m for _, (sign, seen) in sorted(each.items())])
     force, depth = np.zeros_like(eta), np.zeros_like(eta)
-    for j, (seen, found) in enumerate(zip(observed, estimates, strict=True)):
+    for j, found in enumerate(contacts.estimates):
         if isinstance(found, Joint):
+            sign, seen = each[j]
             lower, upper, _, _ = found.values.tolist()
             eta[j] += found.drift_m
             depth[j] = penetration(eta[j], lower, upper)
-            velocity = seen.velocity_m_per_s + found.drift_m_per_s
+            velocity = sign * seen.velocity_m_per_s + found.drift_m_per_s
             force[j] = law_force_n(found.values, eta[j], velocity)
     return eta, force, depth
 

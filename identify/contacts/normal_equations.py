@@ -1,4 +1,4 @@
-"""The normal equations of a contact's fit: banded in the drift's knots, dense in the other parameters."""
+"""The normal equations of a separated force's fit: banded in the drift's knots, dense in the other parameters."""
 
 from dataclasses import dataclass
 
@@ -41,7 +41,7 @@ def normal_equations(
     state: State,
     derivatives: Jacobian,
     curve: Spline,
-    to_law: Float[np.ndarray, "4 free"],
+    to_law: Float[np.ndarray, "laws free"],
     weights: Float[np.ndarray, " fewer"],
 ) -> tuple[Normal, Float[np.ndarray, "knots 1"], Float[np.ndarray, "others 1"]]:
     """And the descent's right-hand side. The others are the nuisance parameters, then the law's free ones.
