@@ -244,5 +244,7 @@ def _estimates(
             told_contacts(rig, one, replace(seen, force_n=seen.force_n - more))
             for one, seen, more in zip(same_place, observed, others @ slow_m, strict=True)
         ]
-    fits = {j: fit for one, told in zip(same_place, found, strict=True) for j, fit in zip(one.members, told, strict=True)}
-    return tuple(fits[j] for j in range(len(rig.contacts)))
+    each: dict[int, ContactFit] = {}
+    for one, told in zip(same_place, found, strict=True):
+        each |= dict(zip(one.members, told, strict=True))
+    return tuple(each[j] for j in range(len(rig.contacts)))

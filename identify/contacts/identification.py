@@ -122,6 +122,7 @@ def identify_contact(
     kept = until(motion)
     eta, depth, exciting_n = eta[:, :kept], depth[:, :kept], motion.force_n[:kept]
     stops = tuple(_stops(a) for a in estimates)
+    alone = {place.members[0] for place in same_place if len(place.members) == 1}  # a histogram tells one knee a side
     cut = blocks(kept, motion.sample_rate_hz, averaging, band)
     equations = [e for body in rig.bodies for e in modal_equations(rig, motion, body, EQUATIONS, force)]
     motion = motion.part(slice(kept)).without_rows
@@ -142,7 +143,8 @@ def identify_contact(
             transformations=[transformation(rig, body, motion) for body in rig.bodies],
             surfaces=surfaces,
             histogram=[
-                None if s is None else _by_histogram(e[motion.excited_from :]) for e, s in zip(eta, stops, strict=True)
+                None if s is None or j not in alone else _by_histogram(eta[j, motion.excited_from :])
+                for j, s in enumerate(stops)
             ],
             main_equation=name,
             spectra=spectra,
@@ -167,18 +169,20 @@ def _with_law(
     Float[np.ndarray, "contacts samples"], Float[np.ndarray, "contacts samples"], Float[np.ndarray, "contacts samples"]
 ]:
     """Relative displacement with its drift; contact force and penetration by the law found, zero where none was."""
-    each = {j: (sign, seen) for one, seen in zip(contacts.same_place, contacts.observed, strict=True)
-            for j, sign in zip(one.members, one.signs, strict=True)}
-    eta = np.stack([sign * seen.eta_m for _, (sign, seen) in sorted(each.items())])
+    eta = np.empty((len(contacts.estimates), contacts.observed[0].eta_m.size))
     force, depth = np.zeros_like(eta), np.zeros_like(eta)
-    for j, found in enumerate(contacts.estimates):
-        if isinstance(found, Joint):
-            sign, seen = each[j]
-            lower, upper, _, _ = found.values.tolist()
-            eta[j] += found.drift_m
-            depth[j] = penetration(eta[j], lower, upper)
-            velocity = sign * seen.velocity_m_per_s + found.drift_m_per_s
-            force[j] = law_force_n(found.values, eta[j], velocity)
+    for place, seen in zip(contacts.same_place, contacts.observed, strict=True):
+        told = {j: contacts.estimates[j] for j in place.members}
+        moved, rate = seen.eta_m, seen.velocity_m_per_s
+        joints = [(f, s) for f, s in zip(told.values(), place.signs, strict=True) if isinstance(f, Joint)]
+        for joint, sign in joints[:1]:  # they share the drift
+            moved, rate = moved + sign * joint.drift_m, rate + sign * joint.drift_m_per_s
+        for (j, found), side in zip(told.items(), place.signs, strict=True):
+            eta[j] = side * moved
+            if isinstance(found, Joint):
+                lower, upper, _, _ = found.values.tolist()
+                depth[j] = penetration(eta[j], lower, upper)
+                force[j] = law_force_n(found.values, eta[j], side * rate)
     return eta, force, depth
 
 

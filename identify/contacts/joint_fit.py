@@ -1,4 +1,4 @@
-"""Gauss-Newton for one separated force: by steps from the normal equations, with weights that the scatter left asks for."""
+"""Gauss-Newton for one force: by steps from the normal equations, with weights that the scatter left asks for."""
 
 from dataclasses import replace
 
@@ -6,13 +6,13 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.contacts.linearised import State, jacobian, state_at
-from identify.contacts.normal_equations import normal_equations
+from identify.contacts.normal_equations import NO_LAW, normal_equations
 from identify.contacts.start import LAW, STIFFNESS, ContactRecord, Start
 from identify.signals.descent import Step, descended
 from identify.signals.drift import Spline
+from rig.errors import RigError
 
 STEPS, ROUNDS, SETTLED = 30, 3, 1e-7
-MOST_STARTS = 3
 
 Weights = Float[np.ndarray, " fewer"]
 
@@ -20,16 +20,22 @@ Weights = Float[np.ndarray, " fewer"]
 def fitted(
     seen: ContactRecord, curve: Spline, tie: Float[np.ndarray, "laws free"], begun: list[Start]
 ) -> tuple[State, Weights]:
-    """Descends from the starts that leave least, and from the best again with the weights renewed from the scatter that
-    is left, until they stand."""
+    """Descends from each start, and from the best again with the weights renewed from the scatter that is left, until
+    they stand.
+
+    Raises RigError if no start leads anywhere.
+    """
     rough_n, none = 0.02 * float(np.std(seen.force_n)), np.zeros(len(seen.nuisance_n))
-    state = None
-    starts = [state_at(seen, curve, law, knots, none) for law, knots in begun]
-    for start in sorted(starts, key=lambda s: float(np.sum(s.residual**2)))[:MOST_STARTS]:
-        end = _descended(seen, curve, start, tie, weights_of(seen, start, rough_n))
-        if state is None or np.sum(end.residual**2) < np.sum(state.residual**2):
-            state = end
-    assert state is not None
+    ends, why = list[State](), RigError(NO_LAW)
+    for law, knots in begun:
+        start = state_at(seen, curve, law, knots, none)
+        try:
+            ends.append(_descended(seen, curve, start, tie, weights_of(seen, start, rough_n)))
+        except RigError as error:
+            why = error
+    if not ends:
+        raise why
+    state = min(ends, key=lambda end: float(np.sum(end.residual**2)))
     weights = weights_of(seen, state, _scatter(state))
     for _ in range(ROUNDS):
         state = _descended(seen, curve, state, tie, weights)

@@ -72,12 +72,12 @@ def law_force_n(
     force = np.zeros_like(eta_m)
     for one in law.reshape(-1, len(LAW)):
         _, _, stiffness, damping = one
-        by_stiffness, by_damping = _by_stiffness_and_damping(one, eta_m, rate_m_per_s)
+        by_stiffness, by_damping = by_stiffness_and_damping(one, eta_m, rate_m_per_s)
         force += stiffness * by_stiffness + damping * by_damping
     return force
 
 
-def _by_stiffness_and_damping(
+def by_stiffness_and_damping(
     law: Law, eta_m: Float[np.ndarray, "*samples"], rate: Float[np.ndarray, "*samples"]
 ) -> tuple[Float[np.ndarray, "*samples"], Float[np.ndarray, "*samples"]]:
     lower, upper, _, _ = law.tolist()
@@ -95,7 +95,7 @@ def state_at(seen: ContactRecord, curve: Spline, law: Law, knots: Knots, pulls: 
     fitted = finely(partial(law_force_n, law), np.stack([eta, velocity]), fine)
     fast = (seen.force_n - _summed(pulls, seen.nuisance_n) - _fewer(seen, fitted)) / (1 - pulls @ seen.noise_in_n)
     stiffness, _ = _slopes(law, eta)
-    return State(law, knots, pulls, fast - _held(seen, curve) @ knots, _fewer(seen, stiffness))
+    return State(law, knots, pulls, fast - held_n(seen, curve) @ knots, _fewer(seen, stiffness))
 
 
 def moved(
@@ -135,10 +135,10 @@ def jacobian(seen: ContactRecord, curve: Spline, state: State) -> Jacobian:
         by_law += [
             stiffness * (eta < -lower),
             -stiffness * (eta > upper),
-            *_by_stiffness_and_damping(one, eta, velocity),
+            *by_stiffness_and_damping(one, eta, velocity),
         ]
     by_drift = diags(state.by_eta) @ curve.value[:: seen.factor][: seen.force_n.size]
-    fast, slow_n = state.residual + _held(seen, curve) @ state.knots, by_drift @ state.knots
+    fast, slow_n = state.residual + held_n(seen, curve) @ state.knots, by_drift @ state.knots
     by_pulls = seen.nuisance_n.astype(np.float32)  # a copy
     for index, noise in enumerate(seen.noise_in_n):
         by_pulls[index] -= noise * fast
@@ -149,7 +149,7 @@ def jacobian(seen: ContactRecord, curve: Spline, state: State) -> Jacobian:
     by_pulls /= np.float32(kept)
     drift_kept = 1 - state.pulls[seen.moving] @ seen.noise_in_m
     return Jacobian(
-        by_knots=drift_kept / kept * by_drift + _held(seen, curve),
+        by_knots=drift_kept / kept * by_drift + held_n(seen, curve),
         by_pulls=by_pulls.T,
         by_law=np.stack([_fewer(seen, row) for row in by_law], axis=1) / kept,
     )
@@ -167,7 +167,7 @@ def _slopes(
     return by_stiffness, by_damping
 
 
-def _held(seen: ContactRecord, curve: Spline) -> csr_matrix:
+def held_n(seen: ContactRecord, curve: Spline) -> csr_matrix:
     """The force of the spring and the damper to the ground, by the knots."""
     if not (seen.spring_n_per_m or seen.damper_n_s_per_m):
         return csr_matrix((seen.force_n.size, curve.knots))

@@ -14,6 +14,7 @@ from rig.errors import RigError
 
 BAND = 3
 """Knots further apart share no sample."""
+NO_LAW = "its closures tell no law of it; excite the rig more strongly"
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ def normal_equations(
         kept = cho_solve_banded((cholesky, False), mixed) if curve.knots else mixed
         rest = np.linalg.inv(of_others - mixed.T @ kept)
     except LinAlgError as error:
-        raise RigError("its closures tell no law of it; excite the rig more strongly") from error
+        raise RigError(NO_LAW) from error
     return Normal(cholesky, mixed, kept, rest), of_knots[:, None], gradient[:, None]
 
 

@@ -142,14 +142,14 @@ def closed_fit(
     seen: ContactRecord,
     curve: Spline,
     with_drift: bool,
-    share: float = CLEAR_SHARE,
+    clear_share: float = CLEAR_SHARE,
     beyond_n: Sequence[Float[np.ndarray, " fewer"]] = (),
 ) -> Float[np.ndarray, " unknowns"]:
     """The drift's knots, the clearance, one over the stiffness, and what less of it the forces beyond knees ask for."""
     size = np.abs(seen.force_n)
     at_force = curve.value[:: seen.factor][: size.size]
     force = seen.force_n
-    closed = clearly_closed(seen, share)
+    closed = clearly_closed(seen, clear_share)
     if not with_drift:
         at_force = csr_matrix(at_force.shape)
     eta = seen.eta_m[:: seen.factor][: size.size][closed]
