@@ -2,9 +2,14 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+from jaxtyping import Float
 from msgspec.structs import replace
 
+from rig.model.contact_laws import ContactLaw
 from rig.model.description import Contact, Rig
+
+Values = Float[np.ndarray, "*shape"]
 
 
 @dataclass(frozen=True)
@@ -41,3 +46,30 @@ def joined_contacts(rig: Rig) -> tuple[Joined, ...]:
 def joined(rig: Rig) -> Rig:
     """The rig with one contact for each pair of places, which bears the names of all and the law of the first."""
     return replace(rig, contacts=tuple(j.contact for j in joined_contacts(rig)))
+
+
+@dataclass(frozen=True)
+class JoinedLaw:
+    """The sum of the laws of contacts of one pair of places, over the relative displacement of the first."""
+
+    laws: tuple[ContactLaw, ...]
+    signs: tuple[int, ...]
+
+    @property
+    def clearances_m(self) -> tuple[float, float]:
+        """How far away the nearest stop is, below and above."""
+        sides = [
+            (law.lower_clearance_m, law.upper_clearance_m)[::sign]
+            for law, sign in zip(self.laws, self.signs, strict=True)
+        ]
+        lower, upper = zip(*sides, strict=True)
+        return min(lower), min(upper)
+
+    def force_n(self, eta_m: Values, rate_m_per_s: Values | float = 0.0, time_s: Values | float = 0.0) -> Values:
+        pairs = zip(self.signs, self.laws, strict=True)
+        return np.asarray(sum(sign * law.force_n(sign * eta_m, sign * rate_m_per_s, time_s) for sign, law in pairs))
+
+
+def joined_laws(rig: Rig) -> tuple[JoinedLaw, ...]:
+    """Of every pair of places."""
+    return tuple(JoinedLaw(tuple(rig.contacts[j].law for j in p.members), p.signs) for p in joined_contacts(rig))
