@@ -11,7 +11,7 @@ from msgspec.structs import replace as changed
 from scipy.sparse import block_diag, csc_matrix, csr_matrix, vstack
 from scipy.sparse.linalg import SuperLU, splu
 
-from identify.contacts.start import ContactRecord, regressed
+from identify.contacts.start import CLEAR_SHARE, ContactRecord, regressed
 from identify.gaps.residual.linear import Linear
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.spectra import Record
@@ -144,11 +144,14 @@ def start_of(
     eta, rate, time_s = (x[:: laid.finer] for x in (laid.eta_m, laid.rate_m_per_s, laid.time_s))
     force = laid.force_n - law.force_n(np.zeros_like(eta), rate)  # what acts in the gap too
     shifted = (upper - lower) / 2 + np.sign(force) * first.wear_m_per_s * time_s
+    depth = _depth_m(law, force)
+    if len(law.laws) > 1:  # what rings while they are open would be deep in a soft one
+        depth *= np.abs(force) > CLEAR_SHARE * np.quantile(np.abs(force), 0.995)
     observed = ContactRecord(
         eta_m=eta - shifted,
         velocity_m_per_s=rate,
         sample_rate_hz=rate_hz,
-        force_n=first.stiffness_n_per_m * _depth_m(law, force),
+        force_n=first.stiffness_n_per_m * depth,
         factor=1,
         quiet_n=0.0,
         unmodelled=0.0,
