@@ -147,7 +147,7 @@ def beams_with_inner_stop() -> Rig:
     """The barrel in its cradle with a further stop behind contact 1."""
     rig = BarrelCradle(sensors="acceleration").rig()
     first, second = rig.contacts
-    behind = stop("inner stop", first.at, first.against, 5.3e-3, 3e5)
+    behind = stop("inner stop", first.at, first.against, 5.5e-3, 1e5)
     return replace(rig, name="beams", contacts=(first, behind, second), sample_rate_hz=RATE_HZ)
 
 

@@ -15,6 +15,8 @@ from rig.model.description import Rig
 
 LOOSE = 0.1
 """An estimate whose standard error is a larger share of it is no answer."""
+MOST = 3
+"""So many contacts between the same places have fewer parameters than a record has parts for their scatter."""
 OUT_OF_REACH = 2.0
 """A stop that is believed so many times as far away as the motion reaches is not touched, however wrong that is."""
 
@@ -49,6 +51,11 @@ def _told(believed: Believed, seen: ContactRecord) -> Sequence[ContactFit]:
     if len(believed) == 1:
         (fit,) = fit_joint(seen, believed, sides[None])
         return [_loose(fit) or fit]
+    if len(believed) > MOST:
+        raise RigError(
+            f"{len(believed)} contacts stand between the same places, of which a record tells {MOST} at most; describe "
+            "them as fewer"
+        )
     reach = reach_m(seen)
     _check_different(believed[:, :2], reach * sides)
     why = ""
