@@ -61,8 +61,8 @@ def assumed(found: Identification) -> Iterator[str]:
     for place in found.same_place:
         if len(place.members) > 1:
             yield (
-                f"{place.contact.name} act between the same places: the record tells the sum of their forces; which "
-                "of its knees is whose is taken from the order of the clearances in rig.json."
+                f"{place.contact.name} act between the same places: the record tells the sum of their forces; each "
+                "has the knee that comes nearest to its clearance and stiffness in rig.json."
             )
     if found.forms is None:
         yield (

@@ -158,7 +158,7 @@ def fit_joint(seen: ContactRecord, believed: Believed, touched: Touched) -> tupl
     covariance = of_scatter + of_tolerances + of_drift
     drift_m, drift_m_per_s = drift_of(seen, curve, state.knots, state.pulls)
     if len(touched) > 1:
-        check_told(state.law, covariance, believed, touched, seen.eta_m + drift_m)
+        check_told(state.law, covariance, touched, seen.eta_m + drift_m)
 
     def joint(first: int, lower: bool, upper: bool) -> Joint:
         own = slice(first, first + len(LAW))

@@ -1,12 +1,13 @@
 """What a record tells of the contacts between the same two places, or why it does not."""
 
 from collections.abc import Sequence
-from itertools import combinations
+from itertools import permutations
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from identify.contacts.joint import Joint, fit_joint
+from identify.contacts.normal_equations import NO_LAW
 from identify.contacts.progressive import NOT_TOLD, Believed, reach_m
 from identify.contacts.start import LAW, ONE_SIDE, STIFFNESS, ContactRecord, touched_stops
 from identify.structure.joined import Joined
@@ -19,6 +20,12 @@ MOST = 3
 """So many contacts between the same places have fewer parameters than a record has parts for their scatter."""
 OUT_OF_REACH = 2.0
 """A stop that is believed so many times as far away as the motion reaches is not touched, however wrong that is."""
+OFF_BY, SURE, SMALLEST = np.array([0.2, 1.0]), 2.0, 1e-12
+"""Shares by which clearance and stiffness in rig.json are off, as standard deviations; so many of them are sure."""
+WHOSE = (
+    "the record does not tell which of the knees is its own and which that of another contact between the same places: "
+    "what rig.json has of them fits either way; state their clearances better, or measure the force at one of them"
+)
 
 ContactFit = Joint | str
 """What is known of a contact, or why nothing is."""
@@ -56,15 +63,14 @@ def _told(believed: Believed, seen: ContactRecord) -> Sequence[ContactFit]:
             f"{len(believed)} contacts stand between the same places, of which a record tells {MOST} at most; describe "
             "them as fewer"
         )
-    reach = reach_m(seen)
-    _check_different(believed[:, :2], reach * sides)
+    reach = np.maximum(reach_m(seen), believed[:, :2].min(axis=0))  # the nearest is touched, whatever is believed
     why = ""
     for far in (OUT_OF_REACH, 1.0):
-        inside = np.any(believed[:, :2] < far * reach * sides, axis=1)
+        inside = np.any((believed[:, :2] <= far * reach) & sides, axis=1)
         try:
-            fits = _together(believed[inside], (believed[:, :2] < OUT_OF_REACH * reach)[inside] & sides, seen)
+            fits = _together(believed[inside], (believed[:, :2] <= OUT_OF_REACH * reach)[inside] & sides, seen)
         except RigError as error:
-            why = why or str(error)
+            why = why or (NOT_TOLD if str(error) == NO_LAW else str(error))
             continue
         told = iter(fits)
         return [next(told) if one else _not_reached(law, reach) for one, law in zip(inside, believed, strict=True)]
@@ -79,7 +85,29 @@ def _together(believed: Believed, touched: Bool[np.ndarray, "contacts 2"], seen:
     for why in map(_loose, fits):
         if why:
             raise RigError(why if len(fits) == 1 else NOT_TOLD)
-    return fits
+    return _assigned(fits, believed)
+
+
+def _assigned(fits: tuple[Joint, ...], believed: Believed) -> tuple[Joint, ...]:
+    """To each contact the knee that comes nearest to what is believed of it, among those that touch on its sides.
+
+    Raises RigError if they may as well be exchanged.
+    """
+
+    def off(fit: Joint, law: Float[np.ndarray, "4"]) -> float:
+        pairs = np.array([(fit.clearance_m, fit.clearance @ law), (fit.stiffness_n_per_m, STIFFNESS @ law)])
+        shares = np.log(np.maximum(pairs, SMALLEST)) @ [1, -1] / np.log1p(OFF_BY)
+        return float(shares @ shares)
+
+    ways = [
+        (sum(off(fit, law) for fit, law in zip(way, believed, strict=True)), way)
+        for way in permutations(fits)
+        if all(one.touched == other.touched for one, other in zip(way, fits, strict=True))
+    ]
+    (least, best), *others = sorted(ways, key=lambda one: one[0])
+    if others and others[0][0] - least < SURE**2:
+        raise RigError(WHOSE)
+    return best
 
 
 def _loose(found: Joint) -> str:
@@ -99,14 +127,3 @@ def _not_reached(law: Float[np.ndarray, "4"], reach: Float[np.ndarray, "2"]) -> 
         f"its stops, by rig.json {1e3 * min(law[:2]):.3g} mm away, are not reached: the relative displacement goes to "
         f"{1e3 * reach.max():.3g} mm; excite the rig more strongly"
     )
-
-
-def _check_different(clearances_m: Float[np.ndarray, "contacts 2"], reach: Float[np.ndarray, "2"]) -> None:
-    """Raises RigError if the same clearances are believed of two contacts: nothing says which knee is whose."""
-    for one, other in combinations(np.minimum(clearances_m, OUT_OF_REACH * reach), 2):
-        if np.array_equal(one, other) and np.any(one < OUT_OF_REACH * reach):
-            raise RigError(
-                "rig.json has it and another contact between the same places touch at once, so that their forces "
-                "cannot be told apart; correct their clearances, use stops that differ, or measure the force at one "
-                "of them"
-            )
