@@ -24,8 +24,8 @@ OFF_BY, SURE, SMALLEST = np.array([0.2, 1.0]), 2.0, 1e-12
 """Shares by which clearance and stiffness in rig.json are off, as standard deviations; so many of them are sure."""
 WHOSE = (
     "the record does not tell which of the knees is its own and which that of another contact between the same places: "
-    "by rig.json, of which clearances are taken to be sure to 20 % and stiffnesses to a factor of two, they may as well "
-    "be exchanged; use stops that differ more, or measure the force at one of them"
+    "by rig.json, of which clearances are taken to be sure to 20 % and stiffnesses to a factor of two, they may as "
+    "well be exchanged; use stops that differ more, or measure the force at one of them"
 )
 
 ContactFit = Joint | str

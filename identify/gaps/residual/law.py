@@ -173,8 +173,8 @@ def _depth_m(law: JoinedLaw, force_n: Float[np.ndarray, " times"]) -> Float[np.n
     slopes = [slope for slope, _ in (one.steepest for one in law.laws) if slope]
     found = np.zeros_like(force_n)
     if slopes:
-        softest, count = min(slopes), round(DEPTHS * max(slopes) / min(slopes))
-        depth = np.linspace(0.0, DEEP * np.max(np.abs(force_n)) / softest, count)
+        deepest = DEEP * np.max(np.abs(force_n)) / np.array(slopes)
+        depth = np.sort(np.linspace(0.0, deepest, DEPTHS).ravel())
         for sign, clearance in zip((-1, 1), law.clearances_m, strict=True):
             elastic = np.maximum.accumulate(sign * law.force_n(sign * (clearance + depth)))
             found += sign * np.interp(np.maximum(sign * force_n, 0.0), elastic, depth)
