@@ -33,18 +33,18 @@ from rig.simulation.reference import BarrelCradle
 RATE_HZ = 2048.0
 NOISE = {"acceleration": 1e-4, "displacement": 1e-8}
 """One-sided, m/s^2/sqrt(Hz) and m/sqrt(Hz)."""
+STOPS = ("bumper", "hard stop")
+BEHIND = "contact_clearance:factor=1.2,contact=hard stop"
 app = typer.Typer(pretty_exceptions_enable=False)
 
 
 @dataclass(frozen=True)
 class Topology:
-    """A rig, the force that excites it (N rms) and an effect that it may have; told: whether a record tells its
-    contacts."""
+    """A rig, the force that excites it (N rms) and an effect that it may have."""
 
     rig: Rig
     rms_n: float
     effect: str
-    told: bool = True
 
 
 def rig_of(
@@ -118,7 +118,7 @@ def frame(support_hz: float) -> Rig:
 
 
 def one_mass(
-    *clearances_m: float,
+    clearance_m: float,
     frequency_hz: float = 12.0,
     damping_ratio: float = 0.02,
     one_sided: bool = False,
@@ -127,10 +127,28 @@ def one_mass(
     """A mass between stops; of a one-sided stop the lower one is out of reach."""
     body = Oscillator(name="mass", mass_kg=1.0, frequency_hz=frequency_hz, damping_ratio=damping_ratio)
     at = Station("mass")
-    contacts = tuple(stop(f"stop_{k + 1}", at, None, c, 2e4) for k, c in enumerate(clearances_m))
+    contact = stop("stop_1", at, None, clearance_m, 2e4)
     if one_sided:
-        contacts = tuple(replace(c, law=replace(c.law, lower_clearance_m=1.0)) for c in contacts)
-    return rig_of("mass", (body,), contacts, [at], at, quantity)
+        contact = replace(contact, law=replace(contact.law, lower_clearance_m=1.0))
+    return rig_of("mass", (body,), (contact,), [at], at, quantity)
+
+
+def progressive_stop(quantity: str, *stops: tuple[float, float]) -> Rig:
+    """The mass between stops of these clearances (m) and stiffnesses (N/m), one behind the other; two if none are
+    given, a soft bumper and a hard stop."""
+    rig = one_mass(1e-3, quantity=quantity)
+    laws = stops or ((5e-4, 8e3), (1e-3, 1e5))
+    return replace(
+        rig, contacts=tuple(stop(name, rig.force_at, None, *law) for name, law in zip(STOPS, laws, strict=False))
+    )
+
+
+def beams_with_inner_stop() -> Rig:
+    """The barrel in its cradle with a further stop behind contact 1."""
+    rig = BarrelCradle(sensors="acceleration").rig()
+    first, second = rig.contacts
+    behind = stop("inner stop", first.at, first.against, 7e-3, 1e5)
+    return replace(rig, name="beams", contacts=(first, behind, second), sample_rate_hz=RATE_HZ)
 
 
 RIGS = {
@@ -154,14 +172,25 @@ RIGS = {
         60.0,
         "contact_clearance:factor=0.5",
     ),
-    "two stops on one mass": Topology(one_mass(5e-4, 8e-4), 6.0, "contact_stiffness:factor=1.5", told=False),
+    "bumper and hard stop on one mass": Topology(progressive_stop("displacement"), 12.0, BEHIND),
+    "bumper and hard stop, accelerometer": Topology(progressive_stop("acceleration"), 12.0, BEHIND),
+    "two beams, two stops at one place": Topology(
+        beams_with_inner_stop(), 20.0, "contact_clearance:factor=0.8,contact=inner stop"
+    ),
 }
 
 
 def recorded(
-    case: Topology, path: Path, *, duration_s: float = 30.0, seed: int = 1, level: float = 1.0, effect: str = ""
+    case: Topology,
+    path: Path,
+    *,
+    duration_s: float = 30.0,
+    seed: int = 1,
+    level: float = 1.0,
+    effect: str = "",
+    actual: Rig | None = None,
 ) -> Path:
-    """A recording of the case by the plant `modal`, with an effect that rig.json does not know if one is named."""
+    """A recording of the case by the plant `modal`; of another rig than rig.json has if one is given, or an effect."""
     record(
         case.rig,
         replace(BarrelCradle(rms_n=level * case.rms_n, duration_s=duration_s).force(), seed=seed),
@@ -170,7 +199,7 @@ def recorded(
         step_s=2.0**-15,
         path=path,
         progress=lambda _: None,
-        actual=effect_named(effect).applied_to(case.rig) if effect else None,
+        actual=effect_named(effect).applied_to(case.rig) if effect else actual,
     )
     return path
 
@@ -200,12 +229,13 @@ def _contacts(case: Topology, path: Path) -> tuple[str, str]:
     laws = {c.name: c.law for c in case.rig.contacts}
     smaller = {name: min(law.lower_clearance_m, law.upper_clearance_m) for name, law in laws.items()}
     return (
-        "\n".join(_interval(c.clearance_m, 1e3, smaller[c.name]) for c in rows),
-        "\n".join(_interval(c.stiffness_n_per_m, 1e-3, laws[c.name].stiffness_n_per_m) for c in rows),
+        "\n".join(interval(c.clearance_m, 1e3, smaller[c.name]) for c in rows),
+        "\n".join(interval(c.stiffness_n_per_m, 1e-3, laws[c.name].stiffness_n_per_m) for c in rows),
     )
 
 
-def _interval(found: Estimate, factor: float, true: float) -> str:
+def interval(found: Estimate, factor: float, true: float) -> str:
+    """In another unit, with the true value in brackets."""
     return f"{factor * found.value:.4g} ± {COVERED * factor * found.standard_error:.2g} ({factor * true:.4g})"
 
 

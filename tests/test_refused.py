@@ -20,6 +20,7 @@ from tests.rig.lab.modal import test_uff as uff
 
 HEAD = "| rig or test | refused by | sentence |"
 SDOF, BEAMS = Sdof(sensors="acceleration").rig(), BarrelCradle(sensors="acceleration").rig()
+CHAIN = topologies.chain(2, "displacement", ground=True)
 SHAKEN = BaseMotion(acceleration_rms_m_per_s2=1.0, low_hz=1.0, high_hz=15.0)
 
 
@@ -56,9 +57,16 @@ def laboratory(name):
     )
 
 
-def two_stops(folder):
-    case = topologies.RIGS["two stops on one mass"]
-    identify.contact(topologies.recorded(case, folder / "r.mcap", duration_s=12.0))
+def stops(believed, true, rms_n=12.0):
+    """Of two stops on one mass, what is said of the last one that is not told."""
+
+    def run(folder):
+        rig, actual = (topologies.progressive_stop("displacement", *laws) for laws in (believed, true))
+        case = topologies.Topology(rig, rms_n, "")
+        path = topologies.recorded(case, folder / "r.mcap", duration_s=12.0, actual=actual)
+        raise RigError(identify.contact(path).report.unanswered[-1].reason)
+
+    return run
 
 
 def imported(text):
@@ -90,7 +98,12 @@ CASES = {name: laboratory(name) for name in laboratory_tests.REFUSED} | {
     "point masses, springs, dampers, loads in rig.json": contact(
         replace(SDOF, masses=(PointMass(station=SDOF.force_at, mass_kg=0.1),))
     ),
-    "two stops on one mass": two_stops,
+    "three contacts of two masses": contact(
+        replace(CHAIN, contacts=(*CHAIN.contacts, replace(CHAIN.contacts[1], name="wall", at=CHAIN.contacts[0].at)))
+    ),
+    "two stops on one mass that are believed alike": stops(((7e-4, 3e4), (6.5e-4, 3e4)), ((5e-4, 8e3), (1e-3, 1e5))),
+    "two stops on one mass whose knees coincide": stops(((5e-4, 8e3), (1e-3, 1e5)), ((7e-4, 8e3), (7e-4, 5e4))),
+    "a stop behind another that is not reached": stops(((2e-4, 8e3), (5e-3, 1e5)), ((2e-4, 8e3), (5e-3, 1e5)), 4.0),
     "strain gauges alone": contact(BarrelCradle(sensors="strain").rig()),
     "a record of 4 s": contact(BEAMS, seconds=4.0),
     "free decay, diagnosed": gap(SDOF, forced=False),

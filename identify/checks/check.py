@@ -16,6 +16,7 @@ from identify.checks.prediction import linear_check
 from identify.checks.pulls import broken
 from identify.checks.spectra import Spectra, quiet_samples, spectra_of
 from identify.signals.kinematics import Use, kinematics
+from identify.structure.joined import joined, joined_contacts
 from rig.errors import RigError
 from rig.model.description import Sensor
 from rig.model.tolerances import LABORATORY, Tolerances
@@ -79,7 +80,7 @@ def _against_model(recording: Recording, use: Use, believed: Tolerances, shown: 
         return []
     usable = [i for i, s in enumerate(sensors) if s.name not in spoilt]
     try:
-        if len(usable) > len(rig.contacts) + 1:
+        if len(usable) > len(joined_contacts(rig)) + 1:
             if not quiet_samples(recording.force_n, rig.sample_rate_hz):
                 return []  # it may ring of what was before, which no force explains
             return _of_channels(recording, sensors, usable, believed)
@@ -94,7 +95,7 @@ def _of_channels(
     recording: Recording, sensors: tuple[Sensor, ...], usable: list[int], believed: Tolerances
 ) -> list[Finding]:
     """All channels against each other; first over time, then gross faults, then tolerances."""
-    rig = recording.rig
+    rig = joined(recording.rig)
 
     @cache
     def fine() -> Spectra:

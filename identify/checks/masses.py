@@ -17,12 +17,16 @@ from identify.checks.findings import Finding
 from identify.checks.relations import usual_factor
 from identify.signals.kinematics import Kinematics
 from identify.signals.spectra import decimated, force_band
+from identify.structure.joined import joined_contacts
 from rig.model.description import Body, Rig
 from rig.model.tolerances import Tolerances
 
 OPEN, CLEAN = (0.4, 0.2, 0.1), 0.95
 """The middle of a gap: relative displacements below this quantile; below the next one, where less of the force is
 explained, as closed contacts are among them."""
+WELL_INSIDE = 0.5
+"""Of several contacts between the same places, of which a soft one hides in what the force explains, relative
+displacements also below this share of the smallest clearance that is believed."""
 SHORTEST = 8
 TO_FORCE = 3.0
 FAR, LEAST = 4.0, 2e-3
@@ -131,7 +135,8 @@ def _fit_below(share: float, rig: Rig, motion: Kinematics, row: int) -> MassFit 
 def _open(rig: Rig, motion: Kinematics, factor: int, share: float) -> Bool[np.ndarray, " fewer"]:
     """Where every contact of the force's body is in the middle of its gap."""
     found = np.ones(-(-motion.force_n.size // factor), dtype=bool)
-    for contact in rig.contacts:
+    for one in joined_contacts(rig):
+        contact = one.contact
         if rig.force_at.body not in (contact.at.body, contact.against.body if contact.against else None):
             continue
         sides = [motion.row(s) for s in (contact.at, contact.against) if s is not None]
@@ -140,6 +145,9 @@ def _open(rig: Rig, motion: Kinematics, factor: int, share: float) -> Bool[np.nd
         eta = motion.displacement_m[sides[0]] - (motion.displacement_m[sides[1]] if len(sides) > 1 else 0.0)
         size = np.abs(eta - np.median(eta))[::factor]
         found &= size < np.quantile(size[motion.excited_from // factor :], share)
+        if len(one.members) > 1:
+            laws = [rig.contacts[j].law for j in one.members]
+            found &= size < WELL_INSIDE * min(x for law in laws for x in (law.lower_clearance_m, law.upper_clearance_m))
     return found
 
 

@@ -58,6 +58,12 @@ def assumed(found: Identification) -> Iterator[str]:
         f"{motion.sample_rate_hz / 2 / found.factor:.4g} Hz"
         + (", and the slow motion below is solved for within the noise of the accelerometers." if low else ".")
     )
+    for place in found.same_place:
+        if len(place.members) > 1:
+            yield (
+                f"{place.contact.name} act between the same places: the record tells the sum of their forces; each "
+                "has the knee that comes nearest to its clearance and stiffness in rig.json."
+            )
     if found.forms is None:
         yield (
             "No force was recorded: none acts during the record but those of the contacts, whose size rests on the "

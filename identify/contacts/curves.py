@@ -18,7 +18,7 @@ def curves(found: Identification) -> dict[str, Table]:
     """By family: `motion` (relative displacements and separated contact forces over time), `surface` (restoring force
     of the main modal equation, as measured and as fitted) and `nifo` (over frequency; not of a free decay)."""
     names = [c.name for c in found.rig.contacts]
-    tables = {"motion": _motion(found, names), "surface": _surface(found, names)}
+    tables = {"motion": _motion(found), "surface": _surface(found, names)}
     return tables | ({"nifo": _nifo(found, names)} if found.forms else {})
 
 
@@ -27,14 +27,15 @@ def _time_s(found: Identification, factor: int, rows: int) -> Float[np.ndarray, 
     return found.motion.first_s + np.arange(rows) * factor / found.motion.sample_rate_hz
 
 
-def _motion(found: Identification, names: list[str]) -> Table:
-    """At the rate of the separated forces."""
+def _motion(found: Identification) -> Table:
+    """At the rate of the separated forces; of all contacts between the same places together."""
     factor = found.factor
     force = found.separated_n
-    eta = found.eta_m[:, ::factor]
+    eta = found.eta_m[[place.members[0] for place in found.same_place], ::factor]
     rows = min(eta.shape[1], force.shape[1])
     table: Table = {"time_s": _time_s(found, factor, rows)}
-    for name, displacement, contact_n in zip(names, eta, force, strict=True):
+    for place, displacement, contact_n in zip(found.same_place, eta, force, strict=True):
+        name = place.contact.name
         table[f"{name} relative displacement m"] = displacement[:rows]
         table[f"{name} contact force N"] = contact_n[:rows]
     return table

@@ -9,14 +9,16 @@ from jaxtyping import Float
 from identify.checks.masses import mass_pull
 from identify.contacts.beginning import settled_s
 from identify.contacts.forces import RING_S, ContactForces, separated_forces
-from identify.contacts.joint import Joint, fit_joint
+from identify.contacts.joint import Joint
 from identify.contacts.quality import widened
-from identify.contacts.start import STIFFNESS, ContactRecord
+from identify.contacts.start import ContactRecord
+from identify.contacts.told import ContactFit, told_contacts
 from identify.contacts.unforced import driven_to_hz, free_fits, is_unforced
 from identify.signals.drift import KNOT_S, Drift
 from identify.signals.kinematics import Kinematics, Use, kinematics
 from identify.signals.noise import acceleration_noise
 from identify.signals.spectra import decimated, oversampled
+from identify.structure.joined import Joined, joined, joined_contacts
 from identify.structure.modal import relative_displacements, relative_velocities
 from rig.errors import RigError
 from rig.model.description import ForceSensor, Rig, Station, contact_stations
@@ -25,8 +27,6 @@ from rig.recording import Recording
 
 SEPARATED_TO = 4.0
 """Contact forces are separated up to this multiple of the force's highest frequency."""
-LOOSE = 0.1
-"""An estimate whose standard error is a larger share of it is no answer."""
 QUIETEST = 1e-5
 """No accelerometer is believed to be quieter, m/s^2/sqrt(Hz): then other errors than noise make the drift."""
 
@@ -34,20 +34,19 @@ LEAST_S = 1.0
 """A record of which less can be used is refused."""
 ROUNDS = 3
 """Of the fits of contacts whose slow motions are coupled: a coupling is a small share of the forces."""
-
-ContactFit = Joint | str
-"""What is known of a contact, or why nothing is."""
 ROUNDING = 1e-7
 """No contact force is believed to be quieter, of the exciting force: what a record without noise leaves is rounding."""
 
 
 @dataclass(frozen=True)
 class Contacts:
-    """What was found of every contact of a recording, and from what."""
+    """What was found of every contact of a recording, and from what: a separated force, and what was observed of it,
+    for every pair of places."""
 
     rig: Rig
     motion: Kinematics
     separated: ContactForces
+    same_place: tuple[Joined, ...]
     observed: tuple[ContactRecord, ...]
     estimates: tuple[ContactFit, ...]
 
@@ -70,24 +69,25 @@ def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Con
         _check_displacements(rig, motion)
     noise = acceleration_noise(motion, rig)
     in_gaps = mass_pull(rig, motion, tolerances)
+    places = joined(rig)
     from_rest = recording.start_s > 0 or motion.excited_from > 0
-    separated = separated_forces(rig, motion, factor, noise, tolerances, from_rest)
+    separated = separated_forces(places, motion, factor, noise, tolerances, from_rest)
     if recording.start_s > 0 or not from_rest:
-        without_s = RING_S if from_rest else settled_s(rig, separated.slow_n_per_m)
+        without_s = RING_S if from_rest else settled_s(places, separated.slow_n_per_m)
         fewer = round(without_s * motion.sample_rate_hz / factor)
         left = separated.force_n.shape[1] - fewer
         if left * factor < LEAST_S * motion.sample_rate_hz:
             raise RigError(_too_short(recording, without_s, fewer + left, factor, motion))
         motion, separated = motion.part(slice(fewer * factor, None)), separated.after(fewer)
-    observed = _observed(rig, motion, noise, separated, tolerances)
+    observed, same_place = _observed(places, motion, noise, separated, tolerances), joined_contacts(rig)
     parameters = separated.nuisances.parameters
     estimates = tuple(
         widened(e, parameters, in_gaps) if isinstance(e, Joint) else e
-        for e in _estimates(observed, separated.slow_n_per_m)
+        for e in _estimates(rig, observed, same_place, separated.slow_n_per_m)
     )
     if is_unforced(motion):
         estimates = free_fits([c.name for c in rig.contacts], estimates)
-    return Contacts(rig, motion, separated, tuple(observed), estimates)
+    return Contacts(rig, motion, separated, same_place, tuple(observed), estimates)
 
 
 def _too_short(recording: Recording, without_s: float, until: int, factor: int, motion: Kinematics) -> str:
@@ -225,34 +225,26 @@ def _density(
 
 
 def _estimates(
-    observed: Sequence[ContactRecord], slow_n_per_m: Float[np.ndarray, "contacts contacts"]
+    rig: Rig,
+    observed: Sequence[ContactRecord],
+    same_place: Sequence[Joined],
+    slow_n_per_m: Float[np.ndarray, "forces forces"],
 ) -> tuple[ContactFit, ...]:
-    """Of each contact by itself; where springs couple their slow motion, again with that of the others."""
-    found = [_estimate(o) for o in observed]
+    """Of every contact, each force by itself; where springs couple their slow motion, again with that of the others."""
+    found = [told_contacts(rig, one, seen) for one, seen in zip(same_place, observed, strict=True)]
     others = slow_n_per_m - np.diag(np.diag(slow_n_per_m))
     for _ in range(ROUNDS if np.any(others) else 0):
         slow_m = np.zeros((len(found), len(observed[0].force_n)))
-        for row, one, fit in zip(slow_m, observed, found, strict=True):
-            if isinstance(fit, Joint):
-                whole = fit.drift_m + fit.pulls[one.moving] @ one.nuisance_m
-                row[:] = whole[:: one.factor][: row.size]
+        for row, one, seen, fits in zip(slow_m, same_place, observed, found, strict=True):
+            for sign, fit in zip(one.signs, fits, strict=True):
+                if isinstance(fit, Joint):
+                    whole = sign * fit.drift_m + fit.pulls[seen.moving] @ seen.nuisance_m
+                    row[:] = whole[:: seen.factor][: row.size]
         found = [
-            _estimate(replace(o, force_n=o.force_n - more)) for o, more in zip(observed, others @ slow_m, strict=True)
+            told_contacts(rig, one, replace(seen, force_n=seen.force_n - more))
+            for one, seen, more in zip(same_place, observed, others @ slow_m, strict=True)
         ]
-    return tuple(found)
-
-
-def _estimate(observed: ContactRecord) -> ContactFit:
-    """The joint estimate, or the reason why there is none."""
-    try:
-        found = fit_joint(observed)
-    except RigError as error:
-        return str(error)
-    for what, value, error_of in (
-        ("clearance", found.clearance_m, found.clearance_error_m),
-        ("stiffness", found.stiffness_n_per_m, found.error(STIFFNESS)),
-    ):
-        if not error_of < LOOSE * value:
-            share = 100 * error_of / max(value, 1e-12)
-            return f"its {what} is uncertain by {min(share, 100):.0f} % or more; record longer or change the force"
-    return found
+    each: dict[int, ContactFit] = {}
+    for one, told in zip(same_place, found, strict=True):
+        each |= dict(zip(one.members, told, strict=True))
+    return tuple(each[j] for j in range(len(rig.contacts)))

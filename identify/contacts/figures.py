@@ -8,12 +8,13 @@ from scipy.signal import welch
 
 from identify.contacts.identification import Identification
 from identify.contacts.joint import Joint
+from identify.contacts.linearised import law_force_n
 from identify.contacts.results import ContactReport, Segment
 from identify.pages.picture import Picture
 from identify.pages.style import BLUE, GREEN, GREY, RED, picture
 from identify.pages.wording import COVERED
+from identify.structure.joined import Joined
 from identify.structure.modal import receptance
-from rig.model.contact_laws import penetration_m
 
 Marks = Mapping[str, tuple[float, float]]
 """Reference values by contact: clearance (m) and stiffness (N/m), drawn as dashed lines."""
@@ -91,9 +92,10 @@ def _surface(figure: Any, found: Identification, marks: Marks, marks_name: str) 
     """Figures 5 and 13: the restoring force over two coordinates, averaged in cells."""
     surface = found.surface
     few = slice(None, None, surface.factor)
-    first = found.eta_m[0][few]
-    if len(found.eta_m) > 1:
-        second, label = 1e3 * found.eta_m[1][few], f"η of {found.rig.contacts[1].name}, mm"
+    one, *others = found.same_place
+    first = found.eta_m[one.members[0]][few]
+    if others:
+        second, label = 1e3 * found.eta_m[others[0].members[0]][few], f"η of {others[0].contact.name}, mm"
     else:
         second, label = surface.equation.velocity[few] * surface.equation.shape_at_contacts[0], "velocity, m/s"
     count = min(first.size, second.size, surface.measured.size)
@@ -102,19 +104,9 @@ def _surface(figure: Any, found: Identification, marks: Marks, marks_name: str) 
         1e3 * first[:count], second[:count], C=surface.measured[:count], gridsize=70, cmap="RdBu_r", mincnt=3
     )
     figure.colorbar(cells, label="restoring force, N/√kg")
-    axes.set(xlabel=f"η of {found.rig.contacts[0].name}, mm", ylabel=label)
-    for j, contact in enumerate(found.rig.contacts[:2]):
-        stop = found.stops[j]
-        if stop is not None:
-            line = axes.axvline if j == 0 else axes.axhline
-            for place in (-stop.lower_m, stop.upper_m):
-                line(
-                    1e3 * place, color=GREEN, lw=1.0, label="identified stops" if (j, place < 0) == (0, True) else None
-                )
-        if contact.name in marks:
-            for place in (-marks[contact.name][0], marks[contact.name][0]):
-                (axes.axvline if j == 0 else axes.axhline)(1e3 * place, color="k", ls=":", lw=1.0)
-    axes.plot([], [], color="k", ls=":", label=f"stops, {marks_name}")
+    axes.set(xlabel=f"η of {one.contact.name}, mm", ylabel=label)
+    for k, place in enumerate(found.same_place[:2]):
+        _mark_stops(axes, found, place, marks, marks_name, across=k > 0, named=k == 0)
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     figure.suptitle(f"Restoring force surface, modal equation {surface.equation.name}")
 
@@ -123,20 +115,21 @@ def _section(figure: Any, found: Identification, marks: Marks, marks_name: str) 
     """Figures 6 and 14: what is left of the restoring force for one contact, over its relative displacement."""
     surface = found.surface
     few = slice(None, None, surface.factor)
-    rows = found.surface.contact_share
-    axes_row = figure.subplots(1, len(rows), squeeze=False, sharey=True)[0]
+    axes_row = figure.subplots(1, len(found.same_place), squeeze=False, sharey=True)[0]
     left = surface.measured - surface.fitted
-    for j, (axes, contact) in enumerate(zip(axes_row, found.rig.contacts, strict=True)):
-        scale = surface.equation.shape_at_contacts[j] or 1.0
-        eta = found.eta_m[j][few]
+    for axes, place in zip(axes_row, found.same_place, strict=True):
+        first, members = place.members[0], list(place.members)
+        scale = surface.equation.shape_at_contacts[first] or 1.0
+        eta = found.eta_m[first][few]
         count = min(eta.size, left.size)
         thin = slice(None, None, max(1, count // 6000))
-        force = (left + rows[j])[:count] / scale
+        fitted = surface.contact_share[members].sum(axis=0)[:count] / scale
+        force = left[:count] / scale + fitted
         order = np.argsort(eta[:count])
-        axes.plot(1e3 * eta[order], (rows[j][:count] / scale)[order], color=RED, lw=2.5, label="dead zone as fitted")
+        axes.plot(1e3 * eta[order], fitted[order], color=RED, lw=2.5, label="dead zone as fitted")
         axes.plot(1e3 * eta[:count][thin], force[thin], ".", ms=1.5, color=BLUE, alpha=0.5, label="measured")
-        _mark_stops(axes, found, j, marks, marks_name)
-        axes.set(xlabel=f"η of {contact.name}, mm", title=contact.name)
+        _mark_stops(axes, found, place, marks, marks_name)
+        axes.set(xlabel=f"η of {place.contact.name}, mm", title=place.contact.name)
     axes_row[0].set_ylabel("contact force, N")
     handles, labels = axes_row[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, markerscale=6)
@@ -145,19 +138,19 @@ def _section(figure: Any, found: Identification, marks: Marks, marks_name: str) 
 
 def _separated(figure: Any, found: Identification, marks: Marks, marks_name: str) -> None:
     """Each contact force by itself, separated without a law, over its own relative displacement; the law found."""
-    axes_row = figure.subplots(1, len(found.estimates), squeeze=False, sharey=True)[0]
+    axes_row = figure.subplots(1, len(found.same_place), squeeze=False, sharey=True)[0]
     few = slice(None, None, found.factor)
-    for j, (axes, contact, answer) in enumerate(zip(axes_row, found.rig.contacts, found.estimates, strict=True)):
-        eta = found.eta_m[j][few]
-        force = found.separated_n[j][: eta.size]
+    for axes, place, separated in zip(axes_row, found.same_place, found.separated_n, strict=True):
+        eta = found.eta_m[place.members[0]][few]
+        force = separated[: eta.size]
         axes.plot(1e3 * eta, force, ".", ms=1.2, color=BLUE, alpha=0.4, label="separated, no law assumed")
-        if isinstance(answer, Joint):
-            lower, upper, stiffness, _ = answer.values
-            span = np.linspace(eta.min(), eta.max(), 400)
-            law = stiffness * penetration_m(span, lower, upper)
-            axes.plot(1e3 * span, law, color=RED, lw=1.2, label="law found (without damping)")
-        _mark_stops(axes, found, j, marks, marks_name)
-        axes.set(xlabel=f"η of {contact.name}, mm", title=contact.name)
+        span = np.linspace(eta.min(), eta.max(), 400)
+        told = [(s, found.estimates[j]) for s, j in zip(place.signs, place.members, strict=True)]
+        laws = [s * law_force_n(a.values, s * span, np.zeros_like(span)) for s, a in told if isinstance(a, Joint)]
+        if laws:
+            axes.plot(1e3 * span, np.sum(laws, axis=0), color=RED, lw=1.2, label="law found (without damping)")
+        _mark_stops(axes, found, place, marks, marks_name)
+        axes.set(xlabel=f"η of {place.contact.name}, mm", title=place.contact.name)
     axes_row[0].set_ylabel("contact force, N")
     handles, labels = axes_row[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=4, markerscale=6)
@@ -166,8 +159,9 @@ def _separated(figure: Any, found: Identification, marks: Marks, marks_name: str
 def _histogram(figure: Any, found: Identification, marks: Marks, marks_name: str) -> None:
     """Figure 15: the relative displacement and how often it occurs, with the identified stops."""
     rate = found.motion.sample_rate_hz
-    axes = figure.subplots(len(found.eta_m), 2, squeeze=False, width_ratios=(3, 1), sharey="row")
-    for j, (eta, contact) in enumerate(zip(found.eta_m, found.rig.contacts, strict=True)):
+    axes = figure.subplots(len(found.same_place), 2, squeeze=False, width_ratios=(3, 1), sharey="row")
+    for j, place in enumerate(found.same_place):
+        eta = found.eta_m[place.members[0]]
         start = int(0.4 * eta.size)
         shown = slice(start, start + int(min(4.0, 0.3 * eta.size / rate) * rate))
         axes[j][0].plot(np.arange(eta.size)[shown] / rate, 1e3 * eta[shown], color=BLUE, lw=0.8, label="η")
@@ -180,8 +174,8 @@ def _histogram(figure: Any, found: Identification, marks: Marks, marks_name: str
             density=True,
         )
         for panel in axes[j]:
-            _mark_stops(panel, found, j, marks, marks_name, across=True)
-        axes[j][0].set_ylabel(f"η of {contact.name}, mm")
+            _mark_stops(panel, found, place, marks, marks_name, across=True)
+        axes[j][0].set_ylabel(f"η of {place.contact.name}, mm")
     axes[-1][0].set_xlabel("time, s")
     axes[-1][1].set_xlabel("histogram, 1/mm")
     handles, labels = axes[0][0].get_legend_handles_labels()
@@ -239,16 +233,24 @@ def _frf(figure: Any, found: Identification, _marks: Marks, _marks_name: str) ->
 
 
 def _mark_stops(
-    axes: Any, found: Identification, j: int, marks: Marks, marks_name: str, *, across: bool = False
+    axes: Any,
+    found: Identification,
+    place: Joined,
+    marks: Marks,
+    marks_name: str,
+    *,
+    across: bool = False,
+    named: bool = True,
 ) -> None:
-    line = axes.axhline if across else axes.axvline
-    stop, contact = found.stops[j], found.rig.contacts[j]
-    if stop is not None:
-        for place, label in ((-stop.lower_m, None), (stop.upper_m, "identified stops")):
-            line(1e3 * place, color=GREEN, lw=1.2, label=label)
-    if contact.name in marks:
-        for place, label in ((-1, None), (1, f"stops, {marks_name}")):
-            line(1e3 * place * marks[contact.name][0], color="k", ls=":", lw=1.2, label=label)
+    line, labels = axes.axhline if across else axes.axvline, iter(["identified stops"] * named)
+    of_marks = iter([f"stops, {marks_name}"] * named)
+    for j, sign in zip(place.members, place.signs, strict=True):
+        stop, name = found.stops[j], found.rig.contacts[j].name
+        if stop is not None:
+            for at in (-stop.lower_m, stop.upper_m):
+                line(1e3 * sign * at, color=GREEN, lw=1.2, label=next(labels, None))
+        for at in (-1, 1) if name in marks else ():
+            line(1e3 * at * marks[name][0], color="k", ls=":", lw=1.2, label=next(of_marks, None))
 
 
 _FIGURES = {

@@ -7,6 +7,8 @@ A contact is open for much of the time. So theta of
 is found by least absolute deviations, with the prior of one on each theta.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 
@@ -36,3 +38,8 @@ def first_pulls(seen: ContactRecord) -> Float[np.ndarray, " nuisances"]:
         pulls[counted] = np.linalg.solve(weighed @ columns.T + prior, weighed @ seen.force_n)
         left = seen.force_n - pulls[counted] @ columns
     return pulls
+
+
+def contact_alone(seen: ContactRecord, pulls: Float[np.ndarray, " nuisances"]) -> ContactRecord:
+    """With a force that lacks what so large nuisance parameters add to it."""
+    return replace(seen, force_n=seen.force_n - pulls @ seen.nuisance_n) if pulls.any() else seen

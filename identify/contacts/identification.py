@@ -7,19 +7,20 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.checks import naming
-from identify.contacts.estimates import LOOSE, ContactFit, find_contacts
+from identify.contacts.estimates import Contacts, find_contacts
 from identify.contacts.joint import Joint
 from identify.contacts.linearised import law_force_n
 from identify.contacts.quality import equation_findings, findings_before, fit_findings
 from identify.contacts.results import ContactReport
-from identify.contacts.start import ContactRecord
 from identify.contacts.summary import contact_report
+from identify.contacts.told import LOOSE, ContactFit
 from identify.contacts.unforced import driven_to_hz, is_unforced, without_dead_force
 from identify.paper.nifo import Nifo, nifo
 from identify.paper.surface import Stops, Surface, clearance_from_occurrence, fit_surface
 from identify.signals.finely import penetration
 from identify.signals.kinematics import Kinematics, Use
 from identify.signals.spectra import Averaging, blocks, force_band
+from identify.structure.joined import Joined
 from identify.structure.modal import modal_equations, transformation, until
 from rig.errors import RigError
 from rig.model.description import Rig
@@ -38,15 +39,17 @@ class Identification:
     """The report, and what it was drawn from, for figures and for further work.
 
     motion has the force and what was measured where, but not the stations' rows. eta_m is complete with its drift;
-    separated_n are the contact forces at every `factor`-th sample; estimates has one entry a contact. forms are NIFO's
-    weak form and the paper's of the main equation; None of a record without a force.
+    separated_n are the contact forces at every `factor`-th sample, one of all contacts that are of the `same_place`;
+    estimates has one entry a contact. forms are NIFO's weak form and the paper's of the main equation; None of a record
+    without a force.
     """
 
     report: ContactReport
     rig: Rig
     motion: Kinematics
     eta_m: Float[np.ndarray, "contacts samples"]
-    separated_n: Float[np.ndarray, "contacts fewer"]
+    same_place: tuple[Joined, ...]
+    separated_n: Float[np.ndarray, "places fewer"]
     factor: int
     estimates: tuple[ContactFit, ...]
     surface: Surface
@@ -107,18 +110,19 @@ def identify_contact(
     findings += tuple(fit_findings(names, found.estimates, found.separated.nuisances.parameters))
     progress(0.5)
     rig, motion, estimates, separated = found.rig, found.motion, found.estimates, found.separated.force_n
-    factor = found.separated.factor
+    factor, same_place = found.separated.factor, found.same_place
     low, high = (0.0, driven_to_hz(motion)) if unforced else force_band(motion.force_n, motion.sample_rate_hz)
     band = averaging.band_hz or (
         max(low, CLEAR_OF_CORNER * motion.trusted_hz[0], LOWEST_HZ),
         min(high, motion.trusted_hz[1]),
     )
-    eta, force, depth = _with_law(found.observed, estimates)
+    eta, force, depth = _with_law(found)
     del found  # the nuisance parameters over time take much memory
     motion = motion.part(slice(eta.shape[1]))
     kept = until(motion)
     eta, depth, exciting_n = eta[:, :kept], depth[:, :kept], motion.force_n[:kept]
     stops = tuple(_stops(a) for a in estimates)
+    alone = {place.members[0] for place in same_place if len(place.members) == 1}  # a histogram tells one knee a side
     cut = blocks(kept, motion.sample_rate_hz, averaging, band)
     equations = [e for body in rig.bodies for e in modal_equations(rig, motion, body, EQUATIONS, force)]
     motion = motion.part(slice(kept)).without_rows
@@ -139,7 +143,8 @@ def identify_contact(
             transformations=[transformation(rig, body, motion) for body in rig.bodies],
             surfaces=surfaces,
             histogram=[
-                None if s is None else _by_histogram(e[motion.excited_from :]) for e, s in zip(eta, stops, strict=True)
+                None if s is None or j not in alone else _by_histogram(eta[j, motion.excited_from :])
+                for j, s in enumerate(stops)
             ],
             main_equation=name,
             spectra=spectra,
@@ -148,6 +153,7 @@ def identify_contact(
         rig=rig,
         motion=motion,
         eta_m=eta,
+        same_place=same_place,
         separated_n=separated,
         factor=factor,
         estimates=estimates,
@@ -158,20 +164,25 @@ def identify_contact(
 
 
 def _with_law(
-    observed: tuple[ContactRecord, ...], estimates: tuple[ContactFit, ...]
+    contacts: Contacts,
 ) -> tuple[
     Float[np.ndarray, "contacts samples"], Float[np.ndarray, "contacts samples"], Float[np.ndarray, "contacts samples"]
 ]:
     """Relative displacement with its drift; contact force and penetration by the law found, zero where none was."""
-    eta = np.stack([o.eta_m for o in observed])
+    eta = np.empty((len(contacts.estimates), contacts.observed[0].eta_m.size))
     force, depth = np.zeros_like(eta), np.zeros_like(eta)
-    for j, (seen, found) in enumerate(zip(observed, estimates, strict=True)):
-        if isinstance(found, Joint):
-            lower, upper, _, _ = found.values.tolist()
-            eta[j] += found.drift_m
-            depth[j] = penetration(eta[j], lower, upper)
-            velocity = seen.velocity_m_per_s + found.drift_m_per_s
-            force[j] = law_force_n(found.values, eta[j], velocity)
+    for place, seen in zip(contacts.same_place, contacts.observed, strict=True):
+        told = {j: contacts.estimates[j] for j in place.members}
+        moved, rate = seen.eta_m, seen.velocity_m_per_s
+        joints = [(f, s) for f, s in zip(told.values(), place.signs, strict=True) if isinstance(f, Joint)]
+        for joint, sign in joints[:1]:  # they share the drift
+            moved, rate = moved + sign * joint.drift_m, rate + sign * joint.drift_m_per_s
+        for (j, found), side in zip(told.items(), place.signs, strict=True):
+            eta[j] = side * moved
+            if isinstance(found, Joint):
+                lower, upper, _, _ = found.values.tolist()
+                depth[j] = penetration(eta[j], lower, upper)
+                force[j] = law_force_n(found.values, eta[j], side * rate)
     return eta, force, depth
 
 

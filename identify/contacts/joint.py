@@ -1,5 +1,5 @@
-"""Clearances, stiffness and damping of one contact, the slow drift of its relative displacement, and the tolerances
-of rig.json, together."""
+"""Clearances, stiffness and damping of one contact, or of several that share a relative displacement, its slow drift,
+and the tolerances of rig.json, together."""
 
 from dataclasses import dataclass, replace
 
@@ -7,11 +7,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import norm, t
 
-from identify.contacts.first_pulls import first_pulls
+from identify.contacts.first_pulls import contact_alone, first_pulls
 from identify.contacts.joint_fit import fitted, scales
 from identify.contacts.linearised import State, drift_of, jacobian
 from identify.contacts.normal_equations import normal_equations
-from identify.contacts.start import LAW, STIFFNESS, ContactRecord, Law, clearly_closed, regressed, touched_stops
+from identify.contacts.progressive import Believed, Touched, check_told, starts
+from identify.contacts.start import LAW, STIFFNESS, ContactRecord, Law, clearly_closed
 from identify.signals.drift import Spline, spline
 from identify.signals.scores import PARTS, part_scores
 from rig.errors import RigError
@@ -79,40 +80,61 @@ class Joint:
         """The part of it that another record does not repeat."""
         return float(np.sqrt(of @ (self.covariance - self.of_tolerances) @ of))
 
+    @property
+    def reversed(self) -> "Joint":
+        """Of the contact counted the other way round."""
+        swapped = np.eye(len(LAW))[[1, 0, 2, 3]]
+        lower, upper = self.touched
+        return replace(
+            self,
+            values=swapped @ self.values,
+            covariance=swapped @ self.covariance @ swapped,
+            of_tolerances=swapped @ self.of_tolerances @ swapped,
+            of_drift=swapped @ self.of_drift @ swapped,
+            touched=(upper, lower),
+            drift_m=-self.drift_m,
+            drift_m_per_s=-self.drift_m_per_s,
+        )
+
 
 def _clearance(touched: tuple[bool, bool]) -> Law:
     lower, upper = np.array(touched) / sum(touched)
     return LAW.vector({"lower_clearance_m": lower, "upper_clearance_m": upper})
 
 
-def fit_joint(seen: ContactRecord) -> Joint:
-    """Gauss-Newton on the low-passed residual, with a cubic spline b(t) for the drift, a spring to the ground, and
+def _tie(touched: Touched, sides_known: bool) -> Float[np.ndarray, "laws free"]:
+    """The laws by their free parameters: without the stops that are not touched. Where nothing tells the zero of the
+    relative displacement, it is in the middle of the first contact's play."""
+    free = np.column_stack([touched, np.ones_like(touched)]).ravel()
+    tie = np.eye(free.size)[:, free]
+    return tie if sides_known else np.column_stack([tie[:, 0] + tie[:, 1], tie[:, 2:]])
+
+
+def fit_joint(seen: ContactRecord, believed: Believed, touched: Touched) -> tuple[Joint, ...]:
+    """Of every contact that is believed, by one fit.
+
+    Gauss-Newton on the low-passed residual, with a cubic spline b(t) for the drift, a spring to the ground, and
     nuisance parameters theta with a prior of one:
 
         residual = (force - theta' nuisance_n
-                    - low-pass[k dz(eta + h b - theta' nuisance_m; lower, upper) + c (eta' + h b') beyond the gap]) / g
+                    - low-pass[sum of k dz(eta + h b - theta' nuisance_m; lower, upper) + c (eta' + h b') beyond the
+                    gap, over the contacts]) / g
                    - spring b - damper b',  g = 1 - theta' noise_in_n, h = 1 - theta' noise_in_m
 
     b'' is held to what the accelerometers saw of it, within their noise. Where nothing holds the zero of the relative
     displacement, lower = upper = half the total play. g and h keep gains from being fitted to the noise, which
-    shrinks as the signals do. The start is a linear regression of eta on the force over the samples at which the
-    contact is clearly closed.
+    shrinks as the signals do. It begins at a linear regression of eta on the force over the samples at which the
+    contact is clearly closed (`starts`).
 
     The covariance is a sandwich estimate over sixteenths of the record (residuals may be coloured), plus what an error
     of one in each row of the priors does; it holds whatever the residuals were weighed by.
 
-    Raises RigError if the contact is hardly ever closed or the fit does not converge.
+    Raises RigError if the contact is hardly ever closed, the fit does not converge, or several cannot be told apart.
     """
     curve = spline(seen.eta_m.size, seen.sample_rate_hz, seen.drift)
-    begun_with = first_pulls(seen)
-    told = replace(seen, force_n=seen.force_n - begun_with @ seen.nuisance_n) if begun_with.any() else seen
-    touched = touched_stops(told)
-    tie = np.eye(len(LAW))[:, [*touched, True, True]]
-    if not seen.sides_known:
-        tie = np.column_stack([2 * _clearance(touched), tie[:, 2:]])
-    law, knots = regressed(told, curve)
-    begun = [knots, np.zeros_like(knots)] if curve.knots else [knots]  # rarely, the regression's drift leads astray
-    state, weights = fitted(seen, curve, tie, law, begun, begun_with)
+    tie, first = _tie(touched, seen.sides_known), first_pulls(seen)
+    begun = starts(contact_alone(seen, first), curve, believed, touched)
+    state, weights = fitted(seen, curve, tie, begun, first)
     if _curvature_pull(curve, state) > MOST_PULL:
         raise RigError(
             "the drift that would explain it is larger than the noise of the accelerometers allows; check their noise "
@@ -135,20 +157,28 @@ def fit_joint(seen: ContactRecord) -> Joint:
         curve.curvature @ by_knots,
     )
     of_scatter, of_tolerances, of_drift = (to_law @ (x.T @ x) @ to_law.T for x in of_rows)
+    covariance = of_scatter + of_tolerances + of_drift
     drift_m, drift_m_per_s = drift_of(seen, curve, state.knots, state.pulls)
-    return Joint(
-        values=state.law,
-        covariance=of_scatter + of_tolerances + of_drift,
-        of_tolerances=of_tolerances,
-        of_drift=of_drift,
-        sides_known=seen.sides_known,
-        touched=touched,
-        drift_m=drift_m,
-        drift_m_per_s=drift_m_per_s,
-        pulls=state.pulls,
-        unexplained=float(np.std(state.residual) / np.std(seen.force_n)),
-        halves=_halves(by_parts @ to_law.T, (_clearance(touched), STIFFNESS)),
-    )
+    if len(touched) > 1:
+        check_told(state.law, covariance, touched, seen.eta_m + drift_m)
+
+    def joint(first: int, lower: bool, upper: bool) -> Joint:
+        own = slice(first, first + len(LAW))
+        return Joint(
+            values=state.law[own],
+            covariance=covariance[own, own],
+            of_tolerances=of_tolerances[own, own],
+            of_drift=of_drift[own, own],
+            sides_known=seen.sides_known,
+            touched=(lower, upper),
+            drift_m=drift_m,
+            drift_m_per_s=drift_m_per_s,
+            pulls=state.pulls,
+            unexplained=float(np.std(state.residual) / np.std(seen.force_n)),
+            halves=_halves(by_parts @ to_law[own].T, (_clearance((lower, upper)), STIFFNESS)),
+        )
+
+    return tuple(joint(len(LAW) * i, *sides) for i, sides in enumerate(touched.tolist()))
 
 
 def _halves(by_parts: Float[np.ndarray, "parts 4"], of: tuple[Law, Law]) -> tuple[float, float]:

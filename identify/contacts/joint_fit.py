@@ -1,15 +1,16 @@
-"""Gauss-Newton for one contact: by steps from the normal equations, with weights that the scatter left asks for."""
+"""Gauss-Newton for one force: by steps from the normal equations, with weights that the scatter left asks for."""
 
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 
-from identify.contacts.linearised import Knots, Pulls, State, jacobian, state_at
-from identify.contacts.normal_equations import normal_equations
-from identify.contacts.start import LAW, STIFFNESS, ContactRecord, Law
+from identify.contacts.linearised import Pulls, State, jacobian, state_at
+from identify.contacts.normal_equations import NO_LAW, normal_equations
+from identify.contacts.start import LAW, STIFFNESS, ContactRecord, Start
 from identify.signals.descent import Step, descended
 from identify.signals.drift import Spline
+from rig.errors import RigError
 
 STEPS, ROUNDS, SETTLED = 30, 3, 1e-7
 
@@ -17,18 +18,24 @@ Weights = Float[np.ndarray, " fewer"]
 
 
 def fitted(
-    seen: ContactRecord, curve: Spline, tie: Float[np.ndarray, "4 free"], law: Law, begun: list[Knots], pulls: Pulls
+    seen: ContactRecord, curve: Spline, tie: Float[np.ndarray, "laws free"], begun: list[Start], pulls: Pulls
 ) -> tuple[State, Weights]:
-    """Descends from the drift of each start, and from the best again with the weights renewed from the scatter that is
-    left, until they stand."""
+    """Descends from each start, and from the best again with the weights renewed from the scatter that is left, until
+    they stand.
+
+    Raises RigError if no start leads anywhere.
+    """
     rough_n = 0.02 * float(np.std(seen.force_n))
-    state = None
-    for knots in begun:
+    ends, why = list[State](), RigError(NO_LAW)
+    for law, knots in begun:
         start = state_at(seen, curve, law, knots, pulls)
-        end = _descended(seen, curve, start, tie, weights_of(seen, start, rough_n))
-        if state is None or np.sum(end.residual**2) < np.sum(state.residual**2):
-            state = end
-    assert state is not None
+        try:
+            ends.append(_descended(seen, curve, start, tie, weights_of(seen, start, rough_n)))
+        except RigError as error:
+            why = error
+    if not ends:
+        raise why
+    state = min(ends, key=lambda end: float(np.sum(end.residual**2)))
     weights = weights_of(seen, state, _scatter(state))
     for _ in range(ROUNDS):
         state = _descended(seen, curve, state, tie, weights)
@@ -39,7 +46,7 @@ def fitted(
 
 
 def _descended(
-    seen: ContactRecord, curve: Spline, state: State, tie: Float[np.ndarray, "4 free"], weights: Weights
+    seen: ContactRecord, curve: Spline, state: State, tie: Float[np.ndarray, "laws free"], weights: Weights
 ) -> State:
     """The state of least cost under some weights."""
 
@@ -50,7 +57,8 @@ def _descended(
 
         def after(share: float) -> State | None:
             law = at.law + share * to_law @ others[at.pulls.size :, 0]
-            if np.any(law < LAW.bounds[0]) or STIFFNESS @ law == 0:
+            laws = law.reshape(-1, len(LAW))
+            if np.any(laws < LAW.bounds[0]) or not np.all(laws @ STIFFNESS):
                 return None
             pulls = at.pulls + share * others[: at.pulls.size, 0]
             return _weighed(seen, curve, state_at(seen, curve, law, at.knots + share * knots[:, 0], pulls), weights)
@@ -67,11 +75,12 @@ def _weighed(seen: ContactRecord, curve: Spline, state: State, weights: Weights)
     return replace(state, cost=float(squares))
 
 
-def scales(state: State, tie: Float[np.ndarray, "4 free"]) -> Float[np.ndarray, " free"]:
+def scales(state: State, tie: Float[np.ndarray, "laws free"]) -> Float[np.ndarray, " free"]:
     """Sizes of the free parameters, so that the normal equations are well conditioned."""
-    lower, upper, stiffness, _ = state.law
-    gap = max(min(lower, upper), 1e-9)
-    return np.asarray(np.max(tie * np.array([gap, gap, stiffness, 1e-3 * stiffness])[:, None], axis=0))
+    lower, upper, stiffness, _ = state.law.reshape(-1, len(LAW)).T
+    gap = np.maximum(np.minimum(lower, upper), 1e-9)
+    sizes = np.stack([gap, gap, stiffness, 1e-3 * stiffness], axis=1)
+    return np.asarray(np.max(tie * sizes.reshape(-1, 1), axis=0))
 
 
 def _scatter(state: State) -> float:

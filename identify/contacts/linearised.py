@@ -1,4 +1,4 @@
-"""One contact's residual at some parameters, and its derivatives."""
+"""The residual of one separated force at some parameters, and its derivatives."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse import csr_matrix, diags
 
-from identify.contacts.start import STIFFNESS, ContactRecord, Law
+from identify.contacts.start import LAW, ContactRecord, Law
 from identify.signals.drift import Spline
 from identify.signals.finely import finely
 from identify.signals.spectra import decimated
@@ -36,7 +36,9 @@ class State:
 
     @property
     def stiffness_n_per_m(self) -> float:
-        return float(STIFFNESS @ self.law)
+        """Of the contact that closes first."""
+        lower, upper, stiffness, _ = self.law.reshape(-1, len(LAW)).T
+        return float(stiffness[np.argmin(np.minimum(lower, upper))])
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class Jacobian:
 
     by_knots: csr_matrix
     by_pulls: Float[np.ndarray, "fewer nuisances"]
-    by_law: Float[np.ndarray, "fewer 4"]
+    by_law: Float[np.ndarray, "fewer laws"]
 
     def times(
         self, knots: Float[np.ndarray, "knots columns"], others: Float[np.ndarray, "others columns"]
@@ -66,13 +68,16 @@ def parts(samples: int) -> Iterator[slice]:
 def law_force_n(
     law: Law, eta_m: Float[np.ndarray, "*samples"], rate_m_per_s: Float[np.ndarray, "*samples"]
 ) -> Float[np.ndarray, "*samples"]:
-    """Stiffness and damping times what a `DeadZone` makes of one of each; the damping may have any sign."""
-    _, _, stiffness, damping = law
-    by_stiffness, by_damping = _by_stiffness_and_damping(law, eta_m, rate_m_per_s)
-    return np.asarray(stiffness * by_stiffness + damping * by_damping)
+    """The sum over the contacts: stiffness and damping, of any sign, times what a `DeadZone` makes of one of each."""
+    force = np.zeros_like(eta_m)
+    for one in law.reshape(-1, len(LAW)):
+        _, _, stiffness, damping = one
+        by_stiffness, by_damping = by_stiffness_and_damping(one, eta_m, rate_m_per_s)
+        force += stiffness * by_stiffness + damping * by_damping
+    return force
 
 
-def _by_stiffness_and_damping(
+def by_stiffness_and_damping(
     law: Law, eta_m: Float[np.ndarray, "*samples"], rate: Float[np.ndarray, "*samples"]
 ) -> tuple[Float[np.ndarray, "*samples"], Float[np.ndarray, "*samples"]]:
     lower, upper, _, _ = law.tolist()
@@ -89,9 +94,8 @@ def state_at(seen: ContactRecord, curve: Spline, law: Law, knots: Knots, pulls: 
     fine = max(1, round(FINE_HZ / seen.sample_rate_hz))
     fitted = finely(partial(law_force_n, law), np.stack([eta, velocity]), fine)
     fast = (seen.force_n - _summed(pulls, seen.nuisance_n) - _fewer(seen, fitted)) / (1 - pulls @ seen.noise_in_n)
-    return State(
-        law, knots, pulls, fast - _held(seen, curve) @ knots, _fewer(seen, STIFFNESS @ law * _outside(law, eta))
-    )
+    stiffness, _ = _slopes(law, eta)
+    return State(law, knots, pulls, fast - held_n(seen, curve) @ knots, _fewer(seen, stiffness))
 
 
 def moved(
@@ -123,39 +127,47 @@ def _summed(
 
 def jacobian(seen: ContactRecord, curve: Spline, state: State) -> Jacobian:
     """At a state."""
-    lower, upper, stiffness, damping = state.law
     eta, velocity = moved(seen, curve, state.knots, state.pulls)
-    outside = _outside(state.law, eta)
-    by_law = [
-        stiffness * (eta < -lower),
-        -stiffness * (eta > upper),
-        *_by_stiffness_and_damping(state.law, eta, velocity),
-    ]
+    by_stiffness, by_damping = _slopes(state.law, eta)
+    by_law = []
+    for one in state.law.reshape(-1, len(LAW)):
+        lower, upper, stiffness, _ = one
+        by_law += [
+            stiffness * (eta < -lower),
+            -stiffness * (eta > upper),
+            *by_stiffness_and_damping(one, eta, velocity),
+        ]
     by_drift = diags(state.by_eta) @ curve.value[:: seen.factor][: seen.force_n.size]
-    fast, slow_n = state.residual + _held(seen, curve) @ state.knots, by_drift @ state.knots
+    fast, slow_n = state.residual + held_n(seen, curve) @ state.knots, by_drift @ state.knots
     by_pulls = seen.nuisance_n.astype(np.float32)  # a copy
     for index, noise in enumerate(seen.noise_in_n):
         by_pulls[index] -= noise * fast
     for row, nuisance_m, noise in zip(np.flatnonzero(seen.moving), seen.nuisance_m, seen.noise_in_m, strict=True):
-        pushed = outside * (stiffness * nuisance_m + damping * seen.rate_of(nuisance_m))
+        pushed = by_stiffness * nuisance_m + by_damping * seen.rate_of(nuisance_m)
         by_pulls[row] -= _fewer(seen, pushed) + noise * slow_n
     kept = 1 - state.pulls @ seen.noise_in_n
     by_pulls /= np.float32(kept)
     drift_kept = 1 - state.pulls[seen.moving] @ seen.noise_in_m
     return Jacobian(
-        by_knots=drift_kept / kept * by_drift + _held(seen, curve),
+        by_knots=drift_kept / kept * by_drift + held_n(seen, curve),
         by_pulls=by_pulls.T,
         by_law=np.stack([_fewer(seen, row) for row in by_law], axis=1) / kept,
     )
 
 
-def _outside(law: Law, eta_m: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
-    """One where the contact is closed."""
-    lower, upper, _, _ = law
-    return ((eta_m > upper) | (eta_m < -lower)).astype(float)
+def _slopes(
+    law: Law, eta_m: Float[np.ndarray, " samples"]
+) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
+    """Stiffness and damping of the contacts that are closed."""
+    by_stiffness, by_damping = np.zeros_like(eta_m), np.zeros_like(eta_m)
+    for lower, upper, stiffness, damping in law.reshape(-1, len(LAW)):
+        closed = (eta_m > upper) | (eta_m < -lower)
+        by_stiffness += stiffness * closed
+        by_damping += damping * closed
+    return by_stiffness, by_damping
 
 
-def _held(seen: ContactRecord, curve: Spline) -> csr_matrix:
+def held_n(seen: ContactRecord, curve: Spline) -> csr_matrix:
     """The force of the spring and the damper to the ground, by the knots."""
     if not (seen.spring_n_per_m or seen.damper_n_s_per_m):
         return csr_matrix((seen.force_n.size, curve.knots))

@@ -1,4 +1,4 @@
-"""The normal equations of a contact's fit: banded in the drift's knots, dense in the other parameters."""
+"""The normal equations of a separated force's fit: banded in the drift's knots, dense in the other parameters."""
 
 from dataclasses import dataclass
 
@@ -14,6 +14,7 @@ from rig.errors import RigError
 
 BAND = 3
 """Knots further apart share no sample."""
+NO_LAW = "its closures tell no law of it; excite the rig more strongly"
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ def normal_equations(
     state: State,
     derivatives: Jacobian,
     curve: Spline,
-    to_law: Float[np.ndarray, "4 free"],
+    to_law: Float[np.ndarray, "laws free"],
     weights: Float[np.ndarray, " fewer"],
 ) -> tuple[Normal, Float[np.ndarray, "knots 1"], Float[np.ndarray, "others 1"]]:
     """And the descent's right-hand side. The others are the nuisance parameters, then the law's free ones.
@@ -66,7 +67,7 @@ def normal_equations(
         kept = cho_solve_banded((cholesky, False), mixed) if curve.knots else mixed
         rest = np.linalg.inv(of_others - mixed.T @ kept)
     except LinAlgError as error:
-        raise RigError("its closures tell no law of it; excite the rig more strongly") from error
+        raise RigError(NO_LAW) from error
     return Normal(cholesky, mixed, kept, rest), of_knots[:, None], gradient[:, None]
 
 

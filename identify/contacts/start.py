@@ -1,5 +1,6 @@
 """One contact as a record shows it, and a first guess of its law: by the samples at which it is clearly closed."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,8 +25,10 @@ LAW = ParameterSet(
 STIFFNESS = LAW.vector({"stiffness_n_per_m": 1.0})
 """The stiffness as a linear function of the parameters."""
 
-Law = Float[np.ndarray, "4"]
-"""Values of its parameters."""
+Law = Float[np.ndarray, " laws"]
+"""Values of its parameters; of several contacts one after the other."""
+Start = tuple[Law, Float[np.ndarray, " knots"]]
+"""A law, and the drift's knots."""
 CLEAR_SHARE = 0.1
 """A contact counts as clearly closed where its force exceeds this share of the force's 99.5 % quantile."""
 ABOVE_NOISE = 8.0
@@ -39,6 +42,11 @@ BEYOND = 1.1
 """A stop that is never touched is put so many times the largest relative displacement away."""
 LEAST_CLOSED = 1e-3
 """A stop that is clearly touched for a smaller share of the record is not told by it."""
+
+ONE_SIDE = (
+    "only one of its stops is ever touched, so its play cannot be told; excite the rig more strongly, or measure "
+    "displacements"
+)
 
 
 @dataclass(frozen=True)
@@ -88,10 +96,10 @@ class ContactRecord:
         return self.drift is None or self.drift.spring_n_per_m > 0
 
 
-def clearly_closed(seen: ContactRecord) -> Bool[np.ndarray, " fewer"]:
+def clearly_closed(seen: ContactRecord, share: float = CLEAR_SHARE) -> Bool[np.ndarray, " fewer"]:
     """Where the contact is clearly closed."""
     size = np.abs(seen.force_n)
-    return size > max(CLEAR_SHARE * float(np.quantile(size, 0.995)), ABOVE_NOISE * seen.quiet_n)
+    return size > max(share * float(np.quantile(size, 0.995)), ABOVE_NOISE * seen.quiet_n)
 
 
 def touched_stops(seen: ContactRecord) -> tuple[bool, bool]:
@@ -107,14 +115,11 @@ def touched_stops(seen: ContactRecord) -> tuple[bool, bool]:
     if not (lower or upper):
         raise RigError("it hardly ever closes in this record; excite the rig more strongly")
     if not ((lower and upper) or seen.sides_known):
-        raise RigError(
-            "only one of its stops is ever touched, so its play cannot be told; excite the rig more strongly, or "
-            "measure displacements"
-        )
+        raise RigError(ONE_SIDE)
     return lower, upper
 
 
-def regressed(seen: ContactRecord, curve: Spline) -> tuple[Law, Float[np.ndarray, " knots"]]:
+def regressed(seen: ContactRecord, curve: Spline) -> Start:
     """Where the contact is clearly closed, eta + b = +-clearance + force / k: linear in clearance, 1/k and b.
 
     A spring s on the drift adds s b to the measured force. Then b is left to Gauss-Newton at first; if that finds no
@@ -124,7 +129,7 @@ def regressed(seen: ContactRecord, curve: Spline) -> tuple[Law, Float[np.ndarray
     """
     touched = touched_stops(seen)
     for with_drift in (False, True) if seen.spring_n_per_m else (True,):
-        *knots, clearance, softness = _closed_fit(seen, curve, with_drift)
+        *knots, clearance, softness = closed_fit(seen, curve, with_drift)
         if np.isfinite(clearance) and softness > 0:
             far = BEYOND * float(np.max(np.abs(seen.eta_m)))
             lower, upper = (max(clearance, 0.0) if one else far for one in touched)
@@ -133,23 +138,31 @@ def regressed(seen: ContactRecord, curve: Spline) -> tuple[Law, Float[np.ndarray
     raise RigError("no force grows with this relative displacement; excite the rig more strongly, or check rig.json")
 
 
-def _closed_fit(seen: ContactRecord, curve: Spline, with_drift: bool) -> Float[np.ndarray, " unknowns"]:
-    """The drift's knots, the clearance and one over the stiffness."""
+def closed_fit(
+    seen: ContactRecord,
+    curve: Spline,
+    with_drift: bool,
+    clear_share: float = CLEAR_SHARE,
+    beyond_n: Sequence[Float[np.ndarray, " fewer"]] = (),
+) -> Float[np.ndarray, " unknowns"]:
+    """The drift's knots, the clearance, one over the stiffness, and what less of it the forces beyond knees ask for."""
     size = np.abs(seen.force_n)
     at_force = curve.value[:: seen.factor][: size.size]
     force = seen.force_n
-    closed = clearly_closed(seen)
+    closed = clearly_closed(seen, clear_share)
     if not with_drift:
         at_force = csr_matrix(at_force.shape)
     eta = seen.eta_m[:: seen.factor][: size.size][closed]
-    columns = hstack([-at_force[closed], np.stack([np.sign(force[closed]), force[closed]], axis=1)]).tocsr()
-    bent = hstack([curve.curvature, csr_matrix((curve.target.size, 2))])
+    side = np.sign(force)
+    of_law = np.stack([side, force, *(-side * beyond for beyond in beyond_n)], axis=1)[closed]
+    columns = hstack([-at_force[closed], of_law]).tocsr()
+    bent = hstack([curve.curvature, csr_matrix((curve.target.size, of_law.shape[1]))])
     weights = np.ones(eta.size)
     for share, stiffer in STAGES:
         fuzz_m = share * float(np.std(eta))
         rows = vstack([diags(weights / fuzz_m) @ columns, stiffer * bent]).tocsc()
         target = np.concatenate([weights * eta / fuzz_m, stiffer * curve.target])
-        ridge = diags(np.r_[np.full(curve.knots, 1e-12 * (rows.T @ rows).diagonal().max()), np.zeros(2)])
+        ridge = diags(np.r_[np.full(curve.knots, 1e-12 * (rows.T @ rows).diagonal().max()), np.zeros(of_law.shape[1])])
         found = spsolve((rows.T @ rows + ridge).tocsc(), rows.T @ target)
         weights = 1 / (1 + ((eta - columns @ found) / (OUTSIDE * fuzz_m)) ** 2)
     return np.asarray(found)

@@ -6,8 +6,8 @@ import numpy as np
 
 from identify.checks.findings import Finding
 from identify.contacts import results
-from identify.contacts.estimates import ContactFit
 from identify.contacts.joint import Joint
+from identify.contacts.told import ContactFit
 from identify.paper.nifo import Nifo, fitted_mode
 from identify.paper.surface import Stops, Surface
 from identify.signals.kinematics import Kinematics

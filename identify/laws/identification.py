@@ -1,7 +1,7 @@
 """The law of every contact found rather than assumed: symbolic regression of its force on its displacement."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -10,6 +10,7 @@ from scipy.signal import resample
 from identify.checks import naming
 from identify.contacts.estimates import Contacts, find_contacts
 from identify.contacts.joint import Joint
+from identify.contacts.linearised import law_force_n
 from identify.contacts.quality import findings_before, fit_findings
 from identify.contacts.results import Estimate, Unanswered
 from identify.contacts.start import ContactRecord
@@ -21,8 +22,8 @@ from identify.laws.sliding import SlidingFriction, sliding_friction
 from identify.laws.symbolic import Formula, pyoperon, search
 from identify.pages.wording import interval
 from identify.signals.kinematics import Use
+from identify.structure.joined import Joined
 from rig.errors import RigError
-from rig.model.contact_laws import penetration_m
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 
@@ -79,7 +80,8 @@ def identify_law(
     tolerances: Tolerances | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Laws:
-    """The law f(eta) of every contact, or of the named one, and how it stands against laws that one would assume.
+    """The law f(eta) of every contact, or of the named one, and how it stands against laws that one would assume. Of
+    contacts between the same places it is that of their sum, without the damping that the joint estimate found.
 
     The force is separated without a law. The relative displacement is the measured one; where it comes from
     accelerations, with the slow drift that the joint estimate found, which has assumed a dead zone. `seconds` of search
@@ -99,15 +101,16 @@ def identify_law(
     findings = without_dead_force(findings) if is_unforced(contacts.motion) else findings
     findings += tuple(fit_findings(names, contacts.estimates, contacts.separated.nuisances.parameters))
     progress(0.1)
-    chosen = [j for j, name in enumerate(names) if contact in (None, name)]
+    chosen = [p for p in contacts.same_place if contact in (None, *(names[j] for j in p.members))]
     found: list[FoundLaw] = []
     silent: list[Unanswered] = []
-    for done, j in enumerate(chosen):
-        answer, seen = contacts.estimates[j], contacts.observed[j]
-        if isinstance(answer, str) and (seen.drift is not None or not np.ptp(seen.eta_m)):
-            silent.append(Unanswered(names[j], answer))
+    for done, place in enumerate(chosen):
+        seen = contacts.observed[contacts.same_place.index(place)]
+        why = {names[j]: a for j in place.members if isinstance(a := contacts.estimates[j], str)}
+        if len(why) == len(place.members) and (seen.drift is not None or not np.ptp(seen.eta_m)):
+            silent += [Unanswered(name, reason) for name, reason in why.items()]
         else:
-            found.append(_law(contacts, j, seconds / len(chosen), seed))
+            found.append(_law(contacts, place, seen, seconds / len(chosen), seed))
         progress(0.1 + 0.9 * (done + 1) / len(chosen))
     return Laws(
         LawReport(
@@ -120,10 +123,14 @@ def identify_law(
     )
 
 
-def _law(contacts: Contacts, contact: int, seconds: float, seed: int) -> FoundLaw:
-    seen, answer = contacts.observed[contact], contacts.estimates[contact]
-    joint = answer if isinstance(answer, Joint) else None
-    record, velocity = _complete(seen, joint)
+def _law(contacts: Contacts, place: Joined, seen: ContactRecord, seconds: float, seed: int) -> FoundLaw:
+    fits = [(s, contacts.estimates[j]) for s, j in zip(place.signs, place.members, strict=True)]
+    joints = [fit if sign > 0 else fit.reversed for sign, fit in fits if isinstance(fit, Joint)]
+    record, velocity = _complete(seen, joints[0] if joints else None)
+    values = np.array([joint.values for joint in joints]).ravel()
+    if len(joints) > 1:  # their damping hides the knee of a soft stop before a hard one
+        damped = law_force_n(values, record.eta_m, velocity) - law_force_n(values, record.eta_m, 0 * velocity)
+        record = replace(record, force_n=record.force_n - record.low_passed(damped))
     first = contacts.motion.excited_from // seen.factor + ENDS
     last = record.force_n.size - ENDS
     if last - first < LEAST_SAMPLES:
@@ -146,14 +153,17 @@ def _law(contacts: Contacts, contact: int, seconds: float, seed: int) -> FoundLa
     low, high = float(eta.min()), float(eta.max())
     knees = slope_jumps(formula, low, high)
     pieces = straight_pieces(record, taught, knees)
+    others = []
     if record.error_n(pieces, taught) > AS_GOOD * min(errors) + finest:
-        spread = np.linspace(low, high, UNTOLD + 2)[1:-1]
-        others = straight_pieces(record, taught, spread)
-        pieces = min(pieces, others, key=lambda law: record.error_n(law, taught))
+        others.append(np.linspace(low, high, UNTOLD + 2)[1:-1])
+    if len(joints) > 1:  # soft stops before a hard one
+        stops = np.array([side * joint.values[k] for joint in joints for k, side in enumerate((-1, 1))])
+        others.append(stops[(stops > low) & (stops < high)])
+    tried = [pieces, *(straight_pieces(record, taught, start) for start in others)]
+    pieces = min(tried, key=lambda law: record.error_n(law, taught))
     laws: dict[str, Callable[[np.ndarray], np.ndarray]] = {PIECEWISE: pieces}
-    if joint is not None:
-        lower, upper, stiffness, _ = joint.values.tolist()
-        laws[DEAD_ZONE] = lambda e: stiffness * penetration_m(e, lower, upper)
+    if joints:
+        laws[DEAD_ZONE] = lambda e: law_force_n(values, e, np.zeros_like(e))
     laws |= {SLIDING: sliding_friction(record, taught), CUBIC: polynomial(record, taught, 3), FORMULA: formula}
     candidates = tuple(TriedLaw(name, record.error_n(law, held_out)) for name, law in laws.items())
     best = candidates[_first_as_good([c.held_out_error_n for c in candidates], finest)]
@@ -161,7 +171,7 @@ def _law(contacts: Contacts, contact: int, seconds: float, seed: int) -> FoundLa
     sliding = sliding_friction(record, whole) if best.law == SLIDING else None
     shown = f"f = {formula.scaled(1e3, 1.0).text('eta')} (N, eta in mm)"
     result = ContactLawEstimate(
-        contact=contacts.rig.contacts[contact].name,
+        contact=place.contact.name,
         verdict=_verdict(pieces, shown, candidates, best, seen.sides_known, sliding),
         best=best.law,
         formula=shown,

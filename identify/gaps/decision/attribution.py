@@ -26,7 +26,7 @@ def attribution(linearization: Linearization, at: Residual, left: Misfit) -> Att
     total = linear + np.sum(contacts, axis=0)
     linear_share = float(linear.sum() / max(total.sum(), 1e-300))
     parts = {"linear": linear_share}
-    for contact, squares in zip(linearization.rig.contacts, contacts, strict=True):
+    for contact, squares in zip(linearization.model.rig.contacts, contacts, strict=True):
         parts[contact.name] = float(squares.sum() / max(total.sum(), 1e-300))
     positions: dict[str, dict[str, float]] = {}
     for sensor in record.sensors:
@@ -48,7 +48,7 @@ def attribution(linearization: Linearization, at: Residual, left: Misfit) -> Att
             c.name: _surface(
                 at.laid[j].eta_m[:: at.laid[j].finer], at.laid[j].rate_m_per_s[:: at.laid[j].finer], squares
             )
-            for j, (c, squares) in enumerate(zip(linearization.rig.contacts, contacts, strict=True))
+            for j, (c, squares) in enumerate(zip(linearization.model.rig.contacts, contacts, strict=True))
         }
         or _of_masses(record, at),
     )
@@ -109,7 +109,7 @@ def _states(linearization: Linearization, total: Float[np.ndarray, " times"]) ->
     """By which contacts are closed."""
     sizes: dict[str, float] = {}
     closed = [s.closed > 0 for s in linearization.seen]
-    names = [c.name for c in linearization.rig.contacts]
+    names = [c.name for c in linearization.model.rig.contacts]
     for code in range(2 ** len(names)):
         shut = [bool(code >> j & 1) for j in range(len(names))]
         inside = (

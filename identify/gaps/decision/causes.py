@@ -9,6 +9,7 @@ from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.residual.scales import BAND_HZ
 from identify.gaps.residual.spectra import Record
 from identify.gaps.results import Band, Cause, Left, Matters, Value
+from identify.structure.joined import joined
 from rig.model.description import Rig
 
 ALIKE = 0.05
@@ -18,7 +19,7 @@ AT_LIMIT = 1e-3
 
 
 def left_of(left: Misfit, rig: Rig, p_value: float) -> Left:
-    names = [c.name for c in rig.contacts]
+    names = [c.name for c in joined(rig).contacts]
     return Left(
         share=left.share,
         contact_shares=dict(zip(names, left.contact_shares.tolist(), strict=True)),

@@ -11,6 +11,7 @@ from identify.gaps.decision.null_reference import NullReference, Simulate
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Curve, Figure
+from identify.structure.joined import joined
 from rig.model.description import Rig
 from rig.recording import Recording
 
@@ -39,7 +40,7 @@ def compared(
         for name, (value, unit) in was.items()
     )
     curves = [_spectrum(runs), _response(runs)]
-    for j, contact in enumerate(believed.contacts):
+    for j, contact in enumerate(joined(believed).contacts):
         eta = [1e3 * b.record.finely(b.model.eta_m)[j] for b in linearizations]
         edges = np.linspace(min(e.min() for e in eta), max(e.max() for e in eta), CELLS + 1)
         curves.append(

@@ -9,6 +9,7 @@ from identify.gaps.search.nominal import fit_nuisance
 from identify.gaps.unknown import Sought, UnknownForce
 from identify.gaps.unknown import sentence as described
 from identify.gaps.unknown.play import Breathing
+from identify.structure.joined import joined
 from rig.model.description import Rig
 
 
@@ -35,9 +36,10 @@ def unmeasured(
     A force explains a share of what is left of the motion, a swinging clearance of what is left of its contact's force.
     """
     force = found.validation_explained_share * left.share / matters.motion if found else 0.0
-    shares = dict(zip((c.name for c in rig.contacts), left.contact_shares, strict=True))
+    contacts = {c.name: c for c in joined(rig).contacts}
+    shares = dict(zip(contacts, left.contact_shares, strict=True))
     if swinging and swinging.share * shares[swinging.contact] / matters.contact > force:
-        contact = rig.contact(swinging.contact)
+        contact = contacts[swinging.contact]
         return Unknown(
             sentence=swinging.sentence,
             kind="contact",

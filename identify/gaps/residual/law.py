@@ -11,12 +11,13 @@ from msgspec.structs import replace as changed
 from scipy.sparse import block_diag, csc_matrix, csr_matrix, vstack
 from scipy.sparse.linalg import SuperLU, splu
 
-from identify.contacts.start import ContactRecord, regressed
+from identify.contacts.start import CLEAR_SHARE, ContactRecord, regressed
 from identify.gaps.residual.linear import Linear
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.spectra import Record
 from identify.signals.drift import Spline, spline
 from identify.signals.spectra import decimated
+from identify.structure.joined import JoinedLaw
 from rig.errors import RigError
 from rig.model.contact_laws import ContactLaw
 
@@ -59,8 +60,10 @@ class ContactObservation:
         return float(self.sample_ratio**0.5)
 
 
-def seen_contacts(record: Record, model: Linear, levels: Sequence[float]) -> tuple[ContactObservation, ...]:
-    """What the record says of its contacts, by the linear model of the rig that is believed.
+def seen_contacts(
+    record: Record, model: Linear, laws: Sequence[JoinedLaw], levels: Sequence[float]
+) -> tuple[ContactObservation, ...]:
+    """What the record says of its contacts, by the linear model and the laws of the rig that is believed.
 
     levels are the variances of the contact residuals, in units of what noise and unmodelled share make of them.
     """
@@ -68,13 +71,11 @@ def seen_contacts(record: Record, model: Linear, levels: Sequence[float]) -> tup
     found = []
     believed = record.tolerances
     trusted = believed.clearance, believed.stiffness, believed.contact_damping_s
-    for force, open_n, contact, drift, level in zip(
-        forces, spreads, model.rig.contacts, record.drifts, levels, strict=True
-    ):
+    for force, open_n, law, drift, level in zip(forces, spreads, laws, record.drifts, levels, strict=True):
         loud = np.abs(force) > CLOSED * open_n
         closed = loud & (np.abs(force) > STRUCK * np.sqrt(np.mean(force**2)))
         fast_m = 0.0 if drift is None else drift.unfollowed_m
-        stiffness = contact.law.stiffness_n_per_m
+        stiffness = sum(one.stiffness_n_per_m for one in law.laws)
         moving = record.time_s > record.excited_s  # at rest nothing tells on which side of a stop it rests
         weights = (
             moving
@@ -132,21 +133,25 @@ def laid_out(record: Record, model: Linear) -> tuple[ContactSignals, ...]:
 
 
 def start_of(
-    laid: ContactSignals, seen: ContactObservation, law: ContactLaw, rate_hz: float
+    laid: ContactSignals, seen: ContactObservation, law: JoinedLaw, rate_hz: float
 ) -> Float[np.ndarray, " unknowns"]:
     """The drift by the samples at which the contact is clearly closed; zero where they do not tell it.
 
     Clearance and stiffness are regressed along with it; the law gives its other terms.
     """
-    start = np.zeros(seen.curve.knots + len(seen.trusted))
+    start = np.zeros(seen.curve.knots + len(seen.trusted) * len(law.laws))
+    first, (lower, upper) = law.laws[0], law.clearances_m
     eta, rate, time_s = (x[:: laid.finer] for x in (laid.eta_m, laid.rate_m_per_s, laid.time_s))
     force = laid.force_n - law.force_n(np.zeros_like(eta), rate)  # what acts in the gap too
-    shifted = (law.upper_clearance_m - law.lower_clearance_m) / 2 + np.sign(force) * law.wear_m_per_s * time_s
+    shifted = (upper - lower) / 2 + np.sign(force) * first.wear_m_per_s * time_s
+    depth = _depth_m(law, force)
+    if len(law.laws) > 1:  # what rings while they are open would be deep in a soft one
+        depth *= np.abs(force) > CLEAR_SHARE * np.quantile(np.abs(force), 0.995)
     observed = ContactRecord(
         eta_m=eta - shifted,
         velocity_m_per_s=rate,
         sample_rate_hz=rate_hz,
-        force_n=law.stiffness_n_per_m * _depth_m(law, force),
+        force_n=first.stiffness_n_per_m * depth,
         factor=1,
         quiet_n=0.0,
         unmodelled=0.0,
@@ -163,13 +168,14 @@ def start_of(
     return start
 
 
-def _depth_m(law: ContactLaw, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
+def _depth_m(law: JoinedLaw, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
     """The penetration at which the law's force at rest is as large; zero for a law without stiffness."""
-    stiffness, _ = law.steepest
+    slopes = [slope for slope, _ in (one.steepest for one in law.laws) if slope]
     found = np.zeros_like(force_n)
-    if stiffness:
-        depth = np.linspace(0.0, DEEP * np.max(np.abs(force_n)) / stiffness, DEPTHS)
-        for sign, clearance in ((-1, law.lower_clearance_m), (1, law.upper_clearance_m)):
+    if slopes:
+        deepest = DEEP * np.max(np.abs(force_n)) / np.array(slopes)
+        depth = np.sort(np.linspace(0.0, deepest, DEPTHS).ravel())
+        for sign, clearance in zip((-1, 1), law.clearances_m, strict=True):
             elastic = np.maximum.accumulate(sign * law.force_n(sign * (clearance + depth)))
             found += sign * np.interp(np.maximum(sign * force_n, 0.0), elastic, depth)
     return found
@@ -179,18 +185,18 @@ def _depth_m(law: ContactLaw, force_n: Float[np.ndarray, " times"]) -> Float[np.
 class ContactResidual:
     """A contact's law laid against its separated force, with its drift and the law's own tolerances as unknowns.
 
-    unknowns are the drift's knots (m), then clearance, stiffness and damping in their tolerances. within is the law
-    with the first two, damped_n what one tolerance of damping adds to it. residual is force less law, in standard
-    deviations, above the residuals of the prior.
+    unknowns are the drift's knots (m), then clearance, stiffness and damping in their tolerances, of every contact
+    between the same places. within is the law with the first two, damped_n what one tolerance of each damping adds to
+    it. residual is force less law, in standard deviations, above the residuals of the prior.
     """
 
     seen: ContactObservation
     laid: ContactSignals
-    law: ContactLaw
-    within: ContactLaw
+    law: JoinedLaw
+    within: JoinedLaw
     unknowns: Float[np.ndarray, " unknowns"]
     eta_m: Float[np.ndarray, " fine"]
-    damped_n: Float[np.ndarray, " fine"]
+    damped_n: list[Fine]
     residual: Float[np.ndarray, " rows"]
 
     @property
@@ -198,12 +204,20 @@ class ContactResidual:
         return float(self.residual @ self.residual)
 
     @cached_property
-    def tangent_n_per_m(self) -> Float[np.ndarray, " fine"]:
-        return self.within.by_eta_n_per_m(self.eta_m, self.laid.time_s)
+    def tangents_n_per_m(self) -> list[Fine]:
+        """Of every contact."""
+        return [
+            law.by_eta_n_per_m(sign * self.eta_m, self.laid.time_s)
+            for law, sign in zip(self.within.laws, self.within.signs, strict=True)
+        ]
+
+    @cached_property
+    def tangent_n_per_m(self) -> Fine:
+        return np.asarray(sum(self.tangents_n_per_m))
 
     @property
-    def pulls(self) -> Float[np.ndarray, "3"]:
-        """Of clearance, stiffness and damping: how many tolerances they are off."""
+    def pulls(self) -> Float[np.ndarray, " pulls"]:
+        """Of clearance, stiffness and damping of each contact: how many tolerances they are off."""
         return self.unknowns[self.seen.tolerances]
 
     @property
@@ -214,11 +228,14 @@ class ContactResidual:
         return found
 
     @property
-    def fitted(self) -> ContactLaw:
-        """The law with clearance, stiffness and damping as they were fitted within their tolerances."""
-        _, _, damping = self.pulls * self.seen.trusted
-        more = damping * self.law.stiffness_n_per_m
-        return changed(self.within, damping_n_s_per_m=max(0.0, float(self.law.damping_n_s_per_m + more)))
+    def fitted(self) -> tuple[ContactLaw, ...]:
+        """The laws with clearance, stiffness and damping as they were fitted within their tolerances."""
+        *_, damping_s = self.seen.trusted
+        more = self.pulls[2::3] * damping_s
+        return tuple(
+            changed(one, damping_n_s_per_m=max(0.0, float(law.damping_n_s_per_m + by * law.stiffness_n_per_m)))
+            for one, law, by in zip(self.within.laws, self.law.laws, more, strict=True)
+        )
 
     @property
     def slow_m(self) -> Float[np.ndarray, " times"]:
@@ -234,12 +251,13 @@ class ContactResidual:
         """By how much the residual falls with each unknown."""
         weights, curve = self.seen.weights, self.seen.curve
         by_clearance, by_stiffness, _ = self.seen.trusted
-        at_rest, stiffness = changed(self.within, damping_n_s_per_m=0.0), self.law.stiffness_n_per_m
-        fine = [
-            -self.tangent_n_per_m * np.sign(self.eta_m) * by_clearance * self.law.clearance_m,
-            by_stiffness * more_n(at_rest, self.eta_m, 0.0, self.laid.time_s, stiffness_n_per_m=stiffness),
-            self.damped_n,
-        ]
+        fine = []
+        each = zip(self.law.signs, self.law.laws, self.within.laws, self.tangents_n_per_m, self.damped_n, strict=True)
+        for sign, law, within, tangent, damped in each:
+            at_rest, stiffness = changed(within, damping_n_s_per_m=0.0), law.stiffness_n_per_m
+            more = more_n(at_rest, sign * self.eta_m, 0.0, self.laid.time_s, stiffness_n_per_m=stiffness)
+            of_clearance = -tangent * np.sign(self.eta_m) * by_clearance * law.clearance_m
+            fine += [of_clearance, by_stiffness * sign * more, damped]
         by_law = decimated(np.stack(fine), self.laid.finer).T
         rows = _beside(curve.value, weights * self.by_eta, weights[:, None] * by_law)
         firm = self.seen.firm * (1 + WALL * (_beyond(self.pulls) != 0))
@@ -261,7 +279,7 @@ class ContactResidual:
 def contact_residual(
     laid: ContactSignals,
     seen: ContactObservation,
-    law: ContactLaw,
+    law: JoinedLaw,
     unknowns: Float[np.ndarray, " unknowns"],
     added_n: float | Float[np.ndarray, " times"] = 0.0,
     added_m: float | Float[np.ndarray, " times"] = 0.0,
@@ -275,23 +293,27 @@ def contact_residual(
     eta = laid.eta_m + _finely(np.broadcast_to(slow, laid.force_n.shape), laid.finer)
     rate = laid.rate_m_per_s + _finely(slow_rate, laid.finer)
     pulls = unknowns[seen.tolerances]
-    clearance, stiffness, _ = (pulls * seen.trusted).tolist()
-    within = changed(
-        law,
-        lower_clearance_m=law.lower_clearance_m * max(0.0, 1 + clearance),
-        upper_clearance_m=law.upper_clearance_m * max(0.0, 1 + clearance),
-        stiffness_n_per_m=law.stiffness_n_per_m * max(0.01, 1 + stiffness),
-    )
-    *_, damping_s = seen.trusted
-    damped = more_n(within, eta, rate, laid.time_s, damping_n_s_per_m=damping_s * law.stiffness_n_per_m)
-    force = within.force_n(eta, rate, laid.time_s) + pulls[-1] * damped
+    laws, damped, force = [], [], np.zeros_like(eta)
+    for sign, one, own in zip(law.signs, law.laws, pulls.reshape(-1, len(seen.trusted)), strict=True):
+        clearance, stiffness, _ = (own * seen.trusted).tolist()
+        within = changed(
+            one,
+            lower_clearance_m=one.lower_clearance_m * max(0.0, 1 + clearance),
+            upper_clearance_m=one.upper_clearance_m * max(0.0, 1 + clearance),
+            stiffness_n_per_m=one.stiffness_n_per_m * max(0.01, 1 + stiffness),
+        )
+        *_, damping_s = seen.trusted
+        at = sign * eta, sign * rate, laid.time_s
+        damped.append(sign * more_n(within, *at, damping_n_s_per_m=damping_s * one.stiffness_n_per_m))
+        force += sign * within.force_n(*at) + own[-1] * damped[-1]
+        laws.append(within)
     residual = laid.force_n + added_n - decimated(force, laid.finer) - laid.spring_n_per_m * slow
     held = -seen.firm * (pulls + WALL * _beyond(pulls))
     return ContactResidual(
         seen=seen,
         laid=laid,
         law=law,
-        within=within,
+        within=JoinedLaw(tuple(laws), law.signs),
         unknowns=unknowns,
         eta_m=eta,
         damped_n=damped,
@@ -320,7 +342,7 @@ def _beside(
     return csr_matrix((values.ravel(), places.ravel(), ends), shape=(rows, knots + columns))
 
 
-def _beyond(pulls: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+def _beyond(pulls: Float[np.ndarray, " pulls"]) -> Float[np.ndarray, " pulls"]:
     """How far the law's tolerances are beyond their limits."""
     return np.asarray(pulls - np.clip(pulls, -LIMIT, LIMIT))
 

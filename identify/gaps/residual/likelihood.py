@@ -152,7 +152,7 @@ def misfit(record: Record, reference: Reference, at: Residual) -> Misfit:
     seconds, bands = levels.shape[:2]
     contacts = [_of_contact(seen, contact, seconds) for contact, seen in zip(at.contacts, reference.seen, strict=True)]
     rows = np.array(contacts).reshape(len(contacts), 3, seconds)
-    drift = sum(float(np.sum(c.residual[c.seen.weights.size : -3] ** 2)) for c in at.contacts)
+    drift = sum(float(np.sum(c.residual[c.seen.weights.size : -c.pulls.size] ** 2)) for c in at.contacts)
     lines = at.model.deviation.shape[1]
     inputs = float(np.sum(at.linear[len(record.sensors) :] ** 2))
     return Misfit(

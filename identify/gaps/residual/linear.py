@@ -21,6 +21,7 @@ from jaxtyping import Complex, Float
 from identify.gaps.residual.grounded import ground_force_changes, ground_forces, pushed_by_motion
 from identify.gaps.residual.projection import Projection, least_squares, left_by
 from identify.gaps.residual.spectra import Record
+from identify.structure.joined import joined
 from identify.structure.response import Response, across, times, weights_of
 from identify.structure.slow_motion import responses_of, slow_stiffness
 from rig.model.description import Rig, Station
@@ -121,8 +122,9 @@ def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray
     """The linear residual of a rig that has the record's sensors and contacts, whatever else it has.
 
     model_error is the share of each acceleration that no model of this kind explains. The noise of the measured force
-    is a further unknown input, with a prior of its own size.
+    is a further unknown input, with a prior of its own size. Contacts between the same places are one.
     """
+    rig = joined(rig)
     sensor_response = sensor_response_of(record, rig)
     responses = responses_of(rig, record.omega, record.zero_known)
     places = places_of(record, rig)

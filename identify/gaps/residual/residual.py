@@ -25,6 +25,7 @@ from identify.gaps.residual.lines import standing_out, without_lines
 from identify.gaps.residual.nuisance import Columns, apply_nuisance, columns_of, counted, with_nuisance
 from identify.gaps.residual.scales import Scales, estimated_scales, prior_scales
 from identify.gaps.residual.spectra import Record
+from identify.structure.joined import joined_contacts, joined_laws
 from identify.structure.nuisance import Nuisance
 from rig.model.description import Rig
 
@@ -98,8 +99,11 @@ class Residual:
     def corrected_rig(self) -> Rig:
         """The rig with what was fitted beside it: nuisance parameters and the contacts' tolerances."""
         found = with_nuisance(self.rig, self.parameters, self.nuisance, self.model.record.tolerances)
-        laws = [c.fitted for c in self.contacts]
-        return replace(found, contacts=tuple(replace(c, law=x) for c, x in zip(found.contacts, laws, strict=True)))
+        contacts = list(found.contacts)
+        for place, fit in zip(joined_contacts(found), self.contacts, strict=True):
+            for j, law in zip(place.members, fit.fitted, strict=True):
+                contacts[j] = replace(contacts[j], law=law)
+        return replace(found, contacts=tuple(contacts))
 
     @property
     def contact_levels(self) -> tuple[float, ...]:
@@ -134,7 +138,7 @@ def linearized(
     scales = scales or prior_scales(record)
     there, put = apply_nuisance(rig, at.parameters, at.nuisance, record.tolerances) if at else (rig, None)
     model = linear_model(record, there, scales.discrepancy)
-    seen = seen or seen_contacts(record, model, scales.contacts)
+    seen = seen or seen_contacts(record, model, joined_laws(there), scales.contacts)
     return Linearization(record, rig, scales, model, seen, put)
 
 
@@ -172,7 +176,7 @@ def residual_of(
 
     `like` is a residual of the same linearisation, of which nothing is computed again that is the same.
     """
-    record, parameters = linearization.record, linearization.columns.parameters
+    record, parameters, laws = linearization.record, linearization.columns.parameters, joined_laws(rig)
     nuisance = np.zeros(len(parameters)) if nuisance is None else nuisance
     if like is not None and same_but_laws(like.rig, rig):
         model, laid, bare = like.model, like.laid, like.bare
@@ -182,8 +186,7 @@ def residual_of(
         bare = counted(record, model.residual)
     if unknowns is None:
         unknowns = tuple(
-            start_of(at, s, c.law, record.rate_hz)
-            for at, s, c in zip(laid, linearization.seen, rig.contacts, strict=True)
+            start_of(at, s, law, record.rate_hz) for at, s, law in zip(laid, linearization.seen, laws, strict=True)
         )
     beside = nuisance - linearization.expansion_point
     same = like if like is not None and model is like.model and nuisance is like.nuisance else None
@@ -196,14 +199,14 @@ def residual_of(
     others = model.slow_n_per_m - np.diag(np.diag(model.slow_n_per_m))
 
     def contact(j: int) -> ContactResidual:
-        law, told_by = rig.contacts[j].law, {j, *np.flatnonzero(others[j])}
+        law, told_by = laws[j], {j, *np.flatnonzero(others[j])}
         if same and same.contacts[j].law == law and all(same.contacts[i].unknowns is unknowns[i] for i in told_by):
             return same.contacts[j]
         more_n, more_m = (-beside @ c[:, j] for c in (linearization.columns.contact_n, linearization.columns.eta_m))
         more_n -= sum(others[j, i] * slow_m[i] for i in told_by)
         return contact_residual(laid[j], linearization.seen[j], law, unknowns[j], more_n, more_m)
 
-    contacts = tuple(contact(j) for j in range(len(rig.contacts)))
+    contacts = tuple(contact(j) for j in range(len(laws)))
     return Residual(rig, model, laid, bare, linear, quiet, contacts, nuisance, parameters, record.sample_ratio)
 
 

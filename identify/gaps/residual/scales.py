@@ -25,7 +25,7 @@ class Scales:
 
 def prior_scales(record: Record) -> Scales:
     """What the tolerances state."""
-    return Scales(np.full(record.noise.shape, record.tolerances.unmodelled), (1.0,) * len(record.rig.contacts))
+    return Scales(np.full(record.noise.shape, record.tolerances.unmodelled), (1.0,) * len(record.drifts))
 
 
 def second_levels(

@@ -23,6 +23,7 @@ from identify.signals.kinematics import (
 from identify.signals.noise import acceleration_noise
 from identify.signals.scores import COUNTED_HZ
 from identify.signals.spectra import force_band
+from identify.structure.joined import joined
 from rig.errors import RigError
 from rig.model.description import Rig, Sensor
 from rig.model.sensing import PASSBAND, sensors_of
@@ -153,6 +154,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     Raises RigError if it is too short, or has no force or no sensors.
     """
     rig, rate = recording.rig, recording.rig.sample_rate_hz
+    joint = joined(rig)
     tolerances = tolerances or rig.tolerances or LABORATORY
     if recording.duration_s < SHORTEST_S:
         raise RigError(
@@ -214,8 +216,8 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         force_noise=samples * _force_noise_n(recording, motion, tolerances) ** 2,
         noise=samples * (densities[:, None] * size) ** 2 * rate / 2,
         power=smooth * np.abs(turned) ** 2,
-        eta_beyond=_eta_beyond(rig, sensors, measured[:, lines - 1 :], beyond_rad),
-        drifts=tuple(drift_of(rig, motion, j, noise, tolerances, samples) for j in range(len(rig.contacts))),
+        eta_beyond=_eta_beyond(joint, sensors, measured[:, lines - 1 :], beyond_rad),
+        drifts=tuple(drift_of(joint, motion, j, noise, tolerances, samples) for j in range(len(joint.contacts))),
         excited_s=motion.excited_from / rate,
         period_s=None if period is None else period / rate,
         tolerances=tolerances,

@@ -31,13 +31,13 @@ def fit_base_excitation(
     of largest sum. The noise is what the residual holds around each line in other patterns.
     """
     record = linearization.record
-    if len(record.sensors) < len(linearization.rig.contacts) + 2:
+    if len(record.sensors) < len(linearization.seen) + 2:
         return None  # any residual would be a base motion's
     hz = record.omega / (2 * np.pi)
     low, high = float(hz[1]), float(hz[-1])
     everywhere = BaseMotion(acceleration_rms_m_per_s2=float(np.sqrt(high - low)), low_hz=low, high_hz=high)
     model = linear_model(record, changed(linearization.rig, base_motion=everywhere), linearization.scales.discrepancy)
-    contacts = len(linearization.rig.contacts)
+    contacts = len(linearization.seen)
     pattern = model.by_input[contacts]
     by_contacts = linearization.model.projection.of(pattern * linearization.model.deviation)[1]
     pattern = pattern - np.einsum("isl,il->sl", model.by_input[:contacts], by_contacts)

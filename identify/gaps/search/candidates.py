@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.gaps.residual.spectra import Record
+from identify.structure.joined import joined_contacts
 from rig.effects import effects
 from rig.effects.base import Effect, Place, Scale
 from rig.errors import RigError
@@ -111,7 +112,7 @@ def candidates(scale: Scale, sensors: Sequence[str], zero_known: bool) -> list[C
     """Every effect that the rig can have, at every place and sensor that a record sees.
 
     Effects that only the zero of a relative displacement shows are left out where it is not known, and those that
-    change nothing.
+    change nothing, or part contacts between the same places.
     """
     found = []
     for kind in effects().values():
@@ -124,6 +125,6 @@ def candidates(scale: Scale, sensors: Sequence[str], zero_known: bool) -> list[C
                 changed = candidate.applied(scale.rig, candidate.default)
             except RigError:
                 continue  # it makes no sense here
-            if changed != scale.rig:
+            if changed != scale.rig and len(joined_contacts(changed)) == len(joined_contacts(scale.rig)):
                 found.append(candidate)
     return found

@@ -87,7 +87,11 @@ def linearised(record: Record, reference: Reference, rig: Rig) -> Linearised:
     nuisances, weight = len(linearization.columns.parameters), record.sample_ratio
     names = (
         *linearization.columns.parameters,
-        *((c.name, k) for c, own in zip(rig.contacts, at.contacts, strict=True) for k in range(own.pulls.size)),
+        *(
+            (c.name, k)
+            for c, own in zip(at.model.rig.contacts, at.contacts, strict=True)
+            for k in range(own.pulls.size)
+        ),
     )
     matrix, gradient = np.zeros((len(names), len(names))), np.zeros(len(names))
     matrix[:nuisances, :nuisances] = linearization.gram

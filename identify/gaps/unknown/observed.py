@@ -135,7 +135,7 @@ def bare_residual(record: Record, rig: Rig) -> WhitenedRecord:
     rows = basis.shape[1]
     if not rows:
         raise RigError(
-            f"{len(record.sensors)} sensors and {len(rig.contacts)} contacts leave nothing that could show an "
+            f"{len(record.sensors)} sensors and {len(model.rig.contacts)} contacts leave nothing that could show an "
             "unmeasured force; add a sensor"
         )
     count, starts = basis.shape[0], _bands(record.omega[lines])

@@ -40,7 +40,7 @@ class Breathing:
 
 def breathing(record: Record, at: Residual) -> Breathing | None:
     """The contact whose clearance swings most clearly; None if none does."""
-    found = [_of(record, c.name, contact) for c, contact in zip(at.rig.contacts, at.contacts, strict=True)]
+    found = [_of(record, c.name, contact) for c, contact in zip(at.model.rig.contacts, at.contacts, strict=True)]
     clear = [b for b in found if b is not None and b.share > LEAST]
     return max(clear, key=lambda b: b.share, default=None)
 

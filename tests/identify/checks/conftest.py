@@ -17,6 +17,8 @@ CASES = {
     "frame": RIGS["frame, free"],
     "cantilever": RIGS["cantilever with a stop at its tip"],
     "mass": Topology(one_mass(5e-4, quantity="acceleration"), 6.0, ""),
+    "progressive stop": RIGS["bumper and hard stop, accelerometer"],
+    "two stops at one place": RIGS["two beams, two stops at one place"],
 }
 
 

@@ -36,7 +36,7 @@ NAMED = (
 )
 
 
-@pytest.mark.parametrize("rig", ["frame", "cantilever", "mass"])
+@pytest.mark.parametrize("rig", ["frame", "cantilever", "mass", "progressive stop", "two stops at one place"])
 def test_a_sound_recording_has_no_finding(sound, rig):
     assert check_recording(sound(rig)) == ()
 

@@ -229,6 +229,22 @@ def test_damping_in_the_contact_is_told_from_the_scatter():
     assert [k.value for k in damped.fitted_knees_m] == pytest.approx([-LOWER_M, UPPER_M], rel=1e-2)
 
 
+def test_the_law_of_two_stops_one_behind_the_other_is_that_of_their_sum():
+    """Their damping, by the joint estimate, is taken off: it would hide the knees of the nearer one."""
+    farther_m, harder = 2e-3, 1e5
+    record = mass_with(lambda x: gap(x) + harder * penetration_m(x, farther_m, farther_m), damping_n_s_per_m=30.0)
+    behind = msgspec.structs.replace(
+        record.rig.contacts[0],
+        name="behind",
+        law=DeadZone(lower_clearance_m=1.8e-3, upper_clearance_m=1.8e-3, stiffness_n_per_m=5e4),
+    )
+    both = msgspec.structs.replace(record.rig, contacts=(*record.rig.contacts, behind))
+    (found,) = identify_law(dataclasses.replace(record, rig=both), contact="behind", seconds=2.0).found
+    assert found.result.contact == "stop + behind"
+    assert np.allclose(found.pieces.knees_m, [-farther_m, -LOWER_M, UPPER_M, farther_m], atol=1e-5)
+    assert np.allclose(found.pieces.slopes_n_per_m[[0, 1, 3, 4]], [1.1e5, 1e4, 1e4, 1.1e5], rtol=0.01)
+
+
 @pytest.mark.parametrize(("wrong", "words"), [({"contact": "none"}, "there are stop"), ({"seconds": 0.0}, "1 or more")])
 def test_what_cannot_be_searched_is_refused(wrong, words):
     with pytest.raises(RigError, match=words):

@@ -1,0 +1,75 @@
+"""Contacts between the same two places: sensors tell the sum of their forces alone, over one relative displacement."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from msgspec.structs import replace
+
+from rig.model.contact_laws import ContactLaw
+from rig.model.description import Contact, Rig
+
+Values = Float[np.ndarray, "*shape"]
+
+
+@dataclass(frozen=True)
+class Joined:
+    """Contacts of one pair of places, by their indices in the rig. signs are -1 where `at` and `against` are exchanged,
+    so that the relative displacement is minus that of the first."""
+
+    contact: Contact
+    members: tuple[int, ...]
+    signs: tuple[int, ...]
+
+
+def joined_contacts(rig: Rig) -> tuple[Joined, ...]:
+    """In the order of the first of each."""
+    found: list[list[int]] = []
+    contacts = rig.contacts
+    for j, contact in enumerate(contacts):
+        ends = {contact.at, contact.against}
+        same = next((f for f in found if {contacts[f[0]].at, contacts[f[0]].against} == ends), None)
+        if same is None:
+            found.append([j])
+        else:
+            same.append(j)
+    return tuple(
+        Joined(
+            replace(contacts[first], name=" + ".join(contacts[j].name for j in (first, *more))),
+            (first, *more),
+            tuple(1 if contacts[j].at == contacts[first].at else -1 for j in (first, *more)),
+        )
+        for first, *more in found
+    )
+
+
+def joined(rig: Rig) -> Rig:
+    """The rig with one contact for each pair of places, which bears the names of all and the law of the first."""
+    return replace(rig, contacts=tuple(j.contact for j in joined_contacts(rig)))
+
+
+@dataclass(frozen=True)
+class JoinedLaw:
+    """The sum of the laws of contacts of one pair of places, over the relative displacement of the first."""
+
+    laws: tuple[ContactLaw, ...]
+    signs: tuple[int, ...]
+
+    @property
+    def clearances_m(self) -> tuple[float, float]:
+        """How far away the nearest stop is, below and above."""
+        sides = [
+            (law.lower_clearance_m, law.upper_clearance_m)[::sign]
+            for law, sign in zip(self.laws, self.signs, strict=True)
+        ]
+        lower, upper = zip(*sides, strict=True)
+        return min(lower), min(upper)
+
+    def force_n(self, eta_m: Values, rate_m_per_s: Values | float = 0.0, time_s: Values | float = 0.0) -> Values:
+        pairs = zip(self.signs, self.laws, strict=True)
+        return np.asarray(sum(sign * law.force_n(sign * eta_m, sign * rate_m_per_s, time_s) for sign, law in pairs))
+
+
+def joined_laws(rig: Rig) -> tuple[JoinedLaw, ...]:
+    """Of every pair of places."""
+    return tuple(JoinedLaw(tuple(rig.contacts[j].law for j in p.members), p.signs) for p in joined_contacts(rig))
