@@ -51,6 +51,11 @@ class Kinematics:
     acceleration_m_per_s2: Float[np.ndarray, "stations samples"]
     lost_m_per_s2: Float[np.ndarray, "stations samples"]
     excited_from: int
+    start_s: float = 0.0
+
+    def time_s(self, samples: int, factor: int = 1) -> Float[np.ndarray, " samples"]:
+        """When every `factor`-th of the first samples was taken."""
+        return self.start_s + np.arange(samples) * factor / self.sample_rate_hz
 
     @property
     def quiet_samples(self) -> int:
@@ -71,6 +76,7 @@ class Kinematics:
             acceleration_m_per_s2=self.acceleration_m_per_s2[:, now],
             lost_m_per_s2=self.lost_m_per_s2[:, now],
             excited_from=max(0, self.excited_from - (now.start or 0)),
+            start_s=self.start_s + (now.start or 0) / self.sample_rate_hz,
         )
 
     @property
@@ -147,6 +153,7 @@ def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNE
         acceleration_m_per_s2=moved_by[2],
         lost_m_per_s2=lost,
         excited_from=excited_from,
+        start_s=recording.start_s,
     )
 
 

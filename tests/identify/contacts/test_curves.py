@@ -1,14 +1,16 @@
 """What is exported is what the identification found, in every format."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from pyarrow import parquet
 from scipy.io import loadmat
 
-from identify.contacts.curves import WRITERS, curves, save_curves
+from identify.contacts.curves import curves
 from identify.contacts.identification import identify_contact
+from identify.pages.tables import WRITERS, save_tables
 from tests.fuzz.readers import sound_recording
 
 
@@ -30,12 +32,19 @@ def read_back(path):
 
 @pytest.mark.parametrize("form", WRITERS)
 def test_every_curve_comes_back(found, tmp_path, form):
-    save_curves(found, tmp_path, form)
+    save_tables(curves(found), tmp_path, form)
     for name, table in curves(found).items():
         names, rows = read_back(tmp_path / f"{name}.{form}")
         assert names == list(table)
         np.testing.assert_array_equal(rows, [*table.values()])
     assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_times_are_those_of_the_record(found):
+    """Also where its beginning is left out, as it does not begin at rest."""
+    later = replace(found, motion=found.motion.part(slice(100, None)))
+    for table in ("motion", "surface"):
+        assert curves(later)[table]["time_s"][0] == 100 / found.motion.sample_rate_hz
 
 
 def test_the_curves_hold_the_law(found):
