@@ -10,7 +10,7 @@ from identify.laws.identification import ENDS, FoundLaw
 from identify.pages.picture import Picture
 from identify.pages.style import BLUE, GREEN, GREY, RED, picture
 
-SHOWN = 1000
+SHOWN = 400
 """Samples of the force that the section over time shows."""
 
 
@@ -41,7 +41,7 @@ def _law(figure: Any, laws: Sequence[FoundLaw]) -> None:
         axes.set(title=law.result.contact)
         below.set(xlabel="η, mm")
     upper[0].set_ylabel("contact force, N")
-    lower[0].set_ylabel("less the\nlaw, N")
+    lower[0].set_ylabel("left over, N")
     _legend(figure, upper)
 
 
