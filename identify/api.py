@@ -363,8 +363,9 @@ def gap(
             matters or Matters(),
             next_experiment,
         )
+        used = every if validation is None else [*every, validation]
         findings = [f for one in given.values() for f in check_recording(one, tolerances=_believed(tolerances))]
-    return GapResult(found, corrected, _title(every, first), tuple(dict.fromkeys(findings)), _files(every))
+    return GapResult(found, corrected, _title(every, first), tuple(dict.fromkeys(findings)), _files(used))
 
 
 def compare(
@@ -421,7 +422,7 @@ def _title(sources: Sequence[Source], first: Recording) -> str:
 
 
 def _files(sources: Sequence[Source]) -> tuple[Path, ...]:
-    return tuple(Path(one) for one in sources if not isinstance(one, Recording))
+    return tuple(dict.fromkeys(Path(one) for one in sources if not isinstance(one, Recording)))
 
 
 def _interval(estimates: Mapping[str, Estimate]) -> Row:
