@@ -128,6 +128,8 @@ class LawResult:
     """The contact laws as formulae. `report` has what law.json has."""
 
     found: Laws = field(repr=False)
+    title: str
+    sources: tuple[Path, ...] = ()
 
     @property
     def report(self) -> LawReport:
@@ -147,21 +149,19 @@ class LawResult:
 
     @cached_property
     def figures(self) -> dict[str, Picture]:
-        """All figures by their names: one, if a law was found."""
+        """All figures by their names, if a law was found."""
         from identify.laws.figures import drawn
 
-        return {"law": drawn(self.found.found)} if self.found.found else {}
+        return drawn(self.found.found)
 
     def figure(self, name: str = "law") -> Picture:
         return _named(self.figures, name)
 
     def save(self, folder: str | Path) -> None:
-        """Writes law.png and law.json."""
-        out = Path(folder)
-        make_folder(out)
-        for name, picture in self.figures.items():
-            picture.save(out / f"{name}.png")
-        write_json(self.report, out / "law.json")
+        """Writes law.html, a page that stands alone, the figures, and law.json."""
+        from identify.laws.report import write_results
+
+        write_results(self.found, Path(folder), self.title, self.sources)
 
     def __str__(self) -> str:
         lines = [f"{one.contact}: {one.verdict}; {one.formula}" for one in self.report.laws]
@@ -307,8 +307,9 @@ def law(
 
     Needs the package pyoperon. Raises RigError if the recording does not allow it.
     """
+    given = _recording(recording)
     found = identify_law(
-        _recording(recording),
+        given,
         contact=contact,
         use=use,
         seconds=seconds,
@@ -316,7 +317,7 @@ def law(
         tolerances=_believed(tolerances),
         progress=progress,
     )
-    return LawResult(found)
+    return LawResult(found, _title([recording], given), _files([recording]))
 
 
 def gap(
@@ -363,7 +364,8 @@ def gap(
             matters or Matters(),
             next_experiment,
         )
-    return GapResult(found, corrected, _title(every, first), tuple(dict.fromkeys(findings)), _files(every))
+    used = every if validation is None else [*every, validation]
+    return GapResult(found, corrected, _title(every, first), tuple(dict.fromkeys(findings)), _files(used))
 
 
 def compare(
@@ -420,7 +422,7 @@ def _title(sources: Sequence[Source], first: Recording) -> str:
 
 
 def _files(sources: Sequence[Source]) -> tuple[Path, ...]:
-    return tuple(Path(one) for one in sources if not isinstance(one, Recording))
+    return tuple(dict.fromkeys(Path(one) for one in sources if not isinstance(one, Recording)))
 
 
 def _interval(estimates: Mapping[str, Estimate]) -> Row:

@@ -13,13 +13,16 @@ from rich.text import Text
 
 import identify
 from identify.checks import Finding
+from identify.commands.exporting import Export, check_export
 from identify.commands.gap import gap
 from identify.commands.history import compare, history
-from identify.contacts.curves import WRITERS, save_curves
+from identify.contacts.curves import curves
 from identify.contacts.identified_rig import identified_rig
 from identify.contacts.pooled import LARGE_BYTES, SEGMENT_S, identify_long
 from identify.contacts.results import ContactReport, Estimate, Segments
+from identify.laws.curves import curves as law_curves
 from identify.laws.results import LawReport
+from identify.pages.tables import save_tables
 from identify.pages.wording import interval
 from identify.signals.kinematics import Use
 from identify.signals.spectra import POWERS, Averaging
@@ -120,10 +123,7 @@ def contact(
         float | None,
         typer.Option(help="Identify so many seconds at a time and pool them, as is done with files of over 64 MB."),
     ] = None,
-    export: Annotated[
-        str | None,
-        typer.Option(help=f"Write the curves of the figures to the folder too, as {', '.join(WRITERS)}."),
-    ] = None,
+    export: Export = None,
     as_json: Json = False,
     force: Force = False,
 ) -> None:
@@ -135,9 +135,7 @@ def contact(
         raise typer.BadParameter(f"{use!r} is none of {', '.join(get_args(Use))}", param_hint="--use")
     if window not in POWERS:
         raise typer.BadParameter(f"{window!r} is none of {', '.join(POWERS)}", param_hint="--window")
-    if export is not None and (export not in WRITERS or out is None):
-        sentence = "needs --out, its folder" if export in WRITERS else f"{export!r} is none of {', '.join(WRITERS)}"
-        raise typer.BadParameter(sentence, param_hint="--export")
+    check_export(export, out)
     averaging = Averaging(averages=averages, block_s=block, overlap=overlap, window=window, band_hz=band)
     if out is not None:
         for name in ("contact.json", "contact.html", "rig.json"):
@@ -169,7 +167,7 @@ def _whole(
     if out is not None:
         found.save(out)
         if export is not None:
-            save_curves(found.found, out, export)
+            save_tables(curves(found.found), out, export)
     return found.report
 
 
@@ -193,10 +191,11 @@ def _by_segments(
 def law(
     file: Annotated[Path, typer.Argument(help="The recording, an .mcap file.")],
     contact: Annotated[str | None, typer.Option(help="The contact's name; otherwise all of them.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for law.json and law.png.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for law.html, a page, law.json and the figures.")] = None,
     use: Annotated[str, typer.Option(help=f"Which sensors: {', '.join(get_args(Use))}.")] = "auto",
     seconds: Annotated[float, typer.Option(help="Longest search, s, shared by the contacts.")] = 60.0,
     seed: Annotated[int, typer.Option(help="Of the search and of the points drawn for it.")] = 0,
+    export: Export = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print law.json on standard output.")] = False,
     force: Force = False,
 ) -> None:
@@ -208,8 +207,9 @@ def law(
     """
     if use not in get_args(Use):
         raise typer.BadParameter(f"{use!r} is none of {', '.join(get_args(Use))}", param_hint="--use")
+    check_export(export, out)
     if out is not None:
-        for name in ("law.json", "law.png"):
+        for name in ("law.json", "law.html"):
             refuse_existing(out / name, force, file, new_folder=True)
     with progress_bar(f"searching the laws of {file.name}") as progress:
         found = identify.law(
@@ -217,6 +217,8 @@ def law(
         )
     if out is not None:
         found.save(out)
+        if export is not None:
+            save_tables(law_curves(found.found.found), out, export)
     if as_json:
         sys.stdout.buffer.write(msgspec.json.encode(found.report) + b"\n")
     else:

@@ -8,7 +8,9 @@ import msgspec
 import typer
 
 from identify.api import gap as diagnosed
+from identify.commands.exporting import Export, check_export
 from identify.gaps.results import Matters
+from identify.pages.tables import save_tables
 from rig.commands.command_line import Force, Json, literal_console, progress_bar, refuse_existing
 
 
@@ -57,6 +59,7 @@ def gap(
             "--next-experiment", help="Compute which further recording would tell two causes apart (minutes)."
         ),
     ] = False,
+    export: Export = None,
     as_json: Json = False,
     force: Force = False,
 ) -> None:
@@ -66,6 +69,7 @@ def gap(
 
     identify gap january.mcap april.mcap july.mcap --out results
     """
+    check_export(export, out)
     if out is not None:
         sources = [*real, *(path for path in (validate, null_reference, rig) if path)]
         for name in ("gap.json", "gap.html", "rig.json"):
@@ -90,6 +94,10 @@ def gap(
         )
     if out is not None:
         found.save(out)
+        if export is not None:
+            from identify.gaps.page.curves import curves
+
+            save_tables(curves(found.report), out, export)
     if as_json:
         sys.stdout.buffer.write(msgspec.json.encode(found.report) + b"\n")
     else:

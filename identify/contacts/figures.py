@@ -73,7 +73,7 @@ def _outputs(figure: Any, found: Identification, _marks: Marks, _marks_name: str
     at_hz = np.fft.rfftfreq(2 * measured.size, 1 / rate)
     frf = np.where(at_hz >= low_hz, receptance(equation.frequency_hz, equation.damping_ratio, at_hz), 0.0)
     free = np.fft.irfft(spectrum * frf)[: measured.size]
-    time = np.arange(measured.size) / rate
+    time = found.motion.time_s(measured.size)
     shown_s = min(3.0, 15 / max(equation.frequency_hz, 5.0))
     shown = slice(int(0.4 * measured.size), int(0.4 * measured.size) + int(shown_s * rate))
     upper, lower = figure.subplots(2, 1)
@@ -164,7 +164,7 @@ def _histogram(figure: Any, found: Identification, marks: Marks, marks_name: str
         eta = found.eta_m[place.members[0]]
         start = int(0.4 * eta.size)
         shown = slice(start, start + int(min(4.0, 0.3 * eta.size / rate) * rate))
-        axes[j][0].plot(np.arange(eta.size)[shown] / rate, 1e3 * eta[shown], color=BLUE, lw=0.8, label="η")
+        axes[j][0].plot(found.motion.time_s(eta.size)[shown], 1e3 * eta[shown], color=BLUE, lw=0.8, label="η")
         axes[j][1].hist(
             1e3 * eta[found.motion.excited_from :],
             bins=120,

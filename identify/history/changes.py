@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime
 
 import msgspec
 import numpy as np
@@ -22,9 +23,10 @@ Row = Float[np.ndarray, " recordings"]
 
 
 class Observation(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One recording: its name, what it tells, or why it tells nothing."""
+    """One recording: its name, when it was recorded where its provenance says so, what it tells, or why nothing."""
 
     name: str
+    recorded: datetime | None = None
     report: ContactReport | None = None
     reason: str = ""
 

@@ -13,7 +13,7 @@ from identify.signals.kinematics import Use
 from rig.errors import RigError
 from rig.files import contents
 from rig.model.tolerances import Tolerances
-from rig.recording import read, recordings_in
+from rig.recording import read, recorded_at, recordings_in
 
 RESULT = "contact.json"
 
@@ -40,15 +40,21 @@ def observations(
     """One after the other; a recording that cannot be read or identified tells the reason."""
     for number, source in enumerate(sources):
         try:
-            yield Observation(name=source.name, report=_report(source, use, tolerances))
+            yield _observed(source, use, tolerances)
         except RigError as error:
             yield Observation(name=source.name, reason=str(error))
         progress((number + 1) / len(sources))
 
 
-def _report(source: Path, use: Use, tolerances: Tolerances | None) -> ContactReport:
+def _observed(source: Path, use: Use, tolerances: Tolerances | None) -> Observation:
     if source.suffix == ".mcap":
-        return identify_contact(read(source), use=use, tolerances=tolerances).report
+        recording = read(source)
+        report = identify_contact(recording, use=use, tolerances=tolerances).report
+        return Observation(name=source.name, recorded=recorded_at(recording.provenance), report=report)
+    return Observation(name=source.name, report=_report(source))
+
+
+def _report(source: Path) -> ContactReport:
     path = source / RESULT if source.is_dir() else source
     try:
         return msgspec.json.decode(contents(path), type=ContactReport)

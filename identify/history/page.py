@@ -7,12 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
-from identify.history.changes import FEWEST, LEVEL, UNITS, History, QuantityHistory
+from identify.history.changes import FEWEST, LEVEL, UNITS, History, Observation, QuantityHistory
 from identify.pages import page
 from identify.pages.picture import Picture
 from identify.pages.wording import COVERED, interval, number
 
+ORDER = "recording, in order"
+SPANS = (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0))
 WORDS = {
     "clearance_m": ("clearance", "mm", 1e3),
     "stiffness_n_per_m": ("stiffness", "N/m", 1.0),
@@ -60,14 +63,32 @@ def csv_of(history: History) -> bytes:
     """history.csv: a row a recording and quantity, half of the 95 % intervals of the value and of its differences."""
     text = StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["recording", "of", "quantity", "unit", "value", "within_95", "own_within_95"])
+    writer.writerow(["recording", "recorded", "of", "quantity", "unit", "value", "within_95", "own_within_95"])
     for found in history.quantities:
         columns = zip(history.used, found.values, found.standard_errors, found.own_errors, strict=True)
         for observation, value, *errors in columns:
             if value is not None:
                 halves = ["" if not error else repr(COVERED * error) for error in errors]
-                writer.writerow([observation.name, found.of, found.quantity, found.unit, repr(value), *halves])
+                writer.writerow(
+                    [observation.name, _when(observation), found.of, found.quantity, found.unit, repr(value), *halves]
+                )
     return text.getvalue().encode()
+
+
+def _when(observation: Observation) -> str:
+    """Empty where it is not known."""
+    return f"{observation.recorded:%Y-%m-%dT%H:%M:%SZ}" if observation.recorded else ""
+
+
+def _along(history: History) -> tuple[Float[np.ndarray, " recordings"], str]:
+    """Where each recording stands on the axis, and its label: the time since the first if all tell theirs and it
+    ascends, else the order."""
+    dates = [observation.recorded for observation in history.used if observation.recorded]
+    since_s = np.array([(date - dates[0]).total_seconds() for date in dates])
+    if since_s.size < len(history.used) or not np.all(np.diff(since_s) > 0):
+        return np.arange(1.0, len(history.used) + 1), ORDER
+    unit, length_s = next(one for one in SPANS if since_s[-1] >= 2 * one[1] or one is SPANS[-1])
+    return since_s / length_s, f"time since {dates[0]:%Y-%m-%d %H:%M} UTC, {unit}"
 
 
 def drawn(history: History) -> Picture:
@@ -76,6 +97,7 @@ def drawn(history: History) -> Picture:
 
     colours = (BLUE, RED, GREEN, GREY)
     names = list(dict.fromkeys(q.of for q in history.quantities if q.quantity in UNITS))
+    along, label = _along(history)
 
     def draw(figure: Any) -> None:
         both = figure.subplots(2, 1, sharex=True)
@@ -84,14 +106,15 @@ def drawn(history: History) -> Picture:
             for place, found in enumerate(own):
                 values = np.array([np.nan if v is None else v for v in found.values])
                 errors = np.array([np.nan if e is None else e for e in found.own_errors])
-                at = np.arange(1, values.size + 1) + 0.08 * (place - (len(own) - 1) / 2)
+                at = along + 0.08 * np.diff(along).min() * (place - (len(own) - 1) / 2)
                 off, reach = 100 * (values / found.mean - 1), 100 * COVERED * errors / found.mean
                 colour = colours[place % len(colours)]
                 axes.errorbar(at, off, reach, fmt="o-", ms=4, lw=0.8, color=colour, label=found.of, capsize=2)
             axes.set_ylabel(f"{WORDS[quantity][0]}, % off its mean")
         both[0].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        both[1].set_xlabel("recording, in order")
-        both[1].xaxis.get_major_locator().set_params(integer=True)
+        both[1].set_xlabel(label)
+        if label == ORDER:
+            both[1].xaxis.get_major_locator().set_params(integer=True)
 
     return picture(draw)
 
@@ -125,7 +148,7 @@ def _sections(history: History, figure: Picture) -> list[tuple[str, str]]:
     head = ("", "mean", "first to last, along the trend", "p of the trend", "p of the differences")
     found = [("Over the recordings", page.figure("history", figure, caption))]
     found.append(("What changed", note + page.table(head, rows(history))))
-    found.append(("The recordings", page.table(("", "", "told"), _recordings(history))))
+    found.append(("The recordings", page.table(("", "recording", "recorded, UTC", "told"), _recordings(history))))
     return found
 
 
@@ -133,8 +156,18 @@ def _recordings(history: History) -> Iterator[Sequence[str]]:
     used = 0
     for observation in history.observations:
         if observation.report is None:
-            yield "", observation.name, f"left out: {observation.reason}"
+            yield (
+                "",
+                observation.name,
+                f"{observation.recorded:%Y-%m-%d %H:%M}" if observation.recorded else "",
+                f"left out: {observation.reason}",
+            )
         else:
             used += 1
             findings = "; ".join(f.sentence for f in observation.report.findings)
-            yield str(used), observation.name, f"not to be relied on: {findings}" if findings else "used"
+            yield (
+                str(used),
+                observation.name,
+                f"{observation.recorded:%Y-%m-%d %H:%M}" if observation.recorded else "",
+                f"not to be relied on: {findings}" if findings else "used",
+            )

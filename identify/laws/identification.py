@@ -62,6 +62,18 @@ class FoundLaw:
     pieces: PiecewiseLinear
     sliding: SlidingFriction | None
     record: Sampled
+    time_s: Float[np.ndarray, " samples"]
+    """Of the force's samples."""
+
+    @property
+    def drawn(self) -> str:
+        """The law that stands beside the force over time."""
+        return SLIDING if self.sliding else "straight pieces"
+
+    @property
+    def drawn_n(self) -> Float[np.ndarray, " samples"]:
+        """Its force, low-passed as the separated one is."""
+        return self.record.low_passed((self.sliding or self.pieces)(self.record.eta_m))
 
 
 @dataclass(frozen=True)
@@ -187,7 +199,8 @@ def _law(contacts: Contacts, place: Joined, seen: ContactRecord, seconds: float,
         points=drawn.size,
         repeatable=not searched.out_of_time,
     )
-    return FoundLaw(result, eta, force, formula, pieces, sliding, record)
+    time_s = contacts.motion.time_s(record.force_n.size, seen.factor)
+    return FoundLaw(result, eta, force, formula, pieces, sliding, record, time_s)
 
 
 def _complete(seen: ContactRecord, joint: Joint | None) -> tuple[Sampled, Float[np.ndarray, " more"]]:

@@ -14,6 +14,10 @@ MOST_POINTS = 2500
 _PX_PER_IN, _PX_PER_POINT = 100, 1.33
 _LEAST_PX, _NARROWEST_PX = 180, 290
 """Height of a panel; panels that would be narrower than the other stand one below the other."""
+_LONG = 30
+"""Of a label, in letters: longer ones stand one below the other, as a phone has no room for two."""
+_PLAIN_POWER = 7
+"""Below ten to it, numbers at an axis are written out."""
 _DASHES = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dashdot"}
 _MARKERS = {"^": "triangle", "v": "inverted_triangle", "|": "dash", "_": "dash"}
 _BAR = "<colorbar>"
@@ -93,7 +97,9 @@ def _plot(axes: Any, figure: Any, ranges: dict[Any, Any]) -> Any:
         drawn.axis_label = PlainText(text=_label(axes, axis))
         drawn.axis_label_text_font_style = "normal"
         if axis.get_scale() == "log":
-            drawn.formatter = PrintfTickFormatter(format="%g")
+            drawn.formatter = PrintfTickFormatter(format="%.6g")
+        else:
+            drawn.formatter.power_limit_high = _PLAIN_POWER
     if axes.get_title():
         plot.title = Title(text=PlainText(text=axes.get_title()))
     by_label: dict[str, list[Any]] = {}
@@ -101,8 +107,12 @@ def _plot(axes: Any, figure: Any, ranges: dict[Any, Any]) -> Any:
         by_label.setdefault(label, []).append(renderer)
     shown = {label: each for label, each in by_label.items() if label[:1] not in ("", "_")}
     if shown:
+        longest = max(map(len, shown))
         items = [LegendItem(label={"value": label}, renderers=each) for label, each in shown.items()]
-        plot.add_layout(Legend(items=items, click_policy="hide", ncols=2, label_text_font_size="11px"), "above")
+        plot.add_layout(
+            Legend(items=items, click_policy="hide", ncols=1 if longest > _LONG else 2, label_text_font_size="11px"),
+            "above",
+        )
         plot.legend.update(location="top_left", border_line_color=None, padding=0, spacing=6, margin=0, glyph_height=14)
     plot.add_tools(HoverTool(tooltips=[("x", "$x{0.[0000]}"), ("y", "$y{0.[0000]}")]))
     return plot

@@ -38,6 +38,7 @@ overflow-wrap:break-word}th{color:var(--dim);font-weight:600}td.number{white-spa
 align-items:start}
 img{width:100%;max-width:34rem;height:auto;background:#fff;border:1px solid var(--line);border-radius:.3rem}
 figure{margin:1rem 0}figure div{overflow-x:auto}figure img{max-width:46rem;min-width:30rem;display:block}
+.pictures figure img{min-width:0}
 figcaption{color:var(--dim);font-size:.9rem;margin-top:.2rem}
 summary{cursor:pointer;color:var(--dim)}
 @media(max-width:40rem){table{font-size:.85rem}th,td{padding-right:.5rem}td{overflow-wrap:anywhere;min-width:5.5rem}}

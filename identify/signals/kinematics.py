@@ -35,7 +35,7 @@ class Kinematics:
     sensors tells which sensor gave the acceleration of each station, and displaced_by which gave its displacement.
     trusted_hz is the band in which every row is right. zero_known says whether a constant displacement is seen.
     lost is the slow part of the acceleration that an integrated displacement at a contact lacks; zero elsewhere.
-    excited_from is the first sample at which the force has begun; 0 of a record without a quiet start. first_s is the
+    excited_from is the first sample at which the force has begun; 0 of a record without a quiet start. start_s is the
     time of the first sample in the record.
     """
 
@@ -52,7 +52,11 @@ class Kinematics:
     acceleration_m_per_s2: Float[np.ndarray, "stations samples"]
     lost_m_per_s2: Float[np.ndarray, "stations samples"]
     excited_from: int
-    first_s: float = 0.0
+    start_s: float = 0.0
+
+    def time_s(self, samples: int, factor: int = 1) -> Float[np.ndarray, " samples"]:
+        """When every `factor`-th of the first samples was taken."""
+        return self.start_s + np.arange(samples) * factor / self.sample_rate_hz
 
     @property
     def quiet_samples(self) -> int:
@@ -73,7 +77,7 @@ class Kinematics:
             acceleration_m_per_s2=self.acceleration_m_per_s2[:, now],
             lost_m_per_s2=self.lost_m_per_s2[:, now],
             excited_from=max(0, self.excited_from - (now.start or 0)),
-            first_s=self.first_s + (now.start or 0) / self.sample_rate_hz,
+            start_s=self.start_s + (now.start or 0) / self.sample_rate_hz,
         )
 
     @property
@@ -150,6 +154,7 @@ def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNE
         acceleration_m_per_s2=moved_by[2],
         lost_m_per_s2=lost,
         excited_from=excited_from,
+        start_s=recording.start_s,
     )
 
 

@@ -55,7 +55,7 @@ def import_(
     if as_json:
         print(json.dumps({"recording": str(out), "history": steps}))
         return
-    print(f"{out}: imported from {source}")
+    print(f"{out}: imported from {source}; next: identify check {out}")
     for step in steps:
         say(f"  {step}")
 

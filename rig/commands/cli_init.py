@@ -51,7 +51,10 @@ def _command(name: str, kind: Kind) -> Callable[..., None]:
             return
         for note in notes:
             print(note)
-        print(f"{', '.join(map(str, written))}: written; next: rig draw {written[0]}")
+        print(
+            f"{', '.join(map(str, written))}: written; next: rig draw {written[0]}; name your file's columns in "
+            f"{written[1].name}, then rig import FILE --map {written[1]} --out FILE.mcap"
+        )
 
     command.__doc__ = f"{kind.__doc__}\n\nExample: rig init {name} {_EXAMPLES[name]}"
     options = [

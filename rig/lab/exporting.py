@@ -12,7 +12,8 @@ from jaxtyping import Float
 from rig.extras import needs_extra
 from rig.files import atomic_write, write_bytes
 from rig.lab.containers import write_hdf5, write_mdf
-from rig.model.description import to_json
+from rig.lab.mode_shapes import mode_shapes, nodes_of
+from rig.model.description import Station, to_json
 from rig.model.quantities import QUANTITIES
 from rig.recording import RIG_NAME, Recording
 from rig.recording.channels import Channels
@@ -64,30 +65,39 @@ def _write_csv(recording: Recording, path: Path, progress: Callable[[float], Non
 
 
 def _write_uff(recording: Recording, path: Path, _: Callable[[float], None]) -> None:
+    """Nodes and modes of the bodies, then every channel, which stands at a node."""
     with needs_extra("lab", f"{path}: a UFF file"):
         import pyuff
 
     time_s = recording.signals["force"].time_s
+    nodes = nodes_of(recording.rig)
+
+    def node(station: Station | None) -> int:
+        return nodes[station] if station else 0
+
     datasets = [
-        {
-            "type": 58,
-            "binary": 1,
-            "id1": name,
-            "func_type": 1,
-            "rsp_node": number,
-            "rsp_dir": 3,
-            "ref_node": 0,
-            "ref_dir": 0,
-            "abscissa_spacing": 1,
-            "abscissa_spec_data_type": _UFF_TIME,
-            "abscissa_axis_units_lab": "s",
-            "ordinate_spec_data_type": _UFF_KINDS[group],
-            "ordinate_axis_units_lab": recording.signals[group].channels.unit,
-            "orddenom_spec_data_type": 0,
-            "x": time_s,
-            "data": row,
-        }
-        for group, number, name, row in _rows(recording)
+        *mode_shapes(recording.rig, nodes),
+        *(
+            {
+                "type": 58,
+                "binary": 1,
+                "id1": name,
+                "func_type": 1,
+                "rsp_node": node(recording.signals[group].channels.stations[number - 1]),
+                "rsp_dir": 3,
+                "ref_node": 0,
+                "ref_dir": 0,
+                "abscissa_spacing": 1,
+                "abscissa_spec_data_type": _UFF_TIME,
+                "abscissa_axis_units_lab": "s",
+                "ordinate_spec_data_type": _UFF_KINDS[group],
+                "ordinate_axis_units_lab": recording.signals[group].channels.unit,
+                "orddenom_spec_data_type": 0,
+                "x": time_s,
+                "data": row,
+            }
+            for group, number, name, row in _rows(recording)
+        ),
     ]
     path.unlink(missing_ok=True)
     try:

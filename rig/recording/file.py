@@ -202,13 +202,19 @@ def _records(name: str, group: Channels, block_id: int, preview_ids: Sequence[in
         yield preview_record(preview_id, name, sensor, group.unit)
 
 
-def began_ns(provenance: Mapping[str, str]) -> int:
-    """The date at which a record begins, ns since 1970; 0 where it is not known."""
+def recorded_at(provenance: Mapping[str, str]) -> datetime | None:
+    """The date at which a record begins, in UTC; None where it is not known."""
     try:
         began = datetime.fromisoformat(provenance[RECORDED])
-    except (KeyError, ValueError):
-        return 0
-    return max(0, round((began if began.tzinfo else began.replace(tzinfo=UTC)).timestamp() * 1e9))
+        return began.astimezone(UTC) if began.tzinfo else began.replace(tzinfo=UTC)
+    except (KeyError, ValueError, OverflowError):
+        return None
+
+
+def began_ns(provenance: Mapping[str, str]) -> int:
+    """The same, ns since 1970; 0 where it is not known."""
+    began = recorded_at(provenance)
+    return max(0, round(began.timestamp() * 1e9)) if began else 0
 
 
 @contextmanager

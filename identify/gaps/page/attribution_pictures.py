@@ -14,10 +14,11 @@ _ROW_IN, _FRAME_IN, _HEIGHT_IN = 0.3, 1.0, 3.2
 
 
 def drawn(where: Attribution) -> Iterator[tuple[str, float, Callable[[Any], None]]]:
-    """Name, height in inches, and the function that draws."""
-    if where.positions_m:
+    """Name, height in inches, and the function that draws; not where all shares are zero, as the acceleration's of a
+    single mass, whose gap lies in the contact force."""
+    if any(any(stations.values()) for stations in where.positions_m.values()):
         yield "positions", 0.6 + 1.5 * len(where.positions_m), partial(_positions, bodies=where.positions_m)
-    if where.band_hz:
+    if any(s.share for s in where.band_hz):
         yield "band", _HEIGHT_IN, partial(_row, shares=where.band_hz, title="By frequency", along="band, Hz")
     for name, shares, title in (
         ("channels", where.channels, "By channel"),
@@ -25,9 +26,9 @@ def drawn(where: Attribution) -> Iterator[tuple[str, float, Callable[[Any], None
         ("parts", where.parts, "Linear structure or contact laws"),
         ("contact_state", where.contact_state, "By contact state"),
     ):
-        if shares:
+        if any(shares.values()):
             yield name, _FRAME_IN + _ROW_IN * len(shares), partial(_bars, shares=shares, title=title)
-    if where.time_s:
+    if any(s.share for s in where.time_s):
         yield "time", _HEIGHT_IN, partial(_row, shares=where.time_s, title="Over time", along="time, s")
     for j, (contact, surface) in enumerate(where.surface.items(), 1):
         yield f"surface_{j}", _HEIGHT_IN, partial(_surface, surface=surface, contact=contact)

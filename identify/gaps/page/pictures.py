@@ -34,7 +34,7 @@ def _drawn(gap: Gap, rig: Rig) -> Iterator[tuple[str, tuple[float, float], Draw]
     if gap.next_experiments:
         height = _FRAME_IN + _ROW_IN * len(gap.next_experiments)
         yield "next_experiments", (_WIDE_IN, height), partial(_experiments, gap=gap)
-    if gap.bands:
+    if any(b.before or b.after or b.usual for b in gap.bands):
         yield "large_bands", (_WIDE_IN, 3.6), partial(_bands, gap=gap)
     if gap.causes:
         rows = 1.5 * min(len(gap.causes), MOST_CAUSES) + 2

@@ -158,7 +158,7 @@ def where(found: Attribution) -> str:
         "contact state": found.contact_state,
         "time": _by_name(found.time_s, "s"),
     }
-    cuts = {name: shares for name, shares in cuts.items() if shares}
+    cuts = {name: shares for name, shares in cuts.items() if any(shares.values())}
     tops = {name: max(shares.items(), key=lambda item: item[1]) for name, shares in cuts.items()}
     largest = [(name, part, percent(share)) for name, (part, share) in tops.items()]
     every = [(name, part, percent(share)) for name, shares in cuts.items() for part, share in shares.items()]

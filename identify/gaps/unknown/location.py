@@ -1,6 +1,6 @@
 """Where an unmeasured force acts: every place of every body, pairs between two bodies, sensors, a drifting modulus."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
@@ -11,7 +11,7 @@ from jaxtyping import Complex
 from identify.gaps.unknown.evidence import Explained, cleared_of, explained, normal, without
 from identify.gaps.unknown.nuisance import drifting
 from identify.gaps.unknown.observed import WhitenedRecord, with_columns
-from rig.model.description import Rig, Station
+from rig.model.description import Rig, Sensor, Station
 
 Kind = Literal["force", "pair", "sensor", "distributed"]
 SPACING_M, FINE_M = 0.05, 0.002
@@ -69,7 +69,7 @@ def response_of(own: WhitenedRecord, candidate: ForcePlace) -> Complex[np.ndarra
 def located(own: WhitenedRecord, near: ForcePlace | None = None, within_m: float = 0.1) -> Located:
     """The best candidate of all; `near` looks at its kind only, no further than `within_m` from it."""
     before = without(own)
-    places = [c for c in candidates(own.record.rig) if near is None or _beside(c, near, within_m)]
+    places = [c for c in candidates(own.record.rig, own.record.sensors) if near is None or _beside(c, near, within_m)]
     if near is not None and near.kind != "distributed":
         places.append(near)
     cleared = cleared_of(own, before.theta)
@@ -87,8 +87,8 @@ def located(own: WhitenedRecord, near: ForcePlace | None = None, within_m: float
     return _refined(replace(first, of_kinds={one.candidate.kind: one.gain for one in best}))
 
 
-def candidates(rig: Rig) -> Iterator[ForcePlace]:
-    """Places at every 0.05 m, pairs of bodies side by side, sensors."""
+def candidates(rig: Rig, sensors: Sequence[Sensor]) -> Iterator[ForcePlace]:
+    """Places at every 0.05 m, pairs of bodies side by side, and the sensors that the record is taken from."""
     for body in rig.bodies:
         for place in _places(body.length_m):
             yield ForcePlace("force", (Station(body.name, place),))
@@ -97,8 +97,8 @@ def candidates(rig: Rig) -> Iterator[ForcePlace]:
         for place in _places(one.length_m):
             if 0 <= place + shift <= other.length_m:
                 yield ForcePlace("pair", (Station(one.name, place), Station(other.name, place + shift)))
-    if len(rig.sensors) > 1:
-        for sensor in rig.sensors:
+    if len(sensors) > 1:
+        for sensor in sensors:
             yield ForcePlace("sensor", sensor=sensor.name)
 
 

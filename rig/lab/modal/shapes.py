@@ -24,7 +24,10 @@ class ModeShapes:
     def __init__(self, file: UffFile, choice: Choice) -> None:
         self.file = file
         sets = sorted((_mode(file, one) for one in file.sets[55]), key=lambda mode: mode.frequency_hz)
+        sets = [mode for mode in sets if set(choice.nodes) <= set(mode.shapes)] or sets
         shared = set.intersection(*(set(mode.shapes) for mode in sets))
+        if not (shared or choice.nodes):
+            raise file.wrong("no node is in all its mode shapes, as of several bodies; name those of one by nodes")
         self.nodes, self.places, self.length_m, told = line_of(file, choice, shared)
         vectors = np.array([[mode.shapes[node] for node in self.nodes] for mode in sets])  # modes nodes 3
         size = np.sqrt(np.sum(np.abs(vectors) ** 2, axis=1))

@@ -6,6 +6,7 @@ from html.parser import HTMLParser
 from io import BytesIO, StringIO
 
 import msgspec
+import numpy as np
 import pytest
 from matplotlib.image import imread
 from msgspec.structs import replace
@@ -14,6 +15,7 @@ from rich.console import Console
 from identify.gaps.decision.causes import equivalent
 from identify.gaps.decision.sentence import sentence
 from identify.gaps.page.advice import next_steps, rest_hz
+from identify.gaps.page.curves import curves
 from identify.gaps.page.pictures import pictures
 from identify.gaps.page.report import write_all, write_page
 from identify.gaps.page.screen import shown
@@ -306,3 +308,18 @@ def test_a_browser_shows_all_of_it_on_a_phone(opened, written):
     assert len(seen.pictures_px) + len(seen.plots_px) == len(figures)
     assert min(*seen.pictures_px, *seen.plots_px) > 0
     assert seen.console == ()
+
+
+def test_the_exported_curves_are_those_of_the_page(diagnosis):
+    tables = curves(diagnosis)
+    assert len(tables) == len(diagnosis.curves) + bool(diagnosis.bands)
+    for place, curve in enumerate(diagnosis.curves, start=1):
+        told, measured, believed, corrected = tables[f"comparison_{place}"].items()
+        assert told == (curve.x_label, pytest.approx(curve.x))
+        for (name, values), kind in zip(
+            (measured, believed, corrected), ("measured", "believed", "corrected"), strict=True
+        ):
+            assert name == f"{curve.name}: {kind}, {curve.y_label}"
+            np.testing.assert_array_equal(values, getattr(curve, kind))
+    if diagnosis.bands:
+        np.testing.assert_array_equal(tables["bands"]["from Hz"], [band.low_hz for band in diagnosis.bands])

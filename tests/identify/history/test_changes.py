@@ -2,6 +2,7 @@
 
 import csv
 import io
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import identify
 from identify.contacts.results import ContactEstimate, ContactReport, Estimate, Mode, Surfaces
 from identify.history.changes import LEVEL, Observation, history_of
 from identify.history.observed import sources_in
-from identify.history.page import csv_of, sentence
+from identify.history.page import csv_of, drawn, sentence, write_page
 from rig.effects.contact_clearance import ContactClearance
 from rig.errors import RigError
 from rig.files import write_json
@@ -119,6 +120,35 @@ def test_what_cannot_be_compared_is_refused():
         history_of([Observation(name="a", report=report(rng)), Observation(name="b", reason="it is broken")])
 
 
+@pytest.mark.parametrize(
+    ("days", "label"),
+    [
+        ((0, 1, 9), "time since 2026-03-01 10:00 UTC, days"),
+        ((0, 0.1, 0.2), "time since 2026-03-01 10:00 UTC, hours"),
+        ((0, 9, 1), "recording, in order"),  # the trend is along the order
+        ((0, None, 1), "recording, in order"),
+    ],
+)
+def test_dates_stand_on_the_axis_where_they_ascend(days, label, tmp_path):
+    rng, first = np.random.default_rng(1), datetime(2026, 3, 1, 10, tzinfo=UTC)
+    dates = [None if day is None else first + timedelta(days=day) for day in days]
+    found = history_of([Observation(name=str(d), recorded=d, report=report(rng)) for d in dates])
+    figure = drawn(found)
+    below = figure.figure.axes[1]
+    assert below.get_xlabel() == label
+    scale = {"days": 1.0, "hours": 24.0}.get(label.split()[-1])
+    at = [scale * day for day in days] if scale else [1, 2, 3]
+    middle = np.mean([line.get_xdata() for line in below.lines[::3]], axis=0)  # the contacts stand side by side
+    np.testing.assert_allclose(middle, at, atol=1e-9)
+    write_page(found, figure, tmp_path / "history.html")
+    text = (tmp_path / "history.html").read_text(encoding="utf-8")
+    rows = list(csv.DictReader(io.StringIO(csv_of(found).decode())))
+    for date in dates:
+        if date:
+            assert f"{date:%Y-%m-%d %H:%M}" in text
+            assert f"{date:%Y-%m-%dT%H:%M:%SZ}" in {row["recorded"] for row in rows}
+
+
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory):
     """Of one mass, whose clearance wears by 2 % in all."""
@@ -146,9 +176,11 @@ def test_wear_of_a_mass_is_found_in_its_recordings_in_the_order_of_their_names(r
     found = identify.compare(sources)
     assert found.changed
     assert changed(found.report) == [("stop", "clearance_m")]
+    assert all(one.recorded for one in found.report.used)
     (worn,) = (q for q in found.report.quantities if q.changed)
     assert worn.drift.value == pytest.approx(0.02e-3, abs=1.96 * worn.drift.standard_error)
     found.save(tmp_path)
+    assert (tmp_path / "history.json").read_text().count('"recorded":') == 4
     page = (tmp_path / "history.html").read_text()
     assert "left out: " in page
     assert "run11.mcap" in page

@@ -1,19 +1,26 @@
 """The contact law found by symbolic regression: dead zone, stiffening law, formulas and straight pieces."""
 
+import csv
 import dataclasses
 import json
+import re
 import sys
+from hashlib import sha256
+from html import unescape
 
 import msgspec
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from identify.checks.findings import Finding
 from identify.commands.cli import app
 from identify.laws import CUBIC, FORMULA, PIECEWISE, Laws, identify_law, symbolic
 from identify.laws.piecewise import Sampled, slope_jumps, straight_pieces, unfiltered
+from identify.laws.report import write_page
 from identify.laws.results import LawReport
 from identify.laws.symbolic import Formula, search, simplified
+from identify.pages.wording import interval
 from identify.signals.spectra import decimated
 from rig.errors import RigError
 from rig.model.contact_laws import DeadZone, penetration_m
@@ -251,17 +258,65 @@ def test_what_cannot_be_searched_is_refused(wrong, words):
         identify_law(mass_with(gap), **wrong)
 
 
-def test_the_command_writes_the_law_and_a_figure_and_keeps_what_is_there(clearance, monkeypatch, tmp_path):
+@pytest.fixture
+def command(clearance, monkeypatch, tmp_path):
+    """`identify law` of a file whose law is that of the fixture."""
     made = Laws(LawReport(rig="one mass", laws=(clearance.result,), unanswered=()), (clearance,))
-    monkeypatch.setattr("identify.api._recording", lambda _: None)
+    (tmp_path / "some.mcap").write_bytes(b"a recording")
+    monkeypatch.setattr("identify.api._recording", lambda _: mass_with(gap))
     monkeypatch.setattr("identify.api.identify_law", lambda *_, **__: made)
-    command = ["law", "some.mcap", "--out", str(tmp_path), "--json"]
-    printed = CliRunner().invoke(app, command)
+    return ["law", str(tmp_path / "some.mcap")]
+
+
+def test_the_command_writes_the_law_and_a_figure_and_keeps_what_is_there(clearance, command, tmp_path):
+    out = ["--out", str(tmp_path / "results")]
+    printed = CliRunner().invoke(app, [*command, *out, "--json"])
     assert printed.exit_code == 0
-    written = (tmp_path / "law.json").read_bytes()
-    assert msgspec.json.decode(written, type=LawReport) == made.report
+    written = (tmp_path / "results" / "law.json").read_bytes()
+    assert msgspec.json.decode(written, type=LawReport).laws == (clearance.result,)
     assert json.loads(printed.stdout) == json.loads(written)
-    assert (tmp_path / "law.png").read_bytes().startswith(b"\x89PNG")
-    assert clearance.result.verdict in CliRunner().invoke(app, command[:2]).stdout
-    assert isinstance(CliRunner().invoke(app, command).exception, RigError)
-    assert (tmp_path / "law.json").read_bytes() == written
+    for name in ("law.png", "law_over_time.png"):
+        assert (tmp_path / "results" / name).read_bytes().startswith(b"\x89PNG")
+    assert clearance.result.verdict in CliRunner().invoke(app, command).stdout
+    assert isinstance(CliRunner().invoke(app, [*command, *out]).exception, RigError)
+    assert (tmp_path / "results" / "law.json").read_bytes() == written
+
+
+def test_the_page_of_a_law_stands_alone(clearance, command, tmp_path):
+    assert CliRunner().invoke(app, [*command, "--out", str(tmp_path)]).exit_code == 0
+    html = (tmp_path / "law.html").read_text(encoding="utf-8")
+    assert len(html) < 3e6
+    assert html.count("Bokeh.embed.embed_item") == 2
+    assert not re.search(r"<(script|link|img)[^>]*(src|href)=\"(?!data:)", html)
+    text = unescape(html)
+    for knee in clearance.result.fitted_knees_m:
+        assert interval(1e3 * knee.value, 1e3 * knee.standard_error, "mm") in text
+    assert f"some.mcap {sha256(b'a recording').hexdigest()[:12]}" in text
+    assert clearance.result.formula in text
+
+
+def test_a_finding_makes_the_page_red(clearance, tmp_path):
+    finding = Finding(cause="clock", evidence="all bodies vibrate too fast", mend="check the sampling rate")
+    report = LawReport(rig="one mass", laws=(clearance.result,), unanswered=(), findings=(finding,))
+    write_page(report, {}, "mass", tmp_path / "law.html")
+    html = (tmp_path / "law.html").read_text(encoding="utf-8")
+    assert '<div class="verdict red"><b>not to be relied on</b>' in html
+    assert finding.sentence in html
+
+
+def test_the_exported_curves_hold_the_law(command, tmp_path):
+    """The force drawn beside the separated one leaves 2 % of it, and the motion is the true one."""
+    assert CliRunner().invoke(app, [*command, "--out", str(tmp_path), "--export", "csv"]).exit_code == 0
+    names, *rows = csv.reader((tmp_path / "law_over_time.csv").read_text().splitlines())
+    assert names == ["time_s", "stop relative displacement m", "stop contact force N", "stop straight pieces N"]
+    time_s, eta, force, law = np.array(rows, dtype=float).T
+    middle = slice(force.size // 4, 3 * force.size // 4)
+    np.testing.assert_allclose(eta[middle], motion_m(time_s)[0][middle], atol=1e-5)
+    assert np.std((force - law)[middle]) < 0.02 * np.std(force)
+    _, *rows = csv.reader((tmp_path / "law_1.csv").read_text().splitlines())
+    eta, _, pieces = np.array(rows, dtype=float).T
+    closed = eta > 1.2 * UPPER_M
+    assert np.polyfit(eta[closed], pieces[closed], 1)[0] == pytest.approx(STIFFNESS, rel=0.02)
+    refused = CliRunner().invoke(app, [*command, "--export", "csv"])
+    assert refused.exit_code == 2
+    assert "its folder" in refused.output

@@ -9,12 +9,12 @@ from msgspec.structs import replace as changed
 
 from identify.gaps.unknown import UnknownForce, likeliest_force, sentence
 from identify.gaps.unknown.evidence import explained, without
-from identify.gaps.unknown.location import ForcePlace, located, response_of
+from identify.gaps.unknown.location import ForcePlace, candidates, located, response_of
 from identify.gaps.unknown.nuisance import observed
 from identify.gaps.unknown.observed import force_noise
 from rig.errors import RigError
 from rig.model.contact_laws import DeadZone
-from rig.model.description import Contact, Station
+from rig.model.description import Contact, Sensor, Station
 
 WITHIN_M = 0.01
 
@@ -45,6 +45,17 @@ def test_drag_is_found_with_its_place_and_law(damped):
     assert sentence(found).startswith(
         f"a force on the beam near {found.position_m.value:.2f} m that grows with the square of the velocity"
     )
+
+
+def test_sensors_that_the_diagnosis_does_not_use_are_no_candidates(world):
+    """As those of displacement beside accelerometers; they ended it in a traceback."""
+    laser = Sensor(name="laser", station=Station("beam", 1.0), quantity="displacement")
+    rig = changed(world.rig, sensors=(laser, *world.rig.sensors))
+    found = located(observed(replace(world.record(), rig=rig), rig))
+    assert {c.sensor for c in candidates(rig, found.observed.record.sensors)} == {
+        "",
+        *(s.name for s in world.rig.sensors),
+    }
 
 
 def test_a_tone_that_runs_before_the_excitation_is_no_noise(world):

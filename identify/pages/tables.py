@@ -1,0 +1,50 @@
+"""Curves as data: csv, mat or parquet, one file a table."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from rig.extras import needs_extra
+from rig.files import atomic_write
+
+Table = dict[str, Float[np.ndarray, " rows"]]
+"""Columns of one length by their names, which end in the unit; an empty unit is not written."""
+
+
+def save_tables(tables: Mapping[str, Table], folder: Path, form: str) -> None:
+    """A file for each, by its name, in a folder that is there; raises RigError if one cannot be written."""
+    for name, table in tables.items():
+        with atomic_write(folder / f"{name}.{form}") as part:
+            WRITERS[form](table, part)
+
+
+def _write_csv(table: Table, path: Path) -> None:
+    import csv
+
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        csv.writer(stream, lineterminator="\n").writerow(table)
+        np.savetxt(stream, np.stack([*table.values()], axis=1), fmt="%.17g", delimiter=",")
+
+
+def _write_mat(table: Table, path: Path) -> None:
+    """A matrix `values` and a cell array `names`: names of contacts are no names of variables."""
+    from scipy.io import savemat
+
+    values = np.stack([*table.values()], axis=1)
+    savemat(path, {"values": values, "names": np.array([*table], dtype=object)}, appendmat=False, do_compression=True)
+
+
+def _write_parquet(table: Table, path: Path) -> None:
+    with needs_extra("view", f"{path}: a parquet file"):
+        import pyarrow as pa
+        from pyarrow import parquet
+    parquet.write_table(pa.table(table), path)
+
+
+WRITERS: Mapping[str, Callable[[Table, Path], None]] = {
+    "csv": _write_csv,
+    "mat": _write_mat,
+    "parquet": _write_parquet,
+}
