@@ -14,6 +14,7 @@ from identify.checks import Finding, check_recording
 from identify.contacts import Identification, identify_contact
 from identify.contacts.identified_rig import identified_rig
 from identify.contacts.results import ContactReport, Estimate, Unanswered
+from identify.contacts.unforced import without_dead_force
 from identify.gaps.decision.answer import diagnose
 from identify.gaps.decision.null_reference import NULL_REFERENCE_SUFFIX
 from identify.gaps.decision.simulators import simulator_named
@@ -363,7 +364,8 @@ def gap(
             next_experiment,
         )
         findings = [f for one in given.values() for f in check_recording(one, tolerances=_believed(tolerances))]
-    return GapResult(found, corrected, _title(every, first), tuple(dict.fromkeys(findings)), _files(every))
+    told = without_dead_force(findings)  # a force channel of zeros was taken as that of a free decay
+    return GapResult(found, corrected, _title(every, first), tuple(dict.fromkeys(told)), _files(every))
 
 
 def compare(

@@ -1,5 +1,6 @@
 """The table of what is refused, in identify/README.md: every row is made, and its sentence read."""
 
+import dataclasses
 import re
 
 import numpy as np
@@ -56,6 +57,17 @@ def laboratory(name):
     )
 
 
+def laboratory_gap(test, **given):
+    """A test of `scenarios.laboratory_tests` whose force channel is zero, diagnosed."""
+
+    def run(folder):
+        recorded = laboratory_tests.recorded(dataclasses.replace(test, **given), folder / "r.mcap", duration_s=26.0)
+        recorded.signals["force"].values[:] = 0.0
+        identify.gap(recorded)
+
+    return run
+
+
 def two_stops(folder):
     case = topologies.RIGS["two stops on one mass"]
     identify.contact(topologies.recorded(case, folder / "r.mcap", duration_s=12.0))
@@ -93,7 +105,14 @@ CASES = {name: laboratory(name) for name in laboratory_tests.REFUSED} | {
     "two stops on one mass": two_stops,
     "strain gauges alone": contact(BarrelCradle(sensors="strain").rig()),
     "a record of 4 s": contact(BEAMS, seconds=4.0),
-    "free decay, diagnosed": gap(SDOF, forced=False),
+    "free decay of two beams, diagnosed": gap(BEAMS, forced=False),
+    "one mass, force not recorded, diagnosed": laboratory_gap(laboratory_tests.REFUSED["one mass, force not recorded"]),
+    "one mass, a blow that is not recorded, diagnosed": laboratory_gap(
+        laboratory_tests.TESTS["one mass, free decay, no force measured"], without_s=0.0
+    ),
+    "one mass, base excitation not recorded, diagnosed": laboratory_gap(
+        laboratory_tests.TESTS["one mass, base excitation, displacement"]
+    ),
     "strain gauges alone, diagnosed": gap(BarrelCradle(sensors="strain").rig()),
     "a record of 4 s, diagnosed": gap(SDOF, seconds=4.0),
     "base motion of held beams in rig.json, diagnosed": gap(replace(BEAMS, base_motion=SHAKEN)),

@@ -138,7 +138,7 @@ def diagnose(
         channel_faults=faults,
     )
     helps = decision.verdict in ("explained", "partly_explained")
-    return sentence(gap, decision.criterion), likeliest if helps else other.rig
+    return sentence(gap, decision.criterion, any(one.forced for one in every)), likeliest if helps else other.rig
 
 
 def searched(

@@ -115,7 +115,8 @@ def candidates(scale: Scale, sensors: Sequence[str], zero_known: bool, forced: b
     """Every effect that the rig can have, at every place and sensor that a record sees.
 
     Effects that only the zero of a relative displacement shows are left out where it is not known, those of the force
-    and its channel where no force is measured, and those that change nothing.
+    and of channels where no force is measured (the free motion has no scale, and may begin at any time), and those that
+    change nothing.
     """
     found = []
     for kind in effects().values():
@@ -129,7 +130,8 @@ def candidates(scale: Scale, sensors: Sequence[str], zero_known: bool, forced: b
             except RigError:
                 continue  # it makes no sense here
             if not forced:
-                changed = replace(changed, force_sensor=scale.rig.force_sensor, force_at=scale.rig.force_at)
+                own = scale.rig
+                changed = replace(changed, sensors=own.sensors, force_sensor=own.force_sensor, force_at=own.force_at)
             if changed != scale.rig:
                 found.append(candidate)
     return found
