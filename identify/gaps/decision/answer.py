@@ -13,8 +13,8 @@ from identify.gaps.decision.differences import differences
 from identify.gaps.decision.experiment import next_experiments
 from identify.gaps.decision.null_reference import NullReference, Simulate, null_reference_of
 from identify.gaps.decision.recordings import parts_of, sound
-from identify.gaps.decision.response_comparison import compared
 from identify.gaps.decision.release import released
+from identify.gaps.decision.response_comparison import compared
 from identify.gaps.decision.sentence import sentence
 from identify.gaps.decision.unmeasured import cost_with, unmeasured
 from identify.gaps.decision.verdict import HALF, Decision, acts_where_they_do, decided, doubted

@@ -200,7 +200,9 @@ def _left(recording: Recording, tolerances: Tolerances) -> NullSimulation:
 def null_key(measured: Recording, tolerances: Tolerances, simulator: str, simulations: int = NULL_SIMULATIONS) -> str:
     """Of the rig, its tolerances, the simulator, the force's (in a free decay the motion's) level and length, and the
     program."""
-    driven = measured.force_n if np.any(measured.force_n) else measured.signals[measured.rig.sensors[-1].quantity].values
+    driven = (
+        measured.force_n if np.any(measured.force_n) else measured.signals[measured.rig.sensors[-1].quantity].values
+    )
     level = round(float(np.log(max(np.std(driven), 1e-300)) / np.log(LEVEL)))
     version = importlib.metadata.version("rig-identify")
     kind = " blows" * of_blows(measured.force_n)

@@ -3,8 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
-from identify.gaps.decision.recordings import part_of
 from identify.gaps.decision.null_reference import Simulate
+from identify.gaps.decision.recordings import part_of
 from rig.model.description import Rig
 from rig.model.modes import modes_of
 from rig.recording import Recording, Signals
@@ -52,4 +52,4 @@ def _level(recording: Recording, samples: int) -> float:
 def _unforced(recording: Recording) -> Recording:
     force = recording.signals["force"]
     zero = Signals(force.channels, force.start_s, np.zeros_like(force.values))
-    return Recording(recording.rig, recording.signals | {"force": zero}, recording.provenance)
+    return Recording(recording.rig, {**recording.signals, "force": zero}, recording.provenance)

@@ -7,8 +7,8 @@ from identify.gaps.wording import MOST, between_records, cause_name, closes, clo
 from identify.pages.wording import percent
 
 UNSCALED = (
-    "No force was measured: a common factor of mass and stiffnesses, which rest on the mass in rig.json, does not show, "
-    "nor one of clearances and gains of the sensors; faults of channels are not looked for."
+    "No force was measured: a common factor of mass and stiffnesses, which rest on the mass in rig.json, does not "
+    "show, nor one of clearances and gains of the sensors; faults of channels are not looked for."
 )
 
 
