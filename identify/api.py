@@ -14,6 +14,7 @@ from identify.checks import Finding, check_recording
 from identify.contacts import Identification, identify_contact
 from identify.contacts.identified_rig import identified_rig
 from identify.contacts.results import ContactReport, Estimate, Unanswered
+from identify.contacts.unforced import without_dead_force
 from identify.gaps.decision.answer import diagnose
 from identify.gaps.decision.null_reference import NULL_REFERENCE_SUFFIX
 from identify.gaps.decision.simulators import simulator_named
@@ -365,7 +366,8 @@ def gap(
             next_experiment,
         )
     used = every if validation is None else [*every, validation]
-    return GapResult(found, corrected, _title(every, first), tuple(dict.fromkeys(findings)), _files(used))
+    told = dict.fromkeys(without_dead_force(findings))  # a force channel of zeros was taken as that of a free decay
+    return GapResult(found, corrected, _title(every, first), tuple(told), _files(used))
 
 
 def compare(

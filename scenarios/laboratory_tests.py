@@ -149,8 +149,8 @@ TESTS = {
     "one mass, no quiet start": mass(without_s=4.0),
     "one mass, no quiet start, displacement": mass(sensors="displacement", without_s=4.0, effect=HEAVIER),
     "one mass, one measured blow": mass("free_decay", rms_n=60.0, high_hz=5.0),
-    "one mass, free decay, no force measured": mass(**LET_GO),
-    "one mass, free decay, displacement": mass(sensors="displacement", **LET_GO),
+    "one mass, free decay, no force measured": mass(effect=STIFFER, **LET_GO),
+    "one mass, free decay, displacement": mass(sensors="displacement", effect=HEAVIER, **LET_GO),
     "one mass, base excitation, motion against the base": mass(
         rms_n=0.0, base=shaken(1.0), without_s=1.0, effect=STIFFER
     ),

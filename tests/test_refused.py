@@ -1,5 +1,6 @@
 """The table of what is refused, in identify/README.md: every row is made, and its sentence read."""
 
+import dataclasses
 import re
 
 import numpy as np
@@ -69,6 +70,17 @@ def stops(believed, true, rms_n=12.0):
     return run
 
 
+def laboratory_gap(test, **given):
+    """A test of `scenarios.laboratory_tests` whose force channel is zero, diagnosed."""
+
+    def run(folder):
+        recorded = laboratory_tests.recorded(dataclasses.replace(test, **given), folder / "r.mcap", duration_s=26.0)
+        recorded.signals["force"].values[:] = 0.0
+        identify.gap(recorded)
+
+    return run
+
+
 def imported(text):
     def run(folder):
         (folder / "rig.json").write_bytes(to_json(SDOF))
@@ -106,7 +118,14 @@ CASES = {name: laboratory(name) for name in laboratory_tests.REFUSED} | {
     "a stop behind another that is not reached": stops(((2e-4, 8e3), (5e-3, 1e5)), ((2e-4, 8e3), (5e-3, 1e5)), 4.0),
     "strain gauges alone": contact(BarrelCradle(sensors="strain").rig()),
     "a record of 4 s": contact(BEAMS, seconds=4.0),
-    "free decay, diagnosed": gap(SDOF, forced=False),
+    "free decay of two beams, diagnosed": gap(BEAMS, forced=False),
+    "one mass, force not recorded, diagnosed": laboratory_gap(laboratory_tests.REFUSED["one mass, force not recorded"]),
+    "one mass, a blow that is not recorded, diagnosed": laboratory_gap(
+        laboratory_tests.TESTS["one mass, free decay, no force measured"], without_s=0.0
+    ),
+    "one mass, base excitation not recorded, diagnosed": laboratory_gap(
+        laboratory_tests.TESTS["one mass, base excitation, displacement"]
+    ),
     "strain gauges alone, diagnosed": gap(BarrelCradle(sensors="strain").rig()),
     "a record of 4 s, diagnosed": gap(SDOF, seconds=4.0),
     "base motion of held beams in rig.json, diagnosed": gap(replace(BEAMS, base_motion=SHAKEN)),

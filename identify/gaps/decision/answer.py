@@ -13,6 +13,7 @@ from identify.gaps.decision.differences import differences
 from identify.gaps.decision.experiment import next_experiments
 from identify.gaps.decision.null_reference import NullReference, Simulate, null_reference_of
 from identify.gaps.decision.recordings import parts_of, sound
+from identify.gaps.decision.release import released
 from identify.gaps.decision.response_comparison import compared
 from identify.gaps.decision.sentence import sentence
 from identify.gaps.decision.unmeasured import cost_with, unmeasured
@@ -73,8 +74,9 @@ def diagnose(
     fitted = [k for k in range(len(parts)) if k != last]
     searched_on = max(fitted, key=lambda k: float(np.std(parts[k].force_n)))
     fit_record = every[searched_on]
+    simulate = simulator.simulate if record.forced else released(other, simulator.simulate)
     null_reference = null_reference_of(
-        other, believed, simulator.simulate, simulator.name, lambda x: progress("null_reference", x), kept
+        other, believed, simulate, simulator.name, lambda x: progress("null_reference", x), kept
     )
     several = len(fitted) > 1
     hypotheses, known = searched(fit_record, lambda x: progress("causes", (0.4 if several else 0.7) * x))
@@ -95,7 +97,7 @@ def diagnose(
         between = differences(every, seen, cause, known, names, lambda x: progress("causes", 0.9 + 0.05 * x))
     progress("causes", 0.95)
     likeliest = decision.best.corrected if decision.best else other.rig
-    figures, curves = compared(other, other.rig, likeliest, simulator.simulate, null_reference)
+    figures, curves = compared(other, other.rig, likeliest, simulate, null_reference)
     progress("causes", 1.0)
     causes = tuple(
         cause_of(j, record, p, null_reference, matters)
@@ -104,7 +106,7 @@ def diagnose(
     )
     nothing = decision.nothing
     further: tuple[NextExperiment, ...] = ()
-    rivals = _rivals(ranked, decision) if ask_next else None
+    rivals = _rivals(ranked, decision) if ask_next and record.forced else None
     if rivals:
         further = next_experiments(record, other.force_n, rivals, simulator.simulate)
     doubt = doubted(ranked, decision.verdict)
@@ -136,7 +138,7 @@ def diagnose(
         channel_faults=faults,
     )
     helps = decision.verdict in ("explained", "partly_explained")
-    return sentence(gap, decision.criterion), likeliest if helps else other.rig
+    return sentence(gap, decision.criterion, any(one.forced for one in every)), likeliest if helps else other.rig
 
 
 def searched(
@@ -145,7 +147,7 @@ def searched(
     """Hypotheses on a record, and the candidates among which they were found."""
     reference = _reference(record)
     linearization, at = fit_nuisance(record, record.rig)
-    known = candidates(scale_of(record, record.rig), [s.name for s in record.sensors], record.zero_known)
+    known = candidates(scale_of(record, record.rig), [s.name for s in record.sensors], record.zero_known, record.forced)
     return search(Search(reference, linearization, at, tuple(known)), progress), known
 
 

@@ -133,7 +133,7 @@ def null_reference_of(
 
 
 def of_blows(force_n: Float[np.ndarray, " samples"]) -> bool:
-    """Whether a force is a hammer's: then it is taken as it is, since noise of its spectrum is another test."""
+    """Whether a force is a hammer's, or none: then it is taken as it is; noise of its spectrum is another test."""
     energy = np.cumsum(np.sort(force_n**2)[::-1])
     return bool(np.searchsorted(energy, MOST * energy[-1]) < BLOWS * force_n.size)
 
@@ -198,8 +198,12 @@ def _left(recording: Recording, tolerances: Tolerances) -> NullSimulation:
 
 
 def null_key(measured: Recording, tolerances: Tolerances, simulator: str, simulations: int = NULL_SIMULATIONS) -> str:
-    """Of the rig, its tolerances, the simulator, the force's level and length, and the program."""
-    level = round(float(np.log(max(np.std(measured.force_n), 1e-300)) / np.log(LEVEL)))
+    """Of the rig, its tolerances, the simulator, the force's (in a free decay the motion's) level and length, and the
+    program."""
+    driven = (
+        measured.force_n if np.any(measured.force_n) else measured.signals[measured.rig.sensors[-1].quantity].values
+    )
+    level = round(float(np.log(max(np.std(driven), 1e-300)) / np.log(LEVEL)))
     version = importlib.metadata.version("rig-identify")
     kind = " blows" * of_blows(measured.force_n)
     parts = (

@@ -60,9 +60,10 @@ def _same(one: Recording, other: Recording) -> bool:
 def _halves(recording: Recording) -> tuple[Recording, Recording]:
     """One record cut in two."""
     cut = round(FIT_SHARE * recording.samples)
+    return part_of(recording, slice(0, cut)), part_of(recording, slice(cut, None))
 
-    def part(keep: slice) -> Recording:
-        signals = {n: Signals(s.channels, 0.0, s.values[:, keep]) for n, s in recording.signals.items()}
-        return Recording(recording.rig, signals, recording.provenance)
 
-    return part(slice(0, cut)), part(slice(cut, None))
+def part_of(recording: Recording, keep: slice) -> Recording:
+    """The samples of a recording that are kept, from time zero on."""
+    signals = {n: Signals(s.channels, 0.0, s.values[:, keep]) for n, s in recording.signals.items()}
+    return Recording(recording.rig, signals, recording.provenance)

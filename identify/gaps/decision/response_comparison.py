@@ -39,7 +39,7 @@ def compared(
         Figure(name, unit, value, by_believed[name][0], by_corrected[name][0], null_reference.by_chance(name))
         for name, (value, unit) in was.items()
     )
-    curves = [_spectrum(runs), _response(runs)]
+    curves = [_spectrum(runs), *([_response(runs)] if np.any(measured.force_n) else [])]
     for j, contact in enumerate(joined(believed).contacts):
         eta = [1e3 * b.record.finely(b.model.eta_m)[j] for b in linearizations]
         edges = np.linspace(min(e.min() for e in eta), max(e.max() for e in eta), CELLS + 1)

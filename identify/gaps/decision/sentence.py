@@ -6,10 +6,16 @@ from identify.gaps.results import USUAL, Cause, Gap
 from identify.gaps.wording import MOST, between_records, cause_name, closes, closes_some, interval, joined, leaves
 from identify.pages.wording import percent
 
+UNSCALED = (
+    "No force was measured: a common factor of mass and stiffnesses, which rest on the mass in rig.json, does not "
+    "show, nor one of clearances and gains of the sensors; faults of channels are not looked for."
+)
 
-def sentence(gap: Gap, criterion: str) -> Gap:
-    """The diagnosis with its sentence."""
+
+def sentence(gap: Gap, criterion: str, forced: bool = True) -> Gap:
+    """The diagnosis with its sentence; forced says whether a force was measured."""
     said = [_verdict(gap), *_alternatives(gap), *_limits(gap), f"Criterion: {criterion}."]
+    said += [] if forced else [UNSCALED]
     said += [between_records(gap.between)] if gap.between else []
     said += [f"Channel {name} is {what} and was left out." for name, what in gap.channel_faults.items()]
     return replace(gap, sentence=" ".join(said))

@@ -10,7 +10,8 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import periodogram
 
 from identify.contacts.estimates import drift_of
-from identify.gaps.faults import WITHOUT_FORCE
+from identify.contacts.unforced import driven_to_hz, is_unforced
+from identify.gaps.faults import check_decay
 from identify.signals.beginning import QUIET_S
 from identify.signals.drift import Drift
 from identify.signals.kinematics import (
@@ -90,6 +91,11 @@ class Record:
         return float(self.omega[-1] / (2 * np.pi))
 
     @property
+    def forced(self) -> bool:
+        """Whether a force was measured; else the record is a free decay."""
+        return bool(np.any(self.force))
+
+    @property
     def rate_hz(self) -> float:
         """Of the residuals over time."""
         return self.sample_rate_hz / self.factor
@@ -151,7 +157,7 @@ class Record:
 def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Tolerances | None = None) -> Record:
     """The spectra of a recording's accelerometers; without any, of its velocity or else its displacement sensors.
 
-    Raises RigError if it is too short, or has no force or no sensors.
+    Raises RigError if it is too short, has no sensors, or no force and is not the free decay of a single mass.
     """
     rig, rate = recording.rig, recording.rig.sample_rate_hz
     joint = joined(rig)
@@ -161,14 +167,15 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
             f"the record lasts {recording.duration_s:.3g} s; the diagnosis needs {SHORTEST_S:g} s, better 30 s or more"
         )
     if not np.any(recording.force_n):
-        raise RigError(WITHOUT_FORCE)
+        check_decay(recording)
     moving = [s for s in rig.sensors if s.measures.translates]
     if not moving:
         raise RigError("the recording has no sensors of motion; the diagnosis needs them, best accelerometers")
     quantity = max(moving, key=lambda s: s.measures.order).quantity
     sensors = sensors_of(rig, quantity)
     motion = kinematics(recording, quantity)
-    high_hz = min(_excited_hz(recording.force_n, rate), motion.trusted_hz[1], tolerances.highest_hz or np.inf)
+    excited_hz = REACH * driven_to_hz(motion) if is_unforced(motion) else _excited_hz(recording.force_n, rate)
+    high_hz = min(excited_hz, motion.trusted_hz[1], tolerances.highest_hz or np.inf)
     if high_hz <= low_hz:
         raise RigError(
             f"the force excites the rig up to {high_hz:.2g} Hz alone; the diagnosis needs more than {low_hz:g} Hz: "
@@ -265,7 +272,12 @@ def _row(recording: Recording, sensor: Sensor) -> Float[np.ndarray, " samples"]:
 
 
 def _force_noise_n(recording: Recording, motion: Kinematics, tolerances: Tolerances) -> float:
-    """Standard deviation of the force channel's noise: heard in the quiet start, else as the tolerances state it."""
+    """Standard deviation of the force channel's noise: heard in the quiet start, else as the tolerances state it.
+
+    None of a free decay, in which no force acts.
+    """
+    if is_unforced(motion):
+        return 0.0
     if motion.quiet_samples:
         return float(np.std(recording.force_n[: motion.quiet_samples]))
     return float(tolerances.force_noise_density * np.sqrt(motion.sample_rate_hz / 2))

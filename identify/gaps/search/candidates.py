@@ -7,6 +7,7 @@ from itertools import product
 import msgspec
 import numpy as np
 from jaxtyping import Float
+from msgspec.structs import replace
 
 from identify.gaps.residual.spectra import Record
 from identify.structure.joined import joined_contacts
@@ -103,15 +104,19 @@ class Candidate:
 
 
 def scale_of(record: Record, rig: Rig) -> Scale:
-    """What the ranges of effects are stated in: the rig, and the record's force (root mean square) and duration."""
-    force_n = record.in_time(record.force)
+    """What the ranges of effects are stated in: the rig, and the record's force (root mean square) and duration.
+
+    In a free decay the inertial force of the mass stands for the force.
+    """
+    force_n = record.in_time(record.force if record.forced else rig.bodies[0].mass_kg * record.delivered[0])
     return Scale(rig, float(np.sqrt(np.mean(force_n**2))), record.samples / record.sample_rate_hz)
 
 
-def candidates(scale: Scale, sensors: Sequence[str], zero_known: bool) -> list[Candidate]:
+def candidates(scale: Scale, sensors: Sequence[str], zero_known: bool, forced: bool = True) -> list[Candidate]:
     """Every effect that the rig can have, at every place and sensor that a record sees.
 
-    Effects that only the zero of a relative displacement shows are left out where it is not known, and those that
+    Effects that only the zero of a relative displacement shows are left out where it is not known, those of the force
+    and of channels where no force is measured (the free motion has no scale, and may begin at any time), and those that
     change nothing, or part contacts between the same places.
     """
     found = []
@@ -125,6 +130,9 @@ def candidates(scale: Scale, sensors: Sequence[str], zero_known: bool) -> list[C
                 changed = candidate.applied(scale.rig, candidate.default)
             except RigError:
                 continue  # it makes no sense here
+            if not forced:
+                own = scale.rig
+                changed = replace(changed, sensors=own.sensors, force_sensor=own.force_sensor, force_at=own.force_at)
             if changed != scale.rig and len(joined_contacts(changed)) == len(joined_contacts(scale.rig)):
                 found.append(candidate)
     return found
