@@ -168,6 +168,7 @@ def _observed(
                 noise_in_m=separated.nuisances.noise_in_m[moving, j],
                 moving=moving,
                 nuisance_m=nuisance_m,
+                initial=np.array([p.kind == "initial state" for p in separated.nuisances.parameters], dtype=bool),
             )
         )
     return found

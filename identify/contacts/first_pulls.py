@@ -1,4 +1,5 @@
-"""A first guess of what moves a contact's force more than the contact itself: how a record that begins in motion began.
+"""A first guess of how a record that begins in motion began: what the modes' free motion from there adds to a contact's
+force may be many times the force.
 
 A contact is open for much of the time. So theta of
 
@@ -14,32 +15,28 @@ from jaxtyping import Float
 
 from identify.contacts.start import ContactRecord
 
-LARGE = 0.1
-"""A nuisance parameter counts if one standard deviation of it is so large a share of the force's root mean square."""
 ROUNDS = 30
 LEAST = 1e-3
 """Deviations below this share of the median one weigh no more."""
 
 
 def first_pulls(seen: ContactRecord) -> Float[np.ndarray, " nuisances"]:
-    """Zero of all that do not count; by iteratively reweighted least squares."""
+    """Zero of all that are not initial; by iteratively reweighted least squares."""
     pulls = np.zeros(len(seen.nuisance_n))
-    sizes = np.array([np.sqrt(np.mean(row.astype(float) ** 2)) for row in seen.nuisance_n])
-    counted = np.flatnonzero(sizes > LARGE * np.sqrt(np.mean(seen.force_n**2)))
-    if not counted.size:
+    if not np.any(seen.initial):
         return pulls
-    columns = seen.nuisance_n[counted].astype(float)
+    columns = seen.nuisance_n[seen.initial].astype(float)
     left = seen.force_n
     for _ in range(ROUNDS):
         size = np.abs(left)
         middle = max(float(np.median(size)), 1e-300)
         weighed = columns / np.maximum(size, LEAST * middle)
-        prior = np.eye(counted.size) / middle
-        pulls[counted] = np.linalg.solve(weighed @ columns.T + prior, weighed @ seen.force_n)
-        left = seen.force_n - pulls[counted] @ columns
+        prior = np.eye(len(columns)) / middle
+        pulls[seen.initial] = np.linalg.solve(weighed @ columns.T + prior, weighed @ seen.force_n)
+        left = seen.force_n - pulls[seen.initial] @ columns
     return pulls
 
 
 def contact_alone(seen: ContactRecord, pulls: Float[np.ndarray, " nuisances"]) -> ContactRecord:
-    """With a force that lacks what so large nuisance parameters add to it."""
+    """Without what a first guess adds to its force."""
     return replace(seen, force_n=seen.force_n - pulls @ seen.nuisance_n) if pulls.any() else seen

@@ -57,7 +57,7 @@ class ContactRecord:
     is no contact, unmodelled the share of it that no law explains. drift is None where nothing was lost. One standard
     deviation of each nuisance parameter adds its row of nuisance_n to the force; those that are `moving` add theirs of
     nuisance_m to the motion. Shares of the noise of the force and of the motion are in these rows (noise_in_n and
-    noise_in_m).
+    noise_in_m). Those that are `initial` say how a record that does not begin at rest began.
     """
 
     eta_m: Float[np.ndarray, " samples"]
@@ -73,6 +73,7 @@ class ContactRecord:
     moving: Bool[np.ndarray, " nuisances"]
     noise_in_m: Float[np.ndarray, " some"]
     nuisance_m: Float[np.ndarray, "some samples"]
+    initial: Bool[np.ndarray, " nuisances"]
 
     def rate_of(self, moved_m: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
         """By differences, m/s."""

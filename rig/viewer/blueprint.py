@@ -12,7 +12,7 @@ from rig.model.quantities import QUANTITIES, QuantityName
 from rig.model.sensing import quantities_of, sensors_of
 from rig.viewer.axes import axes_view
 from rig.viewer.drawing import DIAGNOSIS, GAP_OVER_TIME, LEGEND_ROWS, TIMELINE, entity, legend_of
-from rig.viewer.spectra import Spectra
+from rig.viewer.spectra import ShownSpectra
 
 WINDOW_S = 0.5
 """What the plots show before and after the moment."""
@@ -35,7 +35,7 @@ class Layout:
     frame_rate_hz: float
     reach_mm: dict[str, float]
     """How far the views of each contact reach."""
-    spectra: tuple[Spectra, ...]
+    spectra: tuple[ShownSpectra, ...]
     diagnosis: bool
 
 

@@ -14,7 +14,7 @@ NAMED = {"explained", "partly_explained"}
 """Verdicts that name effects."""
 
 
-class _Value(msgspec.Struct, frozen=True):
+class _Number(msgspec.Struct, frozen=True):
     value: float
     unit: str
     instead: str = ""
@@ -22,7 +22,7 @@ class _Value(msgspec.Struct, frozen=True):
 
 class _Cause(msgspec.Struct, frozen=True):
     effects: tuple[str, ...]
-    parameters: dict[str, _Value]
+    parameters: dict[str, _Number]
     places: dict[str, str]
 
 
@@ -50,7 +50,7 @@ class _Attribution(msgspec.Struct, frozen=True):
     time_s: tuple[_Share, ...]
 
 
-class _Report(msgspec.Struct, frozen=True):
+class _Gap(msgspec.Struct, frozen=True):
     verdict: str
     sentence: str
     causes: tuple[_Cause, ...]
@@ -72,7 +72,7 @@ class Mark:
 
 
 @dataclass(frozen=True)
-class Gap:
+class ShownGap:
     """A diagnosis as it is drawn: its text, marks on the bodies, and the shares of the gap by station and by time.
 
     spans are begin, end (s) and share of the gap.
@@ -84,14 +84,14 @@ class Gap:
     spans: tuple[tuple[float, float, float], ...]
 
 
-def read_gap(path: Path, rig: Rig, duration_s: float) -> Gap:
+def read_gap(path: Path, rig: Rig, duration_s: float) -> ShownGap:
     """The gap.json, or that of its folder.
 
     Raises RigError if it cannot be read, is no gap.json, or names a place that the rig or a time that the record lacks.
     """
     file = path / "gap.json" if path.is_dir() else path
     try:
-        report = msgspec.json.decode(contents(file), type=_Report)
+        report = msgspec.json.decode(contents(file), type=_Gap)
         spans = tuple((*_span(part.what), part.share) for part in report.attribution.time_s)
         shares = {
             Station(body, float(x)): share
@@ -111,7 +111,7 @@ def read_gap(path: Path, rig: Rig, duration_s: float) -> Gap:
             )
     if any(end > duration_s for _, end, _ in spans):
         raise RigError(f"{file}: is of a record longer than {duration_s:g} s; show the one that validates")
-    return Gap(_text(report), marks, shares if report.verdict != "no_gap" else {}, spans)
+    return ShownGap(_text(report), marks, shares if report.verdict != "no_gap" else {}, spans)
 
 
 def _span(what: str) -> tuple[float, float]:
@@ -119,7 +119,7 @@ def _span(what: str) -> tuple[float, float]:
     return float(begin), float(end)
 
 
-def _of_effects(report: _Report, rig: Rig) -> Iterator[Mark]:
+def _of_effects(report: _Gap, rig: Rig) -> Iterator[Mark]:
     """The effects of the likeliest cause that act somewhere, where it explains the gap."""
     if report.verdict not in NAMED or not report.causes:
         return
@@ -134,7 +134,7 @@ def _of_effects(report: _Report, rig: Rig) -> Iterator[Mark]:
                 yield Mark(at, " ".join([effect, *numbers]))
 
 
-def _of_force(report: _Report, rig: Rig) -> Iterator[Mark]:
+def _of_force(report: _Gap, rig: Rig) -> Iterator[Mark]:
     found = report.unknown
     if found is None or report.verdict == "no_gap":
         return
@@ -162,7 +162,7 @@ def _station(rig: Rig, name: str, along: float) -> Station | None:
     return named.get(name)
 
 
-def _text(report: _Report) -> str:
+def _text(report: _Gap) -> str:
     """In Markdown: the verdict's sentence, the unmeasured force's, and the contacts' state in which the gap lies."""
     states = ", ".join(f"{100 * share:.0f} % {state}" for state, share in report.attribution.contact_state.items())
     return "\n\n".join(

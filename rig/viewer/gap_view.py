@@ -8,14 +8,14 @@ from jaxtyping import Bool, Float
 
 from rig.viewer.contact_view import Play
 from rig.viewer.drawing import DIAGNOSIS, GAP, GAP_OVER_TIME, send, send_lines, style
-from rig.viewer.gap import Gap, Mark
+from rig.viewer.gap import Mark, ShownGap
 from rig.viewer.stage import Stage
 
 LABELLED = 0.1
 """Stations with so large a share of the gap have a figure."""
 
 
-def send_gap(stream: rr.RecordingStream, gap: Gap, scene: Stage, plays: Sequence[Play]) -> None:
+def send_gap(stream: rr.RecordingStream, gap: ShownGap, scene: Stage, plays: Sequence[Play]) -> None:
     """Dots as large as the stations' shares of the gap; larger ones, with words, where something acts, by its strength
     at the time. The text, and the share of the gap over time."""
     style(stream, DIAGNOSIS, rr.TextDocument(gap.text, media_type="text/markdown"))
@@ -55,7 +55,7 @@ def _closed(scene: Stage, plays: Sequence[Play]) -> Bool[np.ndarray, " frames"]:
 
 
 def _strengths(
-    mark: Mark, gap: Gap, time_s: Float[np.ndarray, " frames"], closed: Bool[np.ndarray, " frames"]
+    mark: Mark, gap: ShownGap, time_s: Float[np.ndarray, " frames"], closed: Bool[np.ndarray, " frames"]
 ) -> Float[np.ndarray, " frames"]:
     """Of a mark at every frame; nothing before and after what was diagnosed, and without contact if it acts in it."""
     begin, end = (gap.spans[0][0], gap.spans[-1][1]) if gap.spans else (0.0, np.inf)

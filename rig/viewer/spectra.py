@@ -21,7 +21,7 @@ DECADES = 6
 
 
 @dataclass(frozen=True)
-class Spectra:
+class ShownSpectra:
     """Signals of one unit by name, whose spectra are drawn in one view."""
 
     origin: str
@@ -30,11 +30,11 @@ class Spectra:
     signals: Mapping[str, Float[np.ndarray, " samples"]]
 
 
-def spectra_of(recording: Recording, forces_n: Mapping[str, Float[np.ndarray, " samples"]]) -> list[Spectra]:
+def spectra_of(recording: Recording, forces_n: Mapping[str, Float[np.ndarray, " samples"]]) -> list[ShownSpectra]:
     """Of the exciting force, of the contact forces that are known, and of every body's channels of each quantity."""
     found = [
-        Spectra(entity("spectra", "force"), "Exciting force", "N", {"force": recording.force_n}),
-        Spectra(entity("spectra", "contact_force"), "Contact force", "N", forces_n),
+        ShownSpectra(entity("spectra", "force"), "Exciting force", "N", {"force": recording.force_n}),
+        ShownSpectra(entity("spectra", "contact_force"), "Contact force", "N", forces_n),
     ]
     for quantity in quantities_of(recording.rig):
         measured = recording.signals[quantity]
@@ -42,11 +42,11 @@ def spectra_of(recording: Recording, forces_n: Mapping[str, Float[np.ndarray, " 
             rows = zip(measured.channels.stations, measured.values, strict=True)
             signals = {f"{s.position_m:g} m": row for s, row in rows if s is not None and s.body == body.name}
             origin, unit = entity("spectra", quantity, body.name), UNITS[quantity].replace("^2", "²")
-            found.append(Spectra(origin, f"{body.name}: {quantity}", unit, signals))
+            found.append(ShownSpectra(origin, f"{body.name}: {quantity}", unit, signals))
     return [one for one in found if one.signals]
 
 
-def send_spectra(stream: rr.RecordingStream, spectra: Spectra, sample_rate_hz: float) -> None:
+def send_spectra(stream: rr.RecordingStream, spectra: ShownSpectra, sample_rate_hz: float) -> None:
     """Density over frequency of every signal, both logarithmic."""
     frequency_hz, density = densities(np.array([*spectra.signals.values()]), sample_rate_hz)
     high = 10.0 ** np.ceil(np.log10(density.max() or 1.0))

@@ -20,7 +20,7 @@ from rig.viewer.blueprint import Layout, blueprint, plotted
 from rig.viewer.contact_view import Known, Play, send_close_up, send_events, send_over_time
 from rig.viewer.deflection import Deflection, deflection
 from rig.viewer.drawing import FAINT, FORCE, LINES, STEEL, entity, pixels, send, send_legend, send_lines, style
-from rig.viewer.gap import Gap
+from rig.viewer.gap import ShownGap
 from rig.viewer.gap_view import send_gap
 from rig.viewer.identified import NOTHING_IDENTIFIED, Identified
 from rig.viewer.phase import send_histogram, send_phase
@@ -38,7 +38,7 @@ def write_rrd(
     magnification: float | None = None,
     *,
     identified: Identified = NOTHING_IDENTIFIED,
-    gap: Gap | None = None,
+    gap: ShownGap | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> None:
     """Writes the recording for the rerun viewer; `truth`, where there is one, adds what only a simulator knows.

@@ -161,6 +161,7 @@ def start_of(
         moving=np.zeros(0, dtype=bool),
         noise_in_m=np.zeros(0),
         nuisance_m=np.zeros((0, force.size)),
+        initial=np.zeros(0, dtype=bool),
     )
     if seen.curve.knots:
         with suppress(RigError):

@@ -13,7 +13,7 @@ from rig.simulation.excitation import BandLimitedGaussian
 from rig.simulation.plants import modal
 from rig.simulation.record import record
 from rig.simulation.reference import Sdof
-from rig.viewer.gap import Gap, Mark, read_gap
+from rig.viewer.gap import Mark, ShownGap, read_gap
 from rig.viewer.viewing import write_rrd
 from tests.identify.gaps.conftest import GAPS, ONE_MASS, RIGS
 from tests.rig.viewer.test_viewing import column, series, static
@@ -68,7 +68,7 @@ def test_a_force_in_contact_shows_while_one_is_closed_and_as_strong_as_it_is_the
     settings = {"plant": modal.simulate, "duration_s": 6.0, "step_s": 2.0**-13, "progress": lambda _: None}
     record(Sdof().rig(), force, path=path, **settings)
     recording, truth = read(path), read_truth(truth_path(path))
-    gap = Gap(
+    gap = ShownGap(
         text="words",
         marks=(Mark(Station("mass"), "a force", (0.5, 1.0), in_contact=True),),
         shares={Station("mass"): 1.0},
