@@ -252,17 +252,19 @@ class ContactResidual:
         """By how much the residual falls with each unknown."""
         weights, curve = self.seen.weights, self.seen.curve
         by_clearance, by_stiffness, _ = self.seen.trusted
-        fine = []
+        rows = []
         each = zip(self.law.signs, self.law.laws, self.within.laws, self.tangents_n_per_m, self.damped_n, strict=True)
         for sign, law, within, tangent, damped in each:
             at_rest, stiffness = changed(within, damping_n_s_per_m=0.0), law.stiffness_n_per_m
             more = more_n(at_rest, sign * self.eta_m, 0.0, self.laid.time_s, stiffness_n_per_m=stiffness)
             of_clearance = -tangent * np.sign(self.eta_m) * by_clearance * law.clearance_m
-            fine += [of_clearance, by_stiffness * sign * more, damped]
-        by_law = decimated(np.stack(fine), self.laid.finer).T
-        rows = _beside(curve.value, weights * self.by_eta, weights[:, None] * by_law)
+            rows += [
+                decimated(of_one, self.laid.finer) for of_one in (of_clearance, by_stiffness * sign * more, damped)
+            ]
+        by_law = np.stack(rows, axis=1)
+        beside = _beside(curve.value, weights * self.by_eta, weights[:, None] * by_law)
         firm = self.seen.firm * (1 + WALL * (_beyond(self.pulls) != 0))
-        return vstack([rows, block_diag([curve.curvature, np.diag(firm)], "csr")], "csr")
+        return vstack([beside, block_diag([curve.curvature, np.diag(firm)], "csr")], "csr")
 
     def solver(self) -> SuperLU:
         return splu(csc_matrix(self.columns.T @ self.columns))
