@@ -51,9 +51,11 @@ def widened(found: Joint, parameters: Sequence[Nuisance], in_gaps: float) -> Joi
 
     A clock, a density or a unit that is off shows there, and what it does beside is in no tolerance. A rig of one body
     has no second one to tell a clock from its frequencies by: there p always counts, as sqrt(1 + p^2). So does the
-    pull of a mass while its contacts are open, which is no part of the fit.
+    pull of a mass while its contacts are open, which is no part of the fit. Where a spring holds the bodies, a sensor's
+    high-pass counts too: it stands for slow motion that accelerometers miss, and that the spring feels.
     """
-    whole = {of: abs(p) for p, of in zip(found.pulls, parameters, strict=True) if of.kind in WHOLE and of.mode is None}
+    kinds = (*WHOLE, "high-pass") if found.sides_known else WHOLE
+    whole = {of: abs(p) for p, of in zip(found.pulls, parameters, strict=True) if of.kind in kinds and of.mode is None}
     pull = max(whole.values(), default=0.0)
     alone = sum(of.kind == "frequency" for of in whole) == 1
     unusual = 1 + pull**2 if alone else pull**2 if pull > USUAL else 1.0

@@ -1,5 +1,7 @@
 """The quality of a joint fit: what is said of it, and what its intervals become."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -40,6 +42,13 @@ def test_errors_grow_with_the_pull_of_a_whole_body(pull, in_gaps, factor):
 @pytest.mark.parametrize(("pull", "in_gaps", "factor"), [(0.0, 0.0, 1.0), (0.75, 0.0, 1.25), (-2.4, 0.75, 2.6)])
 def test_of_a_rig_of_one_body_any_pull_counts(pull, in_gaps, factor):
     found = widened(joint((pull, 4.0, 4.0)), PARAMETERS, in_gaps)
+    np.testing.assert_allclose(found.errors, factor * joint().errors)
+
+
+@pytest.mark.parametrize(("held", "factor"), [(True, 3.0), (False, 1.0)])
+def test_a_high_pass_that_is_pulled_counts_where_a_spring_holds_the_bodies(held, factor):
+    parameters = (Nuisance("frequency", "beam"), Nuisance("frequency", "base"), Nuisance("high-pass", "a"))
+    found = widened(replace(joint((0.0, 0.0, -3.0)), sides_known=held), parameters, 0.0)
     np.testing.assert_allclose(found.errors, factor * joint().errors)
 
 
