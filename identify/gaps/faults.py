@@ -10,13 +10,10 @@ from rig.recording import Recording, Signals, channel_groups
 STUCK = 1e-3
 """A channel that stands at its largest or smallest value for more than this share of the record is clipped."""
 LOUDER = 1.2
-"""In a free decay no second is that much louder than an earlier one, as the energy only falls."""
+LITTLE = 0.1
+"""In a free decay no second is that much louder than an earlier one, as the energy only falls, until little is left."""
 FALLEN = 0.5
 """And the quietest second has no more than this share of the loudest."""
-WITHOUT_FORCE = (
-    "the exciting force is zero throughout: of beams identify gap compares the motion with what rig.json makes of a "
-    "measured force; measure the force of a shaker or a hammer, or take identify contact, which reads free decays"
-)
 NO_DECAY = (
     "the exciting force is zero throughout, and this is no free decay, whose motion only falls; measure the force (of "
     "one mass on a shaking base: minus its mass times the base's acceleration), or let the record begin when the rig "
@@ -54,16 +51,14 @@ def sound_channels(recording: Recording, without: tuple[str, ...] = ()) -> tuple
 
 
 def check_decay(recording: Recording) -> None:
-    """Raises RigError if a record without a force is not the free decay of a single mass."""
-    rig = recording.rig
-    if len(rig.bodies) > 1 or not rig.bodies[0].is_mass:
-        raise RigError(WITHOUT_FORCE)
-    second = round(rig.sample_rate_hz)
-    for sensor in rig.sensors:
-        signals = recording.signals[sensor.quantity]
-        row = signals.values[signals.channels.names.index(sensor.name)]
-        level = row[: row.size // second * second].reshape(-1, second).std(axis=1)
-        if np.any(level > LOUDER * np.minimum.accumulate(level)) or level.min() > FALLEN * level.max():
+    """Raises RigError if a record without a force is no free decay, by the level of all sensors of a quantity."""
+    second = round(recording.rig.sample_rate_hz)
+    for name, signals in recording.signals.items():
+        rows = signals.values[:, : signals.values.shape[1] // second * second]
+        level = np.linalg.norm(rows.reshape(len(rows), -1, second).std(axis=2), axis=0)
+        moving = level[: np.argmax(np.append(level < LITTLE * level.max(), True))]
+        louder = np.any(moving > LOUDER * np.minimum.accumulate(moving))
+        if name != "force" and (louder or level.min() > FALLEN * level.max()):
             raise RigError(NO_DECAY)
 
 

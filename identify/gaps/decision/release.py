@@ -11,22 +11,23 @@ from rig.recording import Recording, Signals
 
 SCALINGS = 6
 """Short simulations that scale the blow."""
-FIRST_S = 1.0
-"""The record's beginning, whose motion the blow is scaled to."""
+FIRST_S = 4
+"""Whole seconds of the record's beginning, whose motion the blow is scaled to."""
 
 
 def released(measured: Recording, simulate: Simulate) -> Simulate:
-    """A simulator of free decays as long as the measured one, of a single mass, which take no notice of the force.
+    """A simulator of free decays as long as the measured one, which take no notice of the force.
 
-    The blow is a half-sine of half the mass's period. It is scaled to the standard deviation that the believed rig's
-    sensor has in the first second of the record; a decay begins up to one period behind the blow, by the seed.
+    The blow, at the place of the force, is a half-sine of half the rig's longest period. It is scaled by what the
+    believed rig's last sensor shows in the first seconds of the record; a decay begins up to one period behind the
+    blow, by the seed.
     """
     rate = measured.rig.sample_rate_hz
-    (body,) = measured.rig.bodies
-    period = round(rate / max(float(modes_of(measured.rig, body).frequencies_hz(1)[0]), 1 / FIRST_S))
+    natural_hz = np.concatenate([modes_of(measured.rig, b).frequencies_hz(b.max_modes) for b in measured.rig.bodies])
+    period = round(rate / max(float(np.min(natural_hz[natural_hz > 0], initial=np.inf)), 1.0))
     blow = np.sin(np.pi * np.arange(period // 2) / (period // 2))
-    first = round(FIRST_S * rate)
-    level = _level(measured, first)
+    first = FIRST_S * round(rate)
+    level = _level(measured)
 
     def decay(rig: Rig, actual: Rig, peak_n: float, samples: int, seed: int) -> Recording:
         begin = blow.size + round(period * np.random.default_rng([seed, 78]).uniform())
@@ -34,9 +35,9 @@ def released(measured: Recording, simulate: Simulate) -> Simulate:
         force_n[: blow.size] = peak_n * blow
         return _unforced(part_of(simulate(rig, actual, force_n, seed), slice(begin, begin + samples)))
 
-    peak_n = body.mass_kg
+    peak_n = measured.rig.body(measured.rig.force_at.body).mass_kg
     for _ in range(SCALINGS):
-        peak_n *= level / _level(decay(measured.rig, measured.rig, peak_n, first, 0), first)
+        peak_n *= level / _level(decay(measured.rig, measured.rig, peak_n, first, 0))
 
     def simulated(rig: Rig, actual: Rig, force_n: Float[np.ndarray, " samples"], seed: int) -> Recording:
         return decay(rig, actual, peak_n, force_n.size, seed)
@@ -44,9 +45,11 @@ def released(measured: Recording, simulate: Simulate) -> Simulate:
     return simulated
 
 
-def _level(recording: Recording, samples: int) -> float:
-    """Standard deviation of the last sensor at the beginning, in its unit."""
-    return float(np.std(recording.signals[recording.rig.sensors[-1].quantity].values[-1, :samples]))
+def _level(recording: Recording) -> float:
+    """Geometric mean of the last sensor's standard deviation in each of the first seconds, in its unit."""
+    second = round(recording.rig.sample_rate_hz)
+    row = recording.signals[recording.rig.sensors[-1].quantity].values[-1, : FIRST_S * second]
+    return float(np.exp(np.mean(np.log(row.reshape(FIRST_S, second).std(axis=1)))))
 
 
 def _unforced(recording: Recording) -> Recording:

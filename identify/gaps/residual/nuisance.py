@@ -1,5 +1,6 @@
 """Nuisance parameters: what a laboratory never knows exactly, as columns of the residual with a prior of one."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,7 +49,7 @@ class Columns:
 
 def columns_of(record: Record, model: Linear) -> Columns:
     """The columns of all tolerances above zero."""
-    changes = list(changes_of(_observed(record, model)))
+    changes = [*changes_of(_observed(record, model)), *_of_free_motion(record, model)]
     count, contacts, samples = len(changes), len(model.rig.contacts), record.taken.stop - record.taken.start
     residual = np.empty((count, len(model.residual), samples), np.float32)
     forces, eta = (np.zeros((count, contacts, samples), np.float32) for _ in range(2))
@@ -61,6 +62,13 @@ def columns_of(record: Record, model: Linear) -> Columns:
             moved = at_contacts(record, model, change.displaced, change.sensors)
             eta[i] = record.in_time(moved.astype(np.complex64))
     return Columns(tuple(c.parameter for c in changes), residual, forces, eta)
+
+
+def _of_free_motion(record: Record, model: Linear) -> Iterator[Change]:
+    """A standard deviation of each free motion is as large as the whole record."""
+    for one in model.free:
+        parameter = Nuisance("initial state", model.responses[one.body].body.name, one.mode + 1)
+        yield Change(parameter, list(range(len(record.sensors))), one.as_large_as(record.delivered).delivered)
 
 
 def _projected(

@@ -11,7 +11,6 @@ from scipy.signal import periodogram
 
 from identify.contacts.estimates import drift_of
 from identify.contacts.unforced import driven_to_hz, is_unforced
-from identify.gaps.faults import check_decay
 from identify.signals.beginning import QUIET_S
 from identify.signals.drift import Drift
 from identify.signals.kinematics import (
@@ -37,6 +36,8 @@ RING_S = 12.0
 """Silence behind the record in which the beams ring down before the transform wraps round."""
 LEFT_OUT_S = 4.5
 """At the record's end, where the taper, and integration, falsify every residual."""
+RELEASED_S = 2.0
+"""At the start of a free decay of elastic bodies, whose free motion is estimated: a period of `CORNER_HZ`."""
 REACH = 1.6
 """The diagnosis looks up to this multiple of the force's highest frequency."""
 OF_MOST, MOST = 2.0, 0.9
@@ -157,7 +158,7 @@ class Record:
 def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Tolerances | None = None) -> Record:
     """The spectra of a recording's accelerometers; without any, of its velocity or else its displacement sensors.
 
-    Raises RigError if it is too short, has no sensors, or no force and is not the free decay of a single mass.
+    Raises RigError if it is too short, has no sensors, or no force and is no free decay.
     """
     rig, rate = recording.rig, recording.rig.sample_rate_hz
     joint = joined(rig)
@@ -166,8 +167,6 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         raise RigError(
             f"the record lasts {recording.duration_s:.3g} s; the diagnosis needs {SHORTEST_S:g} s, better 30 s or more"
         )
-    if not np.any(recording.force_n):
-        check_decay(recording)
     moving = [s for s in rig.sensors if s.measures.translates]
     if not moving:
         raise RigError("the recording has no sensors of motion; the diagnosis needs them, best accelerometers")
@@ -188,8 +187,11 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     omega = 2 * np.pi * np.arange(lines) * rate / length
     omega[0] = 0.01 * omega[1]  # stands for the mean, which powers of omega would lose
     quiet = motion.excited_from > QUIET_S * rate
+    free = is_unforced(motion) and any(b.length_m for b in rig.bodies)
     shape = taper(samples, round(TAPER_S * rate))
-    if not quiet:
+    if free:
+        shape[0] = 0.5  # half a sample: what begins there has no value before
+    elif not quiet:
         shape = shape * shape[::-1]
 
     def spectrum(signals: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows all"]:
@@ -205,7 +207,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     period = period_of(recording.force_n[motion.excited_from :])
     densities = _densities(sensors, motion)
     size = np.stack([omega ** (2 - s.measures.order) for s in sensors])
-    begin_s = 0.0 if quiet else LEFT_OUT_S
+    begin_s = 0.0 if quiet else RELEASED_S if free else LEFT_OUT_S
     end_s = min(samples / rate - LEFT_OUT_S, max(_decayed_s(motion), begin_s + LEAST_S))
     return Record(
         rig=rig,

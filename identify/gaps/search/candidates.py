@@ -106,9 +106,10 @@ class Candidate:
 def scale_of(record: Record, rig: Rig) -> Scale:
     """What the ranges of effects are stated in: the rig, and the record's force (root mean square) and duration.
 
-    In a free decay the inertial force of the mass stands for the force.
+    In a free decay the inertial force of a body stands for the force, in the mean of what its sensors show.
     """
-    force_n = record.in_time(record.force if record.forced else rig.bodies[0].mass_kg * record.delivered[0])
+    masses = np.array([rig.body(s.station.body).mass_kg for s in record.sensors])
+    force_n = record.in_time(record.force if record.forced else masses[:, None] * record.delivered)
     return Scale(rig, float(np.sqrt(np.mean(force_n**2))), record.samples / record.sample_rate_hz)
 
 
