@@ -1,73 +1,98 @@
-"""The free motion of elastic bodies in a record that begins in motion and has no force, as unknowns of the linear model.
+"""The free motion of elastic bodies in a record without a force, which begins in motion: unknowns of the linear model.
 
-While such a record fades in, by the window w, the modal equation of w q holds with a further force on the mode,
+Such a record does not fade in. What a mode of displacement q_0 and velocity q_0' at its first sample adds to the
+accelerations that forces cause from rest is, with its accelerance A_m = -omega^2 / D_m,
 
-    w (q'' + 2 zeta omega q' + omega^2 q) + 2 w' q' + w'' q + 2 zeta omega w' q
+    q_0 [(i omega + 2 zeta_m omega_m) A_m - i omega] + q_0' [A_m - 1]
 
-Behind the fade only the ringing of that force is left: two unknowns a mode, as of its initial displacement and
-velocity. So two bursts at the mode's frequency within the fade stand for it, whatever their shape.
+where the last terms are the jump at the first sample, of which displacement sensors see all and sensors of velocity
+that of the displacement. All q_0 and q_0' are found by least squares, for every rig that is laid against the record.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Complex
-from scipy.signal.windows import hann
+from jaxtyping import Complex, Float
 
 from identify.gaps.residual.projection import Projection
-from identify.gaps.residual.spectra import TAPER_S, Record
-from identify.structure.response import Response
+from identify.gaps.residual.spectra import Record
+from identify.structure.response import Response, times
 from rig.model.description import Station
+from rig.model.modes import modes_of
 
 
 @dataclass(frozen=True, eq=False)
 class FreeMotion:
-    """The acceleration of one mode (from 0) of a body, and what the sensors deliver of it."""
+    """Of one mode (from 0) of a body: its shape at the sensors, the accelerations that a unit of its displacement and
+    of its velocity at the beginning make of it, and how large both were."""
 
     body: int
     mode: int
-    acceleration: Complex[np.ndarray, " lines"]
-    delivered: Complex[np.ndarray, "sensors lines"]
+    shape: Float[np.ndarray, " sensors"]
+    units: Complex[np.ndarray, "2 lines"]
+    state: Float[np.ndarray, " 2"]
 
-    def as_large_as(self, delivered: Complex[np.ndarray, "sensors lines"]) -> "FreeMotion":
-        return self.times(float(np.linalg.norm(delivered) / np.linalg.norm(self.delivered)))
-
-    def times(self, factor: float) -> "FreeMotion":
-        return replace(self, acceleration=factor * self.acceleration, delivered=factor * self.delivered)
+    @property
+    def acceleration(self) -> Complex[np.ndarray, " lines"]:
+        return np.asarray(self.state @ self.units)
 
 
-def free_motions(
-    record: Record,
-    responses: Sequence[Response],
-    places: list[Station | None],
-    sensor_response: Complex[np.ndarray, "sensors lines"],
-) -> tuple[FreeMotion, ...]:
-    """Two of each mode of elastic bodies in the band that rings, as large as the record; none where a force acts."""
+def free_motions(record: Record, responses: Sequence[Response], places: list[Station | None]) -> tuple[FreeMotion, ...]:
+    """Those of the modes of elastic bodies, with nothing in them; none of a record with a force.
+
+    The modes are those in the band by the believed rig, so that all rigs have the same unknowns.
+    """
     if record.forced:
         return ()
     turning, order = 1j * record.omega, record.sensors[0].measures.order
     found = []
     for k, response in enumerate(responses):
-        hz, zeta = response.dynamics.natural_hz, response.dynamics.damping_ratios
+        if not response.body.length_m:
+            continue
+        believed_hz = modes_of(record.rig, record.rig.body(response.body.name)).frequencies_hz(response.count)
+        damped = 4 * np.pi * response.dynamics.natural_hz * response.dynamics.damping_ratios
         shapes = response.shapes(places)
-        for m in np.flatnonzero(hz < record.highest_hz) if response.body.length_m else ():
-            of_velocity, damped = response.accelerance[m], 4 * np.pi * zeta[m] * hz[m]
-            of_displacement = (turning + damped) * of_velocity
-            for acceleration in (of_displacement - (order > 0) * turning, of_velocity - (order > 1)):
-                delivered = sensor_response * (shapes[:, m, None] * acceleration)
-                if np.any(delivered):
-                    found.append(FreeMotion(k, int(m), acceleration, delivered).as_large_as(record.delivered))
+        for m in np.flatnonzero(believed_hz < record.highest_hz):
+            by_velocity = response.accelerance[m]
+            by_displacement = (turning + damped[m]) * by_velocity
+            units = np.stack(
+                [(by_displacement - (order > 0) * turning) / max(damped[m], 1.0), by_velocity - (order > 1)]
+            )
+            found.append(FreeMotion(k, int(m), shapes[:, m], units, np.zeros(2)))
     return tuple(found)
 
 
 def fitted_motions(
     motions: Sequence[FreeMotion],
     projection: Projection,
-    delivered: Complex[np.ndarray, "sensors lines"],
+    sensed: Complex[np.ndarray, "sensors lines"],
+    left: Complex[np.ndarray, "sensors lines"],
 ) -> tuple[FreeMotion, ...]:
-    """As large as they leave least of the linear residual."""
-    left, *rows = (projection.of(one)[0].ravel() for one in (delivered, *(m.delivered for m in motions)))
-    columns = np.array(rows).view(float)
-    sizes = np.linalg.pinv(columns @ columns.T, hermitian=True) @ (columns @ left.view(float))
-    return tuple(motion.times(size) for motion, size in zip(motions, sizes.tolist(), strict=True))
+    """The states at the beginning that leave least of a linear residual.
+
+    sensed is what accelerations are in standard deviations. With the shapes Phi at the sensors and the projection B T,
+
+        N = Phi sensed* (1 - B T) sensed Phi'
+
+    is what any two modes' accelerations are weighed by, line by line.
+    """
+    shapes, units = np.array([m.shape for m in motions]), np.array([m.units for m in motions])
+    both = (shapes[:, None] * shapes).reshape(-1, shapes.shape[1])
+    weights = (both @ np.abs(sensed) ** 2).reshape(len(shapes), *units.shape[::2]).astype(complex)
+    for by_one, to_one in zip(projection.by_input, projection.to_inputs, strict=True):
+        weights -= times(shapes, sensed.conj() * by_one)[:, None] * times(shapes, sensed * to_one)
+    normal = [
+        _products(one, (own[:, None] * units).reshape(-1, own.shape[1]))
+        for one, own in zip(units, weights, strict=True)
+    ]
+    gradient = [_products(one, own[None]) for one, own in zip(units, times(shapes, sensed.conj() * left), strict=True)]
+    states = np.linalg.pinv(np.concatenate(normal), rcond=1e-9, hermitian=True) @ np.concatenate(gradient)
+    return tuple(replace(m, state=state) for m, state in zip(motions, states.reshape(-1, 2), strict=True))
+
+
+def _products(
+    one: Complex[np.ndarray, "some lines"], other: Complex[np.ndarray, "more lines"]
+) -> Float[np.ndarray, "some more"]:
+    """The real parts of the scalar products."""
+    return np.asarray(one.view(float) @ np.ascontiguousarray(other).view(float).T)

@@ -157,12 +157,13 @@ def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray
         unknown.append((np.sqrt(record.force_noise) / rig.force_sensor.gain * per_newton)[None])
     by_input = np.concatenate(unknown) * sensed
     weighted = record.delivered / deviation - known * sensed
-    free = free_motions(record, responses, places, sensor_response)
+    free = free_motions(record, responses, places)
     if free:
         to_inputs = least_squares(by_input, by_input.conj(), contacts)[0]
         projection = Projection(by_input, to_inputs, deviation, contacts)
-        free = fitted_motions(free, projection, weighted * deviation)
-        weighted = weighted - sum(one.delivered for one in free) / deviation
+        left = projection.of(weighted * deviation)[0][: len(places)]
+        free = fitted_motions(free, projection, sensed, left)
+        weighted = weighted - sensed * sum(np.outer(one.shape, one.acceleration) for one in free)
     adjoint = np.einsum("isl,sl->il", by_input.conj(), weighted)
     inputs, log_determinant = least_squares(by_input, adjoint[:, None], contacts)
     left = left_by(by_input, inputs[:, 0], weighted)

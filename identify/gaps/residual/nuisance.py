@@ -65,10 +65,15 @@ def columns_of(record: Record, model: Linear) -> Columns:
 
 
 def _of_free_motion(record: Record, model: Linear) -> Iterator[Change]:
-    """A standard deviation of each free motion is as large as the whole record."""
-    for one in model.free:
-        parameter = Nuisance("initial state", model.responses[one.body].body.name, one.mode + 1)
-        yield Change(parameter, list(range(len(record.sensors))), one.as_large_as(record.delivered).delivered)
+    """A standard deviation of each mode's initial displacement and velocity moves the sensors as the whole record."""
+    for motion in model.free:
+        parameter = Nuisance("initial state", model.responses[motion.body].body.name, motion.mode + 1)
+        for unit in motion.units:
+            change = model.sensor_response * np.outer(motion.shape, unit)
+            size = np.linalg.norm(change)
+            yield Change(
+                parameter, list(range(len(change))), change * (np.linalg.norm(record.delivered) / size if size else 0.0)
+            )
 
 
 def _projected(
