@@ -1,6 +1,6 @@
 """A recording as the diagnosis reads it: the spectra of force and accelerations, and how far noise explains them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -209,6 +209,10 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     size = np.stack([omega ** (2 - s.measures.order) for s in sensors])
     begin_s = 0.0 if quiet else RELEASED_S if free else LEFT_OUT_S
     end_s = min(samples / rate - LEFT_OUT_S, max(_decayed_s(motion), begin_s + LEAST_S))
+    moving = motion  # tells how much of a slow motion the tolerances hide: of a decay while it counts
+    if free:
+        counts = slice(round(begin_s * rate), round(end_s * rate))
+        moving = replace(motion, acceleration_m_per_s2=motion.acceleration_m_per_s2[:, counts])
     return Record(
         rig=rig,
         sensors=sensors,
@@ -226,7 +230,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         noise=samples * (densities[:, None] * size) ** 2 * rate / 2,
         power=smooth * np.abs(turned) ** 2,
         eta_beyond=_eta_beyond(joint, sensors, measured[:, lines - 1 :], beyond_rad),
-        drifts=tuple(drift_of(joint, motion, j, noise, tolerances, samples) for j in range(len(joint.contacts))),
+        drifts=tuple(drift_of(joint, moving, j, noise, tolerances, samples) for j in range(len(joint.contacts))),
         excited_s=motion.excited_from / rate,
         period_s=None if period is None else period / rate,
         tolerances=tolerances,
