@@ -14,6 +14,10 @@ LITTLE = 0.1
 """In a free decay no second is that much louder than an earlier one, as the energy only falls, until little is left."""
 FALLEN = 0.5
 """And the quietest second has no more than this share of the loudest."""
+WITHOUT_FORCE = (
+    "the exciting force is zero throughout: identify gap reads free decays of one mass or of elastic bodies, not of "
+    "masses beside other bodies; measure the force of a shaker or a hammer, or take identify contact, which reads them"
+)
 NO_DECAY = (
     "the exciting force is zero throughout, and this is no free decay, whose motion only falls; measure the force (of "
     "one mass on a shaking base: minus its mass times the base's acceleration), or let the record begin when the rig "
@@ -51,7 +55,12 @@ def sound_channels(recording: Recording, without: tuple[str, ...] = ()) -> tuple
 
 
 def check_decay(recording: Recording) -> None:
-    """Raises RigError if a record without a force is no free decay, by the level of all sensors of a quantity."""
+    """Raises RigError if a record without a force is no free decay, by the level of all sensors of a quantity.
+
+    Likewise if it is one of masses beside other bodies.
+    """
+    if len(recording.rig.bodies) > 1 and any(b.is_mass for b in recording.rig.bodies):
+        raise RigError(WITHOUT_FORCE)
     second = round(recording.rig.sample_rate_hz)
     for name, signals in recording.signals.items():
         rows = signals.values[:, : signals.values.shape[1] // second * second]

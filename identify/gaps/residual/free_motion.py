@@ -48,7 +48,7 @@ def free_motions(record: Record, responses: Sequence[Response], places: list[Sta
     turning, order = 1j * record.omega, record.sensors[0].measures.order
     found = []
     for k, response in enumerate(responses):
-        if not response.body.length_m:
+        if response.body.is_mass:
             continue
         believed_hz = modes_of(record.rig, record.rig.body(response.body.name)).frequencies_hz(response.count)
         damped = 4 * np.pi * response.dynamics.natural_hz * response.dynamics.damping_ratios
@@ -56,9 +56,7 @@ def free_motions(record: Record, responses: Sequence[Response], places: list[Sta
         for m in np.flatnonzero(believed_hz < record.highest_hz):
             by_velocity = response.accelerance[m]
             by_displacement = (turning + damped[m]) * by_velocity
-            units = np.stack(
-                [(by_displacement - (order > 0) * turning) / max(damped[m], 1.0), by_velocity - (order > 1)]
-            )
+            units = np.stack([by_displacement - (order > 0) * turning, by_velocity - (order > 1)])
             found.append(FreeMotion(k, int(m), shapes[:, m], units, np.zeros(2)))
     return tuple(found)
 
@@ -82,12 +80,16 @@ def fitted_motions(
     weights = (both @ np.abs(sensed) ** 2).reshape(len(shapes), *units.shape[::2]).astype(complex)
     for by_one, to_one in zip(projection.by_input, projection.to_inputs, strict=True):
         weights -= times(shapes, sensed.conj() * by_one)[:, None] * times(shapes, sensed * to_one)
-    normal = [
-        _products(one, (own[:, None] * units).reshape(-1, own.shape[1]))
-        for one, own in zip(units, weights, strict=True)
-    ]
-    gradient = [_products(one, own[None]) for one, own in zip(units, times(shapes, sensed.conj() * left), strict=True)]
-    states = np.linalg.pinv(np.concatenate(normal), rcond=1e-9, hermitian=True) @ np.concatenate(gradient)
+    normal, gradient = (
+        np.concatenate([_products(one, own) for one, own in zip(units, of_modes, strict=True)])
+        for of_modes in (
+            (weights[:, :, None] * units).reshape(len(units), -1, sensed.shape[1]),
+            times(shapes, sensed.conj() * left)[:, None],
+        )
+    )
+    size = np.sqrt(np.diag(normal))
+    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)  # no accelerometer shows a rigid mode's
+    states = scale * (np.linalg.pinv(scale[:, None] * normal * scale, hermitian=True) @ (scale * gradient[:, 0]))
     return tuple(replace(m, state=state) for m, state in zip(motions, states.reshape(-1, 2), strict=True))
 
 

@@ -65,15 +65,13 @@ def columns_of(record: Record, model: Linear) -> Columns:
 
 
 def _of_free_motion(record: Record, model: Linear) -> Iterator[Change]:
-    """A standard deviation of each mode's initial displacement and velocity moves the sensors as the whole record."""
+    """Of each mode's initial displacement and velocity, as much as moves the sensors like the whole record."""
+    whole, everywhere = np.linalg.norm(record.delivered), list(range(len(record.sensors)))
     for motion in model.free:
         parameter = Nuisance("initial state", model.responses[motion.body].body.name, motion.mode + 1)
         for unit in motion.units:
             change = model.sensor_response * np.outer(motion.shape, unit)
-            size = np.linalg.norm(change)
-            yield Change(
-                parameter, list(range(len(change))), change * (np.linalg.norm(record.delivered) / size if size else 0.0)
-            )
+            yield Change(parameter, everywhere, change * (whole / max(float(np.linalg.norm(change)), 1e-300)))
 
 
 def _projected(

@@ -158,7 +158,7 @@ class Record:
 def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Tolerances | None = None) -> Record:
     """The spectra of a recording's accelerometers; without any, of its velocity or else its displacement sensors.
 
-    Raises RigError if it is too short, has no sensors, or no force and is no free decay.
+    Raises RigError if it is too short or has no sensors.
     """
     rig, rate = recording.rig, recording.rig.sample_rate_hz
     joint = joined(rig)
@@ -187,7 +187,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     omega = 2 * np.pi * np.arange(lines) * rate / length
     omega[0] = 0.01 * omega[1]  # stands for the mean, which powers of omega would lose
     quiet = motion.excited_from > QUIET_S * rate
-    free = is_unforced(motion) and any(b.length_m for b in rig.bodies)
+    free = is_unforced(motion) and not any(b.is_mass for b in rig.bodies)
     shape = taper(samples, round(TAPER_S * rate))
     if free:
         shape[0] = 0.5  # half a sample: what begins there has no value before
@@ -209,10 +209,10 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     size = np.stack([omega ** (2 - s.measures.order) for s in sensors])
     begin_s = 0.0 if quiet else RELEASED_S if free else LEFT_OUT_S
     end_s = min(samples / rate - LEFT_OUT_S, max(_decayed_s(motion), begin_s + LEAST_S))
-    moving = motion  # tells how much of a slow motion the tolerances hide: of a decay while it counts
-    if free:
+    drifting = motion
+    if free:  # its first moments are far louder than what counts, whose slow motion is told by the tolerances
         counts = slice(round(begin_s * rate), round(end_s * rate))
-        moving = replace(motion, acceleration_m_per_s2=motion.acceleration_m_per_s2[:, counts])
+        drifting = replace(motion, acceleration_m_per_s2=motion.acceleration_m_per_s2[:, counts])
     return Record(
         rig=rig,
         sensors=sensors,
@@ -230,7 +230,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         noise=samples * (densities[:, None] * size) ** 2 * rate / 2,
         power=smooth * np.abs(turned) ** 2,
         eta_beyond=_eta_beyond(joint, sensors, measured[:, lines - 1 :], beyond_rad),
-        drifts=tuple(drift_of(joint, moving, j, noise, tolerances, samples) for j in range(len(joint.contacts))),
+        drifts=tuple(drift_of(joint, drifting, j, noise, tolerances, samples) for j in range(len(joint.contacts))),
         excited_s=motion.excited_from / rate,
         period_s=None if period is None else period / rate,
         tolerances=tolerances,
