@@ -11,7 +11,8 @@ STUCK = 1e-3
 """A channel that stands at its largest or smallest value for more than this share of the record is clipped."""
 LOUDER = 1.2
 LITTLE = 0.1
-"""In a free decay no second is that much louder than an earlier one, as the energy only falls, until little is left."""
+"""In a free decay no second is louder by this factor than an earlier one, as the energy only falls, or than little: a
+tenth of the loudest."""
 FALLEN = 0.5
 """And the quietest second has no more than this share of the loudest."""
 WITHOUT_FORCE = (
@@ -65,9 +66,8 @@ def check_decay(recording: Recording) -> None:
     for name, signals in recording.signals.items():
         rows = signals.values[:, : signals.values.shape[1] // second * second]
         level = np.linalg.norm(rows.reshape(len(rows), -1, second).std(axis=2), axis=0)
-        moving = level[: np.argmax(np.append(level < LITTLE * level.max(), True))]
-        louder = np.any(moving > LOUDER * np.minimum.accumulate(moving))
-        if name != "force" and (louder or level.min() > FALLEN * level.max()):
+        earlier = np.maximum(np.minimum.accumulate(level), LITTLE * level.max())
+        if name != "force" and (np.any(level > LOUDER * earlier) or level.min() > FALLEN * level.max()):
             raise RigError(NO_DECAY)
 
 

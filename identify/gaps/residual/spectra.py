@@ -209,10 +209,13 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     size = np.stack([omega ** (2 - s.measures.order) for s in sensors])
     begin_s = 0.0 if quiet else RELEASED_S if free else LEFT_OUT_S
     end_s = min(samples / rate - LEFT_OUT_S, max(_decayed_s(motion), begin_s + LEAST_S))
-    drifting = motion
-    if free:  # its first moments are far louder than what counts, whose slow motion is told by the tolerances
-        counts = slice(round(begin_s * rate), round(end_s * rate))
-        drifting = replace(motion, acceleration_m_per_s2=motion.acceleration_m_per_s2[:, counts])
+    drifts = tuple(drift_of(joint, motion, j, noise, tolerances, samples) for j in range(len(joint.contacts)))
+    if free and not motion.zero_known:  # its first moments are far louder than what counts
+        part = motion.part(slice(round(begin_s * rate), round(end_s * rate)))
+        counted = [drift_of(joint, part, j, noise, tolerances, samples) for j in range(len(drifts))]
+        drifts = tuple(
+            replace(d, noise_density=c.noise_density) for d, c in zip(drifts, counted, strict=True) if d and c
+        )
     return Record(
         rig=rig,
         sensors=sensors,
@@ -230,7 +233,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         noise=samples * (densities[:, None] * size) ** 2 * rate / 2,
         power=smooth * np.abs(turned) ** 2,
         eta_beyond=_eta_beyond(joint, sensors, measured[:, lines - 1 :], beyond_rad),
-        drifts=tuple(drift_of(joint, drifting, j, noise, tolerances, samples) for j in range(len(joint.contacts))),
+        drifts=drifts,
         excited_s=motion.excited_from / rate,
         period_s=None if period is None else period / rate,
         tolerances=tolerances,

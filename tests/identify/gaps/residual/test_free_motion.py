@@ -21,12 +21,15 @@ def decay(name, folder, effect="", jitter=None):
     return record_of(recorded(TESTS[name], folder / "r.mcap", 14.0, jitter, effect=effect))
 
 
-@pytest.mark.parametrize("name", [ACCELEROMETERS, DISPLACEMENTS])
-def test_each_column_is_the_free_motion_of_a_mode(name, tmp_path):
-    record = decay(name, tmp_path)
+@pytest.fixture(scope="module", params=[ACCELEROMETERS, DISPLACEMENTS])
+def record(request, tmp_path_factory):
+    return decay(request.param, tmp_path_factory.mktemp("decay"))
+
+
+def test_each_column_is_the_free_motion_of_a_mode(record):
     model = linearized(record, record.rig).model
     assert record.time_s[0] == pytest.approx(RELEASED_S, abs=0.01)
-    assert len(model.free) > 10
+    assert len(model.free) > 5
     order = record.sensors[0].measures.order
     for motion in model.free:
         dynamics = model.responses[motion.body].dynamics
@@ -35,14 +38,11 @@ def test_each_column_is_the_free_motion_of_a_mode(name, tmp_path):
             continue
         rows = [free_motion(hz, zeta, first, record.sample_times_s)[order] for first in (0, 1)]
         sampled = np.array([record.spectrum(row) * (1j * record.omega) ** (2 - order) for row in rows])
-        of_mode, column = sampled.view(float), motion.acceleration.view(float)
-        left = column - np.linalg.lstsq(of_mode.T, column, rcond=None)[0] @ of_mode
-        assert np.linalg.norm(left) <= 0.01 * np.linalg.norm(column)
+        left = np.linalg.norm(motion.units - sampled, axis=1)
+        assert np.all(left < 0.01 * np.linalg.norm(sampled, axis=1))
 
 
-@pytest.mark.parametrize("name", [ACCELEROMETERS, DISPLACEMENTS])
-def test_the_linear_residual_of_a_free_decay_is_noise_for_the_rig_that_made_it_alone(name, tmp_path):
-    record = decay(name, tmp_path)
+def test_the_linear_residual_of_a_free_decay_is_noise_for_the_rig_that_made_it_alone(record):
     softer = effect_named("youngs_modulus:factor=0.95").applied_to(record.rig)
     levels = [np.mean(counted(record, linearized(record, rig).model.residual) ** 2) for rig in (record.rig, softer)]
     assert levels[0] < 3
