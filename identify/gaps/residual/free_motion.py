@@ -24,8 +24,8 @@ from rig.model.modes import modes_of
 
 @dataclass(frozen=True, eq=False)
 class FreeMotion:
-    """Of one mode (from 0) of a body: its shape at the sensors, the accelerations that a unit of its displacement and
-    of its velocity at the beginning make of it, and how large both were."""
+    """Of one mode (from 0) of a body: its shape at the sensors, and its accelerations by a unit of its displacement and
+    of its velocity at the beginning; state is how large these were, times the sample rate, as spectra are sums."""
 
     body: int
     mode: int
