@@ -30,7 +30,7 @@ MOST, NEXT = 4, 0.25
 """No more are named, and none that is asked for by less than this share of the first."""
 STEADY = 2.0
 """Motion that lasts for half of the record is taken to last for all of it."""
-AT_ONCE = 4096
+AT_ONCE = 1024
 """Samples of all columns that are worked on at once."""
 FLOOR = 0.003
 """No model is believed to fit better than to this share of what a body does at a line."""
@@ -75,12 +75,12 @@ def broken(
     parameters, columns = [], []
     for change in changes_of(observed):
         parameters.append(change.parameter)
-        columns.append(project(_whole(change, measured.shape)))
+        columns.append(_Column.of(project(_whole(change, measured.shape))))
     if not parameters:
         return [], np.zeros(0)
     candidates, added = candidates_of(parameters, bodies, sensors, by_force, omega, tolerances)
     count = len(parameters)
-    columns += [project(spectra) for spectra in added]
+    columns += [_Column.of(project(spectra)) for spectra in added]
     found: list[Broken] = []
     free: list[int] = []
     weights = np.ones(left.shape[1], left.dtype)
@@ -108,8 +108,24 @@ def broken(
     return found, pulls
 
 
-def _along(columns: list[np.ndarray], values: np.ndarray) -> np.ndarray | float:
-    return sum((np.float32(value) * column for value, column in zip(values, columns, strict=True)), start=0.0)
+@dataclass(frozen=True)
+class _Column:
+    """In half precision, in units of its largest value: there are hundreds, and scores need no more."""
+
+    halves: np.ndarray
+    largest: np.float32
+
+    @classmethod
+    def of(cls, values: np.ndarray) -> "_Column":
+        largest = np.float32(max(float(np.max(np.abs(values))), 1e-30))
+        return cls((values / largest).astype(np.float16), largest)
+
+    def values(self, part: slice = slice(None)) -> np.ndarray:
+        return np.asarray(self.largest * self.halves[:, part].astype(np.float32))
+
+
+def _along(columns: list[_Column], values: np.ndarray) -> np.ndarray | float:
+    return sum((np.float32(value) * column.values() for value, column in zip(values, columns, strict=True)), start=0.0)
 
 
 @dataclass(frozen=True)
@@ -119,14 +135,14 @@ class _Sizes:
 
 
 def _scores(
-    left: np.ndarray, columns: list[np.ndarray], count: int, free: list[int], weights: np.ndarray
+    left: np.ndarray, columns: list[_Column], count: int, free: list[int], weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, _Sizes]:
     """The pulls of the first `count`, each candidate's score and its size, with the free ones without a prior."""
     fitted = [*range(count), *free]
     products, along = np.zeros((len(columns), len(columns))), np.zeros(len(columns))
     for first in range(0, left.shape[1], AT_ONCE):
         part = slice(first, first + AT_ONCE)
-        rows = np.stack([column[:, part] * weights[part] for column in columns]).reshape(len(columns), -1)
+        rows = np.stack([column.values(part) * weights[part] for column in columns]).reshape(len(columns), -1)
         products += rows @ rows.T
         along += rows @ (left[:, part] * weights[part]).reshape(-1)
     prior = np.r_[np.ones(count), np.full(len(free), 1e-9)]

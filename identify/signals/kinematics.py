@@ -87,7 +87,9 @@ class Kinematics:
         return replace(self, displacement_m=none, velocity_m_per_s=none, acceleration_m_per_s2=none, lost_m_per_s2=none)
 
 
-def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNER_HZ) -> Kinematics:
+def kinematics(
+    recording: Recording, use: Use = "auto", corner_hz: float = CORNER_HZ, least_order: int = 0
+) -> Kinematics:
     """Displacement, velocity and acceleration at every station with a sensor.
 
     In the frequency domain, with the end of the record tapered off: each sensor's gain and delay are divided out, and
@@ -95,6 +97,7 @@ def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNE
     corner. Each motion comes from the sensor that measured it, else from the nearest one that needs no integration.
     `use` takes the sensors of one quantity only. A segment of a longer record is tapered off at its start too, and is
     wrong there. Where a record does not begin at rest, its point reflection leads it in before it is differentiated.
+    Derivatives below the least order are left out: they take memory.
 
     Raises RigError if no such sensor is there, or the record is too short for its ends to be left out.
     """
@@ -120,7 +123,8 @@ def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNE
     # silence behind the record, as the Fourier transform wraps its end, which integration falsifies, round to its start
     length = next_fast_len(recording.samples + round(2 * left_out * rate), real=True)
     omega = 2 * np.pi * np.fft.rfftfreq(length, 1 / rate)
-    moved_by, lost = np.empty((3, len(stations), usable)), np.zeros((len(stations), usable))
+    moved_by = [np.empty((len(stations) if order >= least_order else 0, usable)) for order in range(3)]
+    lost = np.zeros((len(stations), usable))
     channels: dict[str, None] = {}
     at_contacts = {s for c in rig.contacts for s in contact_stations(c)}
     excited_from = at_rest_until(recording.force_n, (_channel(recording, s) for s in sensors), rate)
@@ -129,7 +133,7 @@ def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNE
     powers = cache(lambda power: integrated(omega, power, corner_hz))
     for row, station in enumerate(stations):
         spectra: dict[tuple[str, int], Complex[np.ndarray, " lines"]] = {}
-        for order, motion in enumerate(moved_by):
+        for order, motion in list(enumerate(moved_by))[least_order:]:
             sensor = _nearest(chosen[station], order)
             own = lead if order > sensor.measures.order else 0  # of an integral nothing may come before the record
             if (sensor.name, own) not in spectra:

@@ -172,7 +172,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         raise RigError("the recording has no sensors of motion; the diagnosis needs them, best accelerometers")
     quantity = max(moving, key=lambda s: s.measures.order).quantity
     sensors = sensors_of(rig, quantity)
-    motion = kinematics(recording, quantity)
+    motion = kinematics(recording, quantity, least_order=2 if np.any(recording.force_n) else 0)
     excited_hz = REACH * driven_to_hz(motion) if is_unforced(motion) else _excited_hz(recording.force_n, rate)
     high_hz = min(excited_hz, motion.trusted_hz[1], tolerances.highest_hz or np.inf)
     if high_hz <= low_hz:
@@ -191,15 +191,20 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     if not quiet:
         shape = shape * shape[::-1]
 
-    def spectrum(signals: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows all"]:
-        return np.asarray(rfft(signals * shape, length))
+    def spectrum(signal: Float[np.ndarray, " samples"]) -> Complex[np.ndarray, " all"]:
+        return np.asarray(rfft(signal * shape, length))
 
-    measured = spectrum(np.stack([_row(recording, s) for s in sensors]))
-    beyond_rad = 2 * np.pi * rate / length * np.arange(lines - 1, measured.shape[1])
+    beyond_rad = 2 * np.pi * rate / length * np.arange(lines - 1, length // 2 + 1)
+    eta_beyond = np.zeros((len(joint.contacts), beyond_rad.size), dtype=complex)
+    measured = np.empty((len(sensors), lines), dtype=complex)
+    for row, sensor in zip(measured, sensors, strict=True):
+        whole = spectrum(_row(recording, sensor))
+        row[:] = whole[:lines]
+        _add_beyond(eta_beyond, joint, sensor, whole[lines - 1 :], beyond_rad)
     turned, twice_less = (
         np.stack([integrated(omega, order - s.measures.order, low_hz) for s in sensors]) for order in (2, 0)
     )
-    smooth = uniform_filter1d(np.abs(measured[:, :lines]) ** 2, max(1, round(SMOOTHED_HZ * length / rate)), axis=1)
+    smooth = uniform_filter1d(np.abs(measured) ** 2, max(1, round(SMOOTHED_HZ * length / rate)), axis=1)
     noise = acceleration_noise(motion, rig)
     period = period_of(recording.force_n[motion.excited_from :])
     densities = _densities(sensors, motion)
@@ -217,12 +222,12 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         window=shape,
         omega=omega,
         force=spectrum(recording.force_n)[:lines],
-        delivered=measured[:, :lines] * turned,
-        displaced=measured[:, :lines] * twice_less,
+        delivered=measured * turned,
+        displaced=measured * twice_less,
         force_noise=samples * _force_noise_n(recording, motion, tolerances) ** 2,
         noise=samples * (densities[:, None] * size) ** 2 * rate / 2,
         power=smooth * np.abs(turned) ** 2,
-        eta_beyond=_eta_beyond(joint, sensors, measured[:, lines - 1 :], beyond_rad),
+        eta_beyond=eta_beyond,
         drifts=tuple(drift_of(joint, motion, j, noise, tolerances, samples) for j in range(len(joint.contacts))),
         excited_s=motion.excited_from / rate,
         period_s=None if period is None else period / rate,
@@ -248,21 +253,19 @@ def _decayed_s(motion: Kinematics) -> float:
     return np.inf if last == whole else float(last)
 
 
-def _eta_beyond(
+def _add_beyond(
+    eta_beyond: Complex[np.ndarray, "contacts lines"],
     rig: Rig,
-    sensors: tuple[Sensor, ...],
-    measured: Complex[np.ndarray, "sensors lines"],
+    sensor: Sensor,
+    measured: Complex[np.ndarray, " lines"],
     omega: Float[np.ndarray, " lines"],
-) -> Complex[np.ndarray, "contacts lines"]:
-    """Above the band of the diagnosis: from the sensors at the contacts; zero where there are none."""
-    found = np.zeros((len(rig.contacts), omega.size), dtype=complex)
-    heard = omega <= 2 * np.pi * PASSBAND * rig.sample_rate_hz
+) -> None:
+    """What a sensor at a contact shows of its relative displacement above the band of the diagnosis."""
     for j, contact in enumerate(rig.contacts):
         for station, sign in ((contact.at, 1.0), (contact.against, -1.0)):
-            for i, sensor in enumerate(sensors):
-                if sensor.station == station:
-                    found[j] += sign * heard * measured[i] * integrated(omega, -sensor.measures.order, CORNER_HZ)
-    return found
+            if sensor.station == station:
+                heard = omega <= 2 * np.pi * PASSBAND * rig.sample_rate_hz
+                eta_beyond[j] += sign * heard * measured * integrated(omega, -sensor.measures.order, CORNER_HZ)
 
 
 def _row(recording: Recording, sensor: Sensor) -> Float[np.ndarray, " samples"]:
