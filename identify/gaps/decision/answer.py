@@ -29,6 +29,7 @@ from identify.gaps.search.nominal import fit_nuisance
 from identify.gaps.search.pooled import fitted_together
 from identify.gaps.unknown import Sought, likeliest_force
 from identify.gaps.unknown.play import Breathing, breathing
+from identify.structure.response import forget
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.tolerances import LABORATORY, Tolerances
@@ -68,6 +69,7 @@ def diagnose(
     """
     parts, last = parts_of(recordings, validation)
     believed = tolerances or parts[0].rig.tolerances or LABORATORY
+    forget()
     parts, faults = sound(*parts)
     every = [record_of(part, tolerances=believed) for part in parts]
     other, record = parts[last], every[last]

@@ -13,6 +13,7 @@ from identify.gaps.residual.residual import Linearization, linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Curve, Figure
 from identify.structure.joined import joined
+from identify.structure.response import forget
 from rig.model.description import Rig
 from rig.recording import Recording
 
@@ -29,6 +30,7 @@ def compared(
     Contacts are seen by the rig that each run is of, the measured by the corrected one. Two records of the same chaotic
     machine differ too, by as much as null simulations scatter: nothing is decided by these figures.
     """
+    forget()
     observed = []
     for simulated, rig in ((None, corrected), (believed, believed), (corrected, corrected)):
         run = measured if simulated is None else simulate(believed, simulated, measured.force_n, 1)
