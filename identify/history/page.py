@@ -148,26 +148,19 @@ def _sections(history: History, figure: Picture) -> list[tuple[str, str]]:
     head = ("", "mean", "first to last, along the trend", "p of the trend", "p of the differences")
     found = [("Over the recordings", page.figure("history", figure, caption))]
     found.append(("What changed", note + page.table(head, rows(history))))
-    found.append(("The recordings", page.table(("", "recording", "recorded, UTC", "told"), _recordings(history))))
+    found.append(
+        ("The recordings", page.table(("", "recording", "SHA-256", "recorded, UTC", "told"), _recordings(history)))
+    )
     return found
 
 
 def _recordings(history: History) -> Iterator[Sequence[str]]:
     used = 0
     for observation in history.observations:
-        if observation.report is None:
-            yield (
-                "",
-                observation.name,
-                f"{observation.recorded:%Y-%m-%d %H:%M}" if observation.recorded else "",
-                f"left out: {observation.reason}",
-            )
-        else:
+        place, told = "", f"left out: {observation.reason}"
+        if observation.report is not None:
             used += 1
             findings = "; ".join(f.sentence for f in observation.report.findings)
-            yield (
-                str(used),
-                observation.name,
-                f"{observation.recorded:%Y-%m-%d %H:%M}" if observation.recorded else "",
-                f"not to be relied on: {findings}" if findings else "used",
-            )
+            place, told = str(used), f"not to be relied on: {findings}" if findings else "used"
+        recorded = f"{observation.recorded:%Y-%m-%d %H:%M}" if observation.recorded else ""
+        yield place, observation.name, observation.sha256[: page.SHOWN_DIGITS], recorded, told
