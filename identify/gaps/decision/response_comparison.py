@@ -8,7 +8,7 @@ from scipy.signal import csd, welch
 
 from identify.gaps.decision.familiar import familiar_figures
 from identify.gaps.decision.null_reference import NullReference, Simulate
-from identify.gaps.residual.residual import linearized
+from identify.gaps.residual.residual import Linearization, linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Curve, Figure
 from identify.structure.joined import joined
@@ -40,8 +40,9 @@ def compared(
         for name, (value, unit) in was.items()
     )
     curves = [_spectrum(runs), *([_response(runs)] if np.any(measured.force_n) else [])]
+    moved_mm = [1e3 * _excited_m(linearization) for linearization in linearizations]
     for j, contact in enumerate(joined(believed).contacts):
-        eta = [1e3 * b.record.finely(b.model.eta_m)[j] for b in linearizations]
+        eta = [moved[j] for moved in moved_mm]
         edges = np.linspace(min(e.min() for e in eta), max(e.max() for e in eta), CELLS + 1)
         curves.append(
             Curve(
@@ -53,6 +54,13 @@ def compared(
             )
         )
     return rows, tuple(curves)
+
+
+def _excited_m(of: Linearization) -> Float[np.ndarray, "contacts fine"]:
+    """The relative displacements from when on the force acts: the rest before it would be a peak of the histogram."""
+    record = of.record
+    quiet_s = max(0.0, record.excited_s - record.time_s[0])
+    return record.finely(of.model.eta_m)[:, round(quiet_s * record.sample_rate_hz * record.finer) :]
 
 
 def _last(run: Recording) -> Float[np.ndarray, " samples"]:
