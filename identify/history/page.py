@@ -43,12 +43,13 @@ def _changed(found: QuantityHistory) -> str:
 
 
 def drift(found: QuantityHistory) -> str:
-    """The change along the trend, in its unit and in per cent of the mean, ± 95 %."""
+    """The change along the trend, in its unit and, where it is smaller, in per cent of the mean; ± 95 %."""
     if found.drift is None:
         return ""
     _, unit, scale = WORDS[found.quantity]
-    share = f" ({100 * found.drift.value / found.mean:+.2g} %)" if found.mean else ""
-    return interval(scale * found.drift.value, scale * found.drift.standard_error, unit) + share
+    change, error = found.drift.value, found.drift.standard_error
+    share = f" ({100 * change / found.mean:+.2g} %)" if abs(change) < abs(found.mean) else ""
+    return interval(scale * change, scale * error, unit) + share
 
 
 def rows(history: History) -> Iterator[tuple[str, ...]]:

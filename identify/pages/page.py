@@ -43,7 +43,7 @@ figure{margin:1rem 0}figure div{overflow-x:auto}figure img{max-width:46rem;min-w
 figcaption{color:var(--dim);font-size:.9rem;margin-top:.2rem}
 summary{cursor:pointer;color:var(--dim)}
 @media(max-width:40rem){table{font-size:.8rem}th,td{padding-right:.4rem;overflow-wrap:anywhere;hyphens:auto;
-min-width:2.9rem}td:first-child{min-width:5rem}td.number{
+min-width:2.9rem}td:first-child:not(.number){min-width:5rem}td.number{
 white-space:normal;overflow-wrap:normal}}
 """
 _PAGE = """<!DOCTYPE html>
