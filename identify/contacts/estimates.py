@@ -214,10 +214,9 @@ def _density(
     row = motion.stations.index(station)
     own = [i for i, s in enumerate(motion.stations) if s.body == station.body]
     own.sort(key=lambda i: motion.stations[i].position_m)
-    acceleration = motion.acceleration_m_per_s2[own]
     followed_hz = 0.5 / KNOT_S
     factor = max(1, int(motion.sample_rate_hz / (2 * followed_hz)))
-    slow = decimated(acceleration, factor)
+    slow = np.stack([decimated(acceleration, factor) for acceleration in motion.acceleration_m_per_s2[own]])
     error = tolerances.gain**2 * np.mean(slow[own.index(row)] ** 2)
     if len(own) > 1:
         slope = np.gradient(slow, [motion.stations[i].position_m for i in own], axis=0)[own.index(row)]

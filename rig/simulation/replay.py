@@ -3,6 +3,7 @@
 `modal` and `ancf` are the simulators that this package offers to a diagnosis, by the entry points of its installation.
 """
 
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -15,6 +16,23 @@ from rig.model.sensing import quantities_of
 from rig.recording import Recording, Signals, channel_groups
 from rig.simulation.motion import Plant, Progress, sensed_alone
 from rig.simulation.sensors import digitised, needed_duration_s
+
+
+@dataclass(frozen=True)
+class _Interpolated:
+    """A force at a plant's steps, had slice by slice."""
+
+    force_n: CubicSpline
+    until_s: float
+    step_s: float
+    steps: int
+
+    def __len__(self) -> int:
+        return self.steps
+
+    def __getitem__(self, now: slice) -> Float[np.ndarray, " some"]:
+        time_s = np.arange(*now.indices(self.steps)) * self.step_s
+        return np.asarray(self.force_n(np.minimum(time_s, self.until_s)))
 
 
 def replayed(
@@ -32,8 +50,12 @@ def replayed(
     need it. Raises RigError where the rig cannot be simulated so.
     """
     rate, samples = believed.sample_rate_hz, force_n.size
-    time_s = np.arange(round(needed_duration_s(actual, samples / rate) / step_s)) * step_s
-    fine = CubicSpline(np.arange(samples) / rate, force_n)(np.minimum(time_s, (samples - 1) / rate))
+    fine = _Interpolated(
+        CubicSpline(np.arange(samples) / rate, force_n),
+        (samples - 1) / rate,
+        step_s,
+        round(needed_duration_s(actual, samples / rate) / step_s),
+    )
     with threadpool_limits(1):  # the matrices are small
         motion = sensed_alone(plant(actual, fine, step_s, progress))
         blocks = list(digitised(actual, motion, np.random.default_rng([seed, 1])))

@@ -1,6 +1,7 @@
 """The measured record beside simulations with its force: the believed rig's, and that of the likeliest cause."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +17,7 @@ from rig.model.description import Rig
 from rig.recording import Recording
 
 CURVE_POINTS = 400
+SEGMENT_S = 2.0
 CELLS = 80
 
 
@@ -27,22 +29,18 @@ def compared(
     Contacts are seen by the rig that each run is of, the measured by the corrected one. Two records of the same chaotic
     machine differ too, by as much as null simulations scatter: nothing is decided by these figures.
     """
-    runs = (
-        measured,
-        simulate(believed, believed, measured.force_n, 1),
-        simulate(believed, corrected, measured.force_n, 1),
-    )
-    rigs = (corrected, believed, corrected)
-    linearizations = [linearized(record_of(run), rig) for run, rig in zip(runs, rigs, strict=True)]
-    was, by_believed, by_corrected = (familiar_figures(linearization) for linearization in linearizations)
+    observed = []
+    for simulated, rig in ((None, corrected), (believed, believed), (corrected, corrected)):
+        run = measured if simulated is None else simulate(believed, simulated, measured.force_n, 1)
+        observed.append(_observed(run, linearized(record_of(run), rig)))
+    was, by_believed, by_corrected = (one.figures for one in observed)
     rows = tuple(
         Figure(name, unit, value, by_believed[name][0], by_corrected[name][0], null_reference.by_chance(name))
         for name, (value, unit) in was.items()
     )
-    curves = [_spectrum(runs), *([_response(runs)] if np.any(measured.force_n) else [])]
-    moved_mm = [1e3 * _excited_m(linearization) for linearization in linearizations]
+    curves = [_spectrum(measured, observed), *([_response(measured, observed)] if np.any(measured.force_n) else [])]
     for j, contact in enumerate(joined(believed).contacts):
-        eta = [moved[j] for moved in moved_mm]
+        eta = [1e3 * one.eta_m[j] for one in observed]
         edges = np.linspace(min(e.min() for e in eta), max(e.max() for e in eta), CELLS + 1)
         curves.append(
             Curve(
@@ -56,53 +54,59 @@ def compared(
     return rows, tuple(curves)
 
 
-def _excited_m(of: Linearization) -> Float[np.ndarray, "contacts fine"]:
-    """The relative displacements from when on the force acts: the rest before it would be a peak of the histogram."""
-    record = of.record
-    quiet_s = max(0.0, record.excited_s - record.time_s[0])
-    return record.finely(of.model.eta_m)[:, round(quiet_s * record.sample_rate_hz * record.finer) :]
+@dataclass(frozen=True)
+class _Observed:
+    """What is compared of one run; spectra are those of the last sensor, and of it by the force.
+
+    The relative displacements begin when the force does: the rest before it would be a peak of the histogram.
+    """
+
+    figures: dict[str, tuple[float, str]]
+    eta_m: Float[np.ndarray, "contacts samples"]
+    density: Float[np.ndarray, " lines"]
+    response: Float[np.ndarray, " lines"]
 
 
-def _last(run: Recording) -> Float[np.ndarray, " samples"]:
-    quantity = run.rig.sensors[-1].quantity
-    return run.signals[quantity].values[-1]
+def _observed(run: Recording, linearization: Linearization) -> _Observed:
+    rate = run.rig.sample_rate_hz
+    segment = int(SEGMENT_S * rate)
+    record = linearization.record
+    begun = round(max(0.0, record.excited_s - record.time_s[0]) * rate)
+    last = run.signals[run.rig.sensors[-1].quantity].values[-1]
+    cross = np.abs(csd(run.force_n, last, rate, nperseg=segment)[1])
+    return _Observed(
+        figures=familiar_figures(linearization),
+        eta_m=record.sampled(linearization.model.eta_m)[:, begun:],
+        density=welch(last, rate, nperseg=segment)[1],
+        response=cross / np.maximum(welch(run.force_n, rate, nperseg=segment)[1], 1e-300),
+    )
 
 
-def _unit(runs: tuple[Recording, ...]) -> str:
-    return runs[0].rig.sensors[-1].measures.unit
-
-
-def _spectrum(runs: tuple[Recording, ...]) -> Curve:
+def _spectrum(measured: Recording, observed: list[_Observed]) -> Curve:
     """Of the last sensor."""
-    rate = runs[0].rig.sample_rate_hz
-    hz, density = zip(*(welch(_last(r), rate, nperseg=int(2 * rate)) for r in runs), strict=True)
-    keep = slice(1, CURVE_POINTS)
+    last, keep = measured.rig.sensors[-1], slice(1, CURVE_POINTS)
+    hz = np.arange(len(observed[0].density)) / SEGMENT_S
     return Curve(
-        f"power spectral density, {runs[0].rig.sensors[-1].name}",
+        f"power spectral density, {last.name}",
         "frequency, Hz",
-        f"({_unit(runs)})^2/Hz",
-        tuple(hz[0][keep].tolist()),
-        *_three(d[keep] for d in density),
+        f"({last.measures.unit})^2/Hz",
+        tuple(hz[keep].tolist()),
+        *_three(one.density[keep] for one in observed),
         True,
     )
 
 
-def _response(runs: tuple[Recording, ...]) -> Curve:
+def _response(measured: Recording, observed: list[_Observed]) -> Curve:
     """The last sensor over the force, H1."""
-    rate = runs[0].rig.sample_rate_hz
-    segment = int(2 * rate)
-    curves = []
-    for run in runs:
-        hz, cross = csd(run.force_n, _last(run), rate, nperseg=segment)
-        curves.append(np.abs(cross) / np.maximum(welch(run.force_n, rate, nperseg=segment)[1], 1e-300))
-    strong = welch(runs[0].force_n, rate, nperseg=segment)[1]
+    last, rate = measured.rig.sensors[-1], measured.rig.sample_rate_hz
+    hz, strong = welch(measured.force_n, rate, nperseg=int(SEGMENT_S * rate))
     keep = slice(1, int(np.flatnonzero(strong > 1e-3 * strong.max())[-1]))
     return Curve(
-        f"FRF (H1), {runs[0].rig.sensors[-1].name} over force",
+        f"FRF (H1), {last.name} over force",
         "frequency, Hz",
-        f"({_unit(runs)})/N",
+        f"({last.measures.unit})/N",
         tuple(hz[keep].tolist()),
-        *_three(c[keep] for c in curves),
+        *_three(one.response[keep] for one in observed),
         True,
     )
 

@@ -120,19 +120,18 @@ class Record:
         lines = np.round(self.omega * self.length / (2 * np.pi * self.sample_rate_hz)).astype(int)
         return np.asarray(rfft(signal * self.window, self.length)[lines])
 
-    def finely(
+    def sampled(
         self, eta: Complex[np.ndarray, "contacts lines"], derivative: int = 0, beyond: bool = True
-    ) -> Float[np.ndarray, "contacts fine"]:
-        """Relative displacements, or velocities, at `FINE_HZ` or more, within the samples that count.
+    ) -> Float[np.ndarray, "contacts samples"]:
+        """Relative displacements, or velocities, at the recording's rate, between the first and last that counts.
 
         With what was measured beyond the lines; a change of a model has nothing there.
         """
-        fine = self.factor * self.finer
         whole = np.concatenate([eta[:, :-1], self.eta_beyond if beyond else np.zeros_like(self.eta_beyond)], axis=1)
         if derivative:
-            whole = whole * (2j * np.pi * self.sample_rate_hz / self.length * np.arange(whole.shape[1]))
-        moved = self.finer * irfft(whole, self.length * self.finer)
-        return moved[:, self.taken.start * fine : (self.taken.stop - 1) * fine + 1].copy()
+            whole *= 2j * np.pi * self.sample_rate_hz / self.length * np.arange(whole.shape[1])
+        moved = irfft(whole, self.length)
+        return moved[:, self.taken.start * self.factor : (self.taken.stop - 1) * self.factor + 1].copy()
 
     @cached_property
     def twice_integrated(self) -> Complex[np.ndarray, " lines"]:
