@@ -21,7 +21,9 @@ _CAPTIONS = {
     "histogram": "The relative displacements, and how often each occurs. The stops stand where it piles up.",
     "section": "What the main modal equation leaves for each contact, over its relative displacement.",
     "surface": "The restoring force surface of the main modal equation.",
-    "stiffness": "The contact stiffness by NIFO over frequency, and its deviation from what is drawn dotted.",
+    "stiffness": "The contact stiffness by NIFO over frequency, and its deviation from what is drawn dotted. The "
+    "paper's form takes the spectra of blocks as they are: a mode that rings for longer than a block leaks. The weak "
+    "form takes the derivatives of the window along as inputs, so that nothing leaks.",
     "frf": "The linear FRF that NIFO finds beside the contacts, and that of rig.json.",
     "outputs": "The main modal coordinate as measured, and as it would be without contacts.",
 }

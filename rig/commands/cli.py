@@ -29,7 +29,7 @@ from rig.commands.command_line import (
     working,
 )
 from rig.effects import effect_named, effects
-from rig.errors import RigError
+from rig.errors import RigError, meant
 from rig.extras import needs_extra
 from rig.files import check_source
 from rig.model.description import Station, read_rig
@@ -152,7 +152,9 @@ def _machine(scenario: str, settings: dict[str, str]) -> Sdof | BarrelCradle | O
     own = Path(scenario).suffix == ".json"
     if not own and scenario not in REFERENCES:
         known = ", ".join(REFERENCES)
-        raise typer.BadParameter(f"{scenario!r} is none of {known}, and no FILE.json", param_hint="RIG")
+        raise typer.BadParameter(
+            f"{scenario!r} is none of {known}, and no FILE.json{meant(scenario, REFERENCES)}", param_hint="RIG"
+        )
     rig = read_rig(Path(scenario)) if own else None
     try:
         return reference(scenario, settings) if rig is None else own_rig(rig, settings)

@@ -1,6 +1,5 @@
 """From measured data and a map, which says what each column is, to a recording."""
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -11,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rig.errors import RigError
-from rig.files import check_target, contents
+from rig.files import check_target, contents, sha256_of
 from rig.lab.clock import RATE_TOLERANCE, even
 from rig.lab.column import Column
 from rig.lab.tables import TextForm, columns_of
@@ -61,9 +60,8 @@ def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
     """
     mapping, rig = _read_map(map_path, out)
     columns = columns_of(source, mapping.csv)
-    digest = hashlib.sha256(source.read_bytes()).hexdigest()
     changed = datetime.fromtimestamp(source.stat().st_mtime, UTC).isoformat(timespec="seconds")
-    origin = {"source": source.name, "source_sha256": digest, RECORDED: changed}
+    origin = {"source": source.name, "source_sha256": sha256_of(source), RECORDED: changed}
     return _import(columns, origin, str(source), mapping, rig, map_path, out)
 
 

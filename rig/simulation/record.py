@@ -4,7 +4,7 @@ import importlib.metadata
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -69,7 +69,7 @@ def record(
         "asked_duration_s": repr(duration_s),
         "excitation": repr(excitation),
         "seed": str(excitation.seed),
-        **{f"version of {name}": importlib.metadata.version(name) for name in ("rig-identify", "exudyn", "numpy")},
+        **dict(_versions("rig-identify", "exudyn", "numpy")),
     }
     rng = np.random.default_rng([excitation.seed, 1])
     written = 0
@@ -91,6 +91,13 @@ def record(
                 truth.append(group, values[:, keep])
             written += block.force_n[keep].size
             check_interrupt()
+
+
+def _versions(*packages: str) -> Iterator[tuple[str, str]]:
+    """Those of the packages that are installed, as an extra need not be."""
+    for name in packages:
+        with suppress(importlib.metadata.PackageNotFoundError):
+            yield f"version of {name}", importlib.metadata.version(name)
 
 
 def _check_finite(block: Samples) -> None:

@@ -58,7 +58,10 @@ def compared(
 
 @dataclass(frozen=True)
 class _Observed:
-    """What is compared of one run; spectra are those of the last sensor, and of it by the force."""
+    """What is compared of one run; spectra are those of the last sensor, and of it by the force.
+
+    The relative displacements begin when the force does: the rest before it would be a peak of the histogram.
+    """
 
     figures: dict[str, tuple[float, str]]
     eta_m: Float[np.ndarray, "contacts samples"]
@@ -69,11 +72,13 @@ class _Observed:
 def _observed(run: Recording, linearization: Linearization) -> _Observed:
     rate = run.rig.sample_rate_hz
     segment = int(SEGMENT_S * rate)
+    record = linearization.record
+    begun = round(max(0.0, record.excited_s - record.time_s[0]) * rate)
     last = run.signals[run.rig.sensors[-1].quantity].values[-1]
     cross = np.abs(csd(run.force_n, last, rate, nperseg=segment)[1])
     return _Observed(
         figures=familiar_figures(linearization),
-        eta_m=linearization.record.sampled(linearization.model.eta_m),
+        eta_m=record.sampled(linearization.model.eta_m)[:, begun:],
         density=welch(last, rate, nperseg=segment)[1],
         response=cross / np.maximum(welch(run.force_n, rate, nperseg=segment)[1], 1e-300),
     )

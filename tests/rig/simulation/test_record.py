@@ -1,5 +1,7 @@
 """Recording in one go: rig, force, plant, sensors, files."""
 
+import importlib.metadata
+
 import msgspec
 import numpy as np
 import pytest
@@ -32,6 +34,18 @@ def test_recording_and_truth_have_the_samples_asked_for(pair):
     assert recording.provenance["plant"] == "modal"
     assert float(recording.provenance["step_s"]) == 2.0**-14
     assert recording.provenance["seed"] == "1"
+
+
+def test_a_plant_needs_no_package_of_another(tmp_path, monkeypatch):
+    def version(name):
+        if name == "exudyn":
+            raise importlib.metadata.PackageNotFoundError(name)
+        return "1.0"
+
+    monkeypatch.setattr(importlib.metadata, "version", version)
+    told = recorded(tmp_path / "r.mcap")[0].provenance
+    assert told["version of numpy"] == "1.0"
+    assert "version of exudyn" not in told
 
 
 def test_nothing_moves_in_the_quiet_second(pair):
