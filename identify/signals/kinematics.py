@@ -47,8 +47,8 @@ class Kinematics:
     trusted_hz: tuple[float, float]
     zero_known: bool
     force_n: Float[np.ndarray, " samples"]
-    displacement_m: Float[np.ndarray, "stations samples"]
-    velocity_m_per_s: Float[np.ndarray, "stations samples"]
+    displacement_m: Float[np.ndarray, "had samples"]
+    velocity_m_per_s: Float[np.ndarray, "also samples"]
     acceleration_m_per_s2: Float[np.ndarray, "stations samples"]
     lost_m_per_s2: Float[np.ndarray, "stations samples"]
     excited_from: int

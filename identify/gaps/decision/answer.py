@@ -19,7 +19,7 @@ from identify.gaps.decision.sentence import sentence
 from identify.gaps.decision.unmeasured import cost_with, unmeasured
 from identify.gaps.decision.verdict import HALF, Decision, acts_where_they_do, decided, doubted
 from identify.gaps.residual.likelihood import Reference, reference_of
-from identify.gaps.residual.residual import Residual, linearized
+from identify.gaps.residual.residual import Residual, forget, linearized
 from identify.gaps.residual.spectra import Record, record_of
 from identify.gaps.results import USUAL, Gap, Matters, NextExperiment
 from identify.gaps.search.candidates import Candidate, candidates, scale_of
@@ -29,7 +29,6 @@ from identify.gaps.search.nominal import fit_nuisance
 from identify.gaps.search.pooled import fitted_together
 from identify.gaps.unknown import Sought, likeliest_force
 from identify.gaps.unknown.play import Breathing, breathing
-from identify.structure.response import forget
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.tolerances import LABORATORY, Tolerances
@@ -82,6 +81,7 @@ def diagnose(
     )
     several = len(fitted) > 1
     hypotheses, known = searched(fit_record, lambda x: progress("causes", (0.4 if several else 0.7) * x))
+    forget()
     reference = _reference(record)
     if several:
         seen = [_reference(one) for one in every]

@@ -21,7 +21,7 @@ from scipy.stats import t as student
 from identify.gaps.decision.drawing import drawn
 from identify.gaps.decision.familiar import familiar_figures
 from identify.gaps.residual.likelihood import Misfit, misfit, reference_of
-from identify.gaps.residual.residual import linearized
+from identify.gaps.residual.residual import forget, linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.nominal import fit_nuisance
 from rig.errors import RigError
@@ -125,6 +125,7 @@ def null_reference_of(
         made = simulate(measured.rig, actual, force_n, seed)
         rows.append(_left(_instrumented(made, corners_hz, density, rng), tolerances))
         progress((seed + 1) / simulations)
+    forget()
     reference = NullReference(key, tuple(rows))
     if kept:
         make_folder(kept.parent)

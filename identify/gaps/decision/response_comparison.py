@@ -9,11 +9,10 @@ from scipy.signal import csd, welch
 
 from identify.gaps.decision.familiar import familiar_figures
 from identify.gaps.decision.null_reference import NullReference, Simulate
-from identify.gaps.residual.residual import Linearization, linearized
+from identify.gaps.residual.residual import Linearization, forget, linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Curve, Figure
 from identify.structure.joined import joined
-from identify.structure.response import forget
 from rig.model.description import Rig
 from rig.recording import Recording
 
