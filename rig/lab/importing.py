@@ -94,7 +94,9 @@ def _import(
             raise RigError(f"{map_path}: sensor {min(wrong)!r} {what}; [sensors] needs {', '.join(sorted(names))}")
     forces = mapping.forces
     if forces and len(forces) != len(rig.forces):
-        raise RigError(f"{map_path}: has {len(forces)} of force, its rig.json {len(rig.forces)}; make them agree")
+        raise RigError(
+            f"{map_path}: force has {len(forces)} columns, and its rig.json {len(rig.forces)} forces; make them agree"
+        )
     wanted = {name: ("force", source) for name, source in zip(rig.force_names, forces, strict=False)}
     wanted |= {s.name: (s.quantity, mapping.sensors[s.name]) for s in rig.sensors}
     try:

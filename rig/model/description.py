@@ -315,8 +315,7 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     @property
     def force_names(self) -> tuple[str, ...]:
         """Of their channels: force, or force_1, force_2, ..."""
-        count = len(self.forces)
-        return tuple(f"force_{k}" for k in range(1, count + 1)) if count > 1 else ("force",)
+        return force_names(len(self.forces))
 
     def body(self, name: str) -> Body:
         for body in self.bodies:
@@ -360,6 +359,10 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         body = self.body(station.body)
         if not 0 <= station.position_m <= body.length_m:
             raise RigError(f"{what} stands at {station.position_m} m, off {body.name!r}; give 0 to {body.length_m} m")
+
+
+def force_names(count: int) -> tuple[str, ...]:
+    return tuple(f"force_{k}" for k in range(1, count + 1)) if count > 1 else ("force",)
 
 
 def _without_stops(**numbers: float) -> DeadZone:

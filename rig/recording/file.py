@@ -92,6 +92,10 @@ class Recording:
         return self.signals["force"].values
 
     @property
+    def force_names(self) -> tuple[str, ...]:
+        return self.signals["force"].channels.names
+
+    @property
     def force_n(self) -> Float[np.ndarray, " samples"]:
         """The force; raises RigError if several act at once."""
         if len(self.forces_n) > 1:

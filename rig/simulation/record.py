@@ -3,7 +3,7 @@
 import importlib.metadata
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -24,7 +24,7 @@ MAX_DURATION_S = 1e6
 
 def record(
     rig: Rig,
-    excitation: Excitation,
+    excitation: Excitation | Sequence[Excitation],
     *,
     plant: Plant,
     duration_s: float,
@@ -39,8 +39,8 @@ def record(
     the same sensors, contacts and sampling rate; their properties and places may differ.
 
     The plant runs a little longer than duration_s, as the anti-aliasing filter needs samples on both sides. The
-    sensors' noise comes from the excitation's seed. Of several forces each has the same settings and a seed of its own.
-    Raises RigError where the rig cannot be simulated so or the file
+    sensors' noise comes from the excitation's seed. Of a rig with several forces give one for each; if only one is
+    given, each has its settings and a seed of its own. Raises RigError where the rig cannot be simulated so or the file
     not written.
     """
     actual = actual or rig
@@ -62,7 +62,9 @@ def record(
             "or sample faster"
         )
     whole_s = needed_duration_s(actual, samples / rig.sample_rate_hz)
-    force = Forces(tuple(force_signal(_seeded(excitation, k), whole_s, step_s) for k in range(len(rig.forces))))
+    if isinstance(excitation, Excitation):
+        excitation = [_seeded(excitation, number) for number in range(len(rig.forces))]
+    force = Forces(tuple(force_signal(one, whole_s, step_s) for one in excitation))
     plant_name = getattr(plant, "__module__", "").rsplit(".", 1)[-1]
     provenance = {
         "made_by": "rig record",
@@ -70,11 +72,11 @@ def record(
         "plant": plant_name,
         "step_s": repr(step_s),
         "asked_duration_s": repr(duration_s),
-        "excitation": repr(excitation),
-        "seed": str(excitation.seed),
+        "excitation": ", ".join(map(repr, excitation)),
+        "seed": str(excitation[0].seed),
         **{f"version of {name}": importlib.metadata.version(name) for name in ("rig-identify", "exudyn", "numpy")},
     }
-    rng = np.random.default_rng([excitation.seed, 1])
+    rng = np.random.default_rng([excitation[0].seed, 1])
     written = 0
     with (
         np.errstate(over="ignore", divide="ignore", invalid="ignore"),  # what becomes of it is refused below

@@ -92,7 +92,7 @@ def _body(rig: Rig, body: Body, sensors: list[Sensor], tolerances: Tolerances, d
     losses = np.exp([lossier + t.damping * next(draw) for t in own])
     frequencies = modes.frequencies_hz(count) * factors
     order = np.argsort(frequencies)
-    standing = [s.station for s in sensors] + [s.station for s in rig.sensors] + [rig.force_at]
+    standing = [s.station for s in sensors] + [s.station for s in rig.sensors] + [*rig.forces]
     standing += [s for c in rig.contacts for s in contact_stations(c)] + [load.station for load in rig.loads]
     given = body.places(PLACES)
     places = np.unique([*given, *(s.position_m for s in standing if s.body == body.name)])

@@ -200,7 +200,7 @@ def _pushes(
     held = []
     if pushed_by_motion(rig):
         held = ground_forces(record, rig, responses, places, record.displaced / sensor_response)
-    return ((rig.force_at, lagged), *tones, *held)
+    return ((rig.forces[0], lagged), *tones, *held)
 
 
 def _accelerations(

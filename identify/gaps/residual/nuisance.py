@@ -82,7 +82,7 @@ def _observed(record: Record, model: Linear) -> Observed:
         omega=record.omega,
         sensor_response=model.sensor_response,
         explained=record.delivered - model.residual[: len(record.sensors)] * model.deviation,
-        by_force=model.by_force,
+        by_force=model.by_force[None],
         displaced=record.displaced / model.sensor_response,
         bodies=tuple(
             BodyMotion(response, motion, _elastic(record, response))

@@ -156,9 +156,15 @@ class Record:
 def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Tolerances | None = None) -> Record:
     """The spectra of a recording's accelerometers; without any, of its velocity or else its displacement sensors.
 
-    Raises RigError if it is too short, has no sensors, or no force and is not the free decay of a single mass.
+    Raises RigError if several forces act, it is too short, has no sensors, or no force and is not the free decay of a
+    single mass.
     """
     rig, rate = recording.rig, recording.rig.sample_rate_hz
+    if len(rig.forces) > 1:
+        raise RigError(
+            f"rig.json of {rig.name!r} has {len(rig.forces)} forces that act at once, and identify gap takes one; "
+            "diagnose records of one shaker at a time, or take identify contact, which reads several forces"
+        )
     joint = joined(rig)
     tolerances = tolerances or rig.tolerances or LABORATORY
     if recording.duration_s < SHORTEST_S:

@@ -25,7 +25,7 @@ def nuisances(
 ) -> tuple[tuple[str, ...], Complex[np.ndarray, "columns lines rows"], Float[np.ndarray, " columns"]]:
     """Names, columns D by one tolerance each, and how much each stretches the data."""
     record, model, tolerances = own.record, own.model, own.record.tolerances
-    by_force = own.accelerance(model.rig.force_at) / model.rig.force_sensor.gain
+    by_force = own.accelerance(model.rig.forces[0]) / model.rig.force_sensor.gain
     omega, deviation = record.omega, own.model.deviation
     names: list[str] = []
     columns: list[Complex[np.ndarray, "lines rows"]] = []

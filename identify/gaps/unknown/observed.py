@@ -160,7 +160,7 @@ def bare_residual(record: Record, rig: Rig) -> WhitenedRecord:
         gram=np.zeros((starts.size, 0, 0)),
         trace=np.zeros(0),
     )
-    by_force = bare.accelerance(rig.force_at) / rig.force_sensor.gain
+    by_force = bare.accelerance(rig.forces[0]) / rig.force_sensor.gain
     pushed = bare.seen(by_force)
     size = np.linalg.norm(pushed, axis=1)
     noise = force_noise(record)

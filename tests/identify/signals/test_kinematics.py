@@ -180,8 +180,8 @@ def test_the_force_begins_where_it_begins():
 def test_noise_of_the_force_channel_is_no_force(quiet_s, noise_n):
     rng = np.random.default_rng(3)
     motion = kinematics(recorded(sensor("displacement"), quiet_s=quiet_s))
-    noisy = replace(motion, force_n=motion.force_n * rng.standard_normal(motion.force_n.size))
-    noisy = replace(noisy, force_n=noisy.force_n + noise_n * rng.standard_normal(noisy.force_n.size))
+    noisy = replace(motion, forces_n=motion.forces_n * rng.standard_normal(motion.samples))
+    noisy = replace(noisy, forces_n=noisy.forces_n + noise_n * rng.standard_normal(noisy.samples))
     assert round(quiet_s * RATE_HZ) <= noisy.excited_from <= round(quiet_s * RATE_HZ) + 8 * (quiet_s > 0)
 
 

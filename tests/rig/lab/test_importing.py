@@ -115,7 +115,7 @@ def test_several_forces_are_columns_of_their_own_units(folder):
     import_file(folder / "lab.csv", folder / "map.toml", folder / "r.mcap")
     np.testing.assert_array_equal(read(folder / "r.mcap").forces_n, [1e3 * VALUES["force"], -2.0 * second])
     (folder / "map.toml").write_text("\n".join([*lines, entries[0]]))
-    with pytest.raises(RigError, match=r"has 1 of force, its rig\.json 2; make them agree"):
+    with pytest.raises(RigError, match=r"force has 1 columns, and its rig\.json 2 forces"):
         import_file(folder / "lab.csv", folder / "map.toml", folder / "other.mcap")
 
 
