@@ -14,6 +14,8 @@ SHORT = [name for name in TESTS if name.startswith("one mass")] + [
     "two beams, no quiet start, displacements",
     "two beams, free decay, no force measured",
     "two beams, free decay, displacements",
+    "two beams, a shaker on each",
+    "two beams, a shaker and a hammer",
 ]
 
 

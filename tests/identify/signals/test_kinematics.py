@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import rig
+from identify.signals.beginning import force_begins
 from identify.signals.kinematics import CORNER_HZ, TAPER_S, kinematics
 from identify.signals.noise import acceleration_noise
 from rig.errors import RigError
@@ -174,6 +175,12 @@ def test_a_record_without_a_usable_half_is_refused():
 
 def test_the_force_begins_where_it_begins():
     assert kinematics(recorded(sensor("displacement"), quiet_s=1.5)).excited_from == round(1.5 * RATE_HZ)
+
+
+def test_forces_begin_with_the_first_that_acts():
+    forces_n = np.random.default_rng(1).standard_normal((3, 3000))
+    forces_n[0, :1500], forces_n[1, :1200], forces_n[2] = 0.0, 0.0, 0.0
+    assert force_begins(forces_n, RATE_HZ) == 1200
 
 
 @pytest.mark.parametrize(("quiet_s", "noise_n"), [(1.5, 0.0), (1.5, 2e-3), (1.5, 0.05), (0.2, 0.05), (0.0, 0.05)])
