@@ -112,11 +112,7 @@ def identify_contact(
     progress(0.5)
     rig, motion, estimates, separated = found.rig, found.motion, found.estimates, found.separated.force_n
     factor, same_place = found.separated.factor, found.same_place
-    low, high = (0.0, driven_to_hz(motion)) if unforced else force_band(motion.forces_n, motion.sample_rate_hz)
-    band = averaging.band_hz or (
-        max(low, CLEAR_OF_CORNER * motion.trusted_hz[0], LOWEST_HZ),
-        min(high, motion.trusted_hz[1]),
-    )
+    bands = _bands(rig, motion, averaging)
     eta, force, depth = _with_law(found)
     del found  # the nuisance parameters over time take much memory
     motion = motion.part(slice(eta.shape[1]))
@@ -124,11 +120,12 @@ def identify_contact(
     eta, depth = eta[:, :kept], depth[:, :kept]
     stops = tuple(_stops(a) for a in estimates)
     alone = {place.members[0] for place in same_place if len(place.members) == 1}  # a histogram tells one knee a side
-    cut = blocks(kept, motion.sample_rate_hz, averaging, band)
+    cut = {body: blocks(kept, motion.sample_rate_hz, averaging, band) for body, band in bands.items()}
     equations = [e for body in rig.bodies for e in modal_equations(rig, motion, body, EQUATIONS, force)]
     motion = motion.part(slice(kept)).without_rows
     forced = [e for e in equations if e.shape_at_force != 0]
-    spectra = [] if unforced else [nifo(e, pushing_force(rig, e, motion.forces_n), depth, cut) for e in forced]
+    acting = [] if unforced else [e for e in forced if e.body in cut]
+    spectra = [nifo(e, pushing_force(rig, e, motion.forces_n), depth, cut[e.body]) for e in acting]
     findings += tuple(equation_findings(names, estimates, spectra))
     progress(0.7)
     coarse = _decimation(rig, motion)
@@ -139,7 +136,7 @@ def identify_contact(
     forms = None
     if weak:
         exciting_n = pushing_force(rig, weak.equation, motion.forces_n)
-        forms = (weak, nifo(weak.equation, exciting_n, depth, cut, "paper"))
+        forms = (weak, nifo(weak.equation, exciting_n, depth, cut[weak.equation.body], "paper"))
     return Identification(
         report=contact_report(
             rig,
@@ -166,6 +163,24 @@ def identify_contact(
         forms=forms,
         tolerances=tolerances or rig.tolerances or LABORATORY,
     )
+
+
+def _bands(rig: Rig, motion: Kinematics, averaging: Averaging) -> dict[str, tuple[float, float]]:
+    """By body the band of the forces on it, Hz; where none acts on any body that of the motion."""
+    found = {}
+    for body in dict.fromkeys(station.body for station in rig.forces):
+        forces_n = motion.forces_n[[station.body == body for station in rig.forces]]
+        if is_unforced(motion):
+            low, high = 0.0, driven_to_hz(motion)
+        elif np.any(forces_n):
+            low, high = force_band(forces_n, motion.sample_rate_hz)
+        else:
+            continue
+        found[body] = averaging.band_hz or (
+            max(low, CLEAR_OF_CORNER * motion.trusted_hz[0], LOWEST_HZ),
+            min(high, motion.trusted_hz[1]),
+        )
+    return found
 
 
 def _with_law(
