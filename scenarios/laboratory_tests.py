@@ -166,8 +166,8 @@ TESTS = {
         rms_n=0.0, base=shaken(1.0), without_s=1.0, effect=STIFFER
     ),
     "one mass, base excitation, displacement": mass(sensors="displacement", rms_n=0.0, base=shaken(1.0), without_s=1.0),
-    "two beams, a shaker on each": beams(**driven_too("cradle", 0.6)),
-    "two beams, two shakers on the barrel": beams(**driven_too("barrel", 0.2)),
+    "two beams, a shaker on each": beams(effect=STIFFER, **driven_too("cradle", 0.6)),
+    "two beams, two shakers on the barrel": beams(effect=HEAVIER, **driven_too("barrel", 0.2)),
     "two beams, a shaker and a hammer": beams(**driven_too("cradle", 0.6, "hammer", 4.0)),
 }
 REFUSED = {

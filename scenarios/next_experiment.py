@@ -180,7 +180,7 @@ def _recorded(asked: ToAsk, experiment: Experiment | None) -> tuple[Record, Floa
     if experiment is None:
         made = measured(machine, LEVEL_N, QUIET_S, round(DURATION_S * rate), rate, 100 + asked.seed)
         return _record(rig, made.force_n, made.acceleration_m_per_s2)
-    known, force_n = experiment.changed(rig), experiment.force_n
+    known, (force_n,) = experiment.changed(rig), experiment.forces_n
     displacements = known.sensors[0].quantity == "displacement"
     made = measured(
         _changed(machine, known),

@@ -131,7 +131,6 @@ CASES = {name: laboratory(name) for name in laboratory_tests.REFUSED} | {
     "strain gauges alone, diagnosed": gap(BarrelCradle(sensors="strain").rig()),
     "a record of 4 s, diagnosed": gap(SDOF, seconds=4.0),
     "base motion of held beams in rig.json, diagnosed": gap(replace(BEAMS, base_motion=SHAKEN)),
-    "two forces at once, diagnosed": gap(TWO_FORCES),
     "two forces at once, as an FMU": lambda folder: export_fmu(TWO_FORCES, folder / "r.fmu"),
     "two forces in the map, one in rig.json": imported(
         f'force = [{{ column = "F" }}, {{ column = "G" }}]\n[sensors]\n{SDOF.sensors[0].name} = {{ column = "a" }}\n'

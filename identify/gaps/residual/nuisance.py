@@ -82,7 +82,7 @@ def _observed(record: Record, model: Linear) -> Observed:
         omega=record.omega,
         sensor_response=model.sensor_response,
         explained=record.delivered - model.residual[: len(record.sensors)] * model.deviation,
-        by_force=model.by_force[None],
+        by_force=model.by_force,
         displaced=record.displaced / model.sensor_response,
         bodies=tuple(
             BodyMotion(response, motion, _elastic(record, response))
@@ -140,7 +140,8 @@ def with_nuisance(
 ) -> Rig:
     """The rig with mass, frequencies and damping of its bodies, gains and delays of its channels as they were fitted.
 
-    Stations stay, as a contact knows its sensors by them; so does what belongs to one mode or to a high-pass.
+    Stations stay, as a contact knows its sensors by them; so does what belongs to one mode, to a high-pass or to one of
+    several forces.
     """
     fitted = dict(zip(parameters, values.tolist(), strict=True))
 
