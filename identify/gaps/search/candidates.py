@@ -116,8 +116,8 @@ def candidates(scale: Scale, sensors: Sequence[str], zero_known: bool, forced: b
     """Every effect that the rig can have, at every place and sensor that a record sees.
 
     Effects that only the zero of a relative displacement shows are left out where it is not known, those of the force
-    and of channels where no force is measured (the free motion has no scale, and may begin at any time), and those that
-    change nothing, or part contacts between the same places.
+    and of channels where no force is measured (the free motion has no scale, and may begin at any time), those of the
+    force where several act, and those that change nothing, or part contacts between the same places.
     """
     found = []
     for kind in effects().values():
@@ -131,10 +131,10 @@ def candidates(scale: Scale, sensors: Sequence[str], zero_known: bool, forced: b
             except RigError:
                 continue  # it makes no sense here
             own = scale.rig
-            if len(own.forces) > 1:
+            if not forced or len(own.forces) > 1:
                 changed = replace(changed, force_sensor=own.force_sensor)
             if not forced:
-                changed = replace(changed, sensors=own.sensors, force_sensor=own.force_sensor, force_at=own.force_at)
+                changed = replace(changed, sensors=own.sensors, force_at=own.force_at)
             if changed != scale.rig and len(joined_contacts(changed)) == len(joined_contacts(scale.rig)):
                 found.append(candidate)
     return found
