@@ -93,7 +93,7 @@ def _import(
         if wrong:
             raise RigError(f"{map_path}: sensor {min(wrong)!r} {what}; [sensors] needs {', '.join(sorted(names))}")
     forces = mapping.forces
-    if forces and len(forces) != len(rig.forces):
+    if mapping.force != "none" and len(forces) != len(rig.forces):
         raise RigError(
             f"{map_path}: force has {len(forces)} columns, and its rig.json {len(rig.forces)} forces; make them agree"
         )

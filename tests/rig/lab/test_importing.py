@@ -114,9 +114,10 @@ def test_several_forces_are_columns_of_their_own_units(folder):
     (folder / "lab.csv").write_text(csv_text(values=VALUES | {"G": second}, names="t,F,x,a,G"))
     import_file(folder / "lab.csv", folder / "map.toml", folder / "r.mcap")
     np.testing.assert_array_equal(read(folder / "r.mcap").forces_n, [1e3 * VALUES["force"], -2.0 * second])
-    (folder / "map.toml").write_text("\n".join([*lines, entries[0]]))
-    with pytest.raises(RigError, match=r"force has 1 columns, and its rig\.json 2 forces"):
-        import_file(folder / "lab.csv", folder / "map.toml", folder / "other.mcap")
+    for count, given in ((1, entries[0]), (0, "force = []")):
+        (folder / "map.toml").write_text("\n".join([*lines, given]))
+        with pytest.raises(RigError, match=rf"force has {count} columns, and its rig\.json 2 forces"):
+            import_file(folder / "lab.csv", folder / "map.toml", folder / "other.mcap")
 
 
 def test_csv_from_another_country(folder):
