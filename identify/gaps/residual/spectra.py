@@ -191,7 +191,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     if not quiet:
         shape = shape * shape[::-1]
 
-    def spectrum(signal: Float[np.ndarray, " samples"]) -> Complex[np.ndarray, " all"]:
+    def spectrum(signal: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows all"]:
         return np.asarray(rfft(signal * shape, length))
 
     beyond_rad = 2 * np.pi * rate / length * np.arange(lines - 1, length // 2 + 1)
