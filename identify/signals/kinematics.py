@@ -47,8 +47,8 @@ class Kinematics:
     trusted_hz: tuple[float, float]
     zero_known: bool
     forces_n: Float[np.ndarray, "forces samples"]
-    displacement_m: Float[np.ndarray, "stations samples"]
-    velocity_m_per_s: Float[np.ndarray, "stations samples"]
+    displacement_m: Float[np.ndarray, "_ samples"]
+    velocity_m_per_s: Float[np.ndarray, "_ samples"]
     acceleration_m_per_s2: Float[np.ndarray, "stations samples"]
     lost_m_per_s2: Float[np.ndarray, "stations samples"]
     excited_from: int
