@@ -55,7 +55,7 @@ def broken(
     sensors = tuple(check.spectra.sensors[i] for i in kept)
     omega, measured = check.spectra.omega, check.spectra.acceleration[kept]
     responses = [response_of(rig, body, omega) for body in rig.bodies]
-    by_force = check.accelerance[0][kept] * check.spectra.force
+    by_force = check.by_each_force[:, kept]
     modelled = check.predicted(kept)
     bodies = tuple(_body(rig, r, check, kept, modelled) for r in responses)
     observed = Observed(
@@ -71,7 +71,7 @@ def broken(
     )
     forget()
     project = Projector(check, kept)
-    left = project(measured - by_force)
+    left = project(measured - by_force.sum(axis=0))
     parameters, columns = [], []
     for change in changes_of(observed):
         parameters.append(change.parameter)
@@ -165,14 +165,15 @@ def _matters(candidate: Suspect, size: float, tolerances: Tolerances) -> bool:
 
 
 class Projector:
-    """Over the scale, with the contact forces projected out, as real numbers; scaled so that a sound record has one."""
+    """Over the scale, with the contact forces, and a force that is doubted, projected out, as real numbers; scaled so
+    that a sound record has one."""
 
-    def __init__(self, check: LinearCheck, kept: list[int]) -> None:
+    def __init__(self, check: LinearCheck, kept: list[int], doubted: int | None = None) -> None:
         noise = check.spectra.noise[kept]
         level = np.sqrt(np.maximum(check.scale[kept] ** 2 - noise**2, 0)) / ROUGH
         self._scale = np.hypot(FLOOR * level, noise)
         self._scale = np.maximum(self._scale, 1e-9 * self._scale.max())
-        unknown = (check.accelerance[1:][:, kept] / self._scale).transpose(2, 1, 0)
+        unknown = (check.unknown(doubted)[:, kept] / self._scale).transpose(2, 1, 0)
         self._basis = np.linalg.qr(unknown)[0] if unknown.shape[2] else None
         self._spectra = check.spectra
         moving = self._spectra.in_time(check.spectra.acceleration[kept] / self._scale)
@@ -204,9 +205,9 @@ def _whole(change: Change, shape: tuple[int, ...]) -> Complex[np.ndarray, "senso
 
 
 def _body(rig: Rig, response: Response, check: LinearCheck, kept: list[int], modelled: Predicted) -> BodyMotion:
-    """Modal accelerations as the force and the contact forces make them; as many modes as sensors may be off."""
-    pushed = np.concatenate([response.shapes([rig.force_at]), -across(rig, response)])
-    forces = np.concatenate([modelled.force[None], modelled.contacts])
+    """Modal accelerations as the forces and the contact forces make them; as many modes as sensors may be off."""
+    pushed = np.concatenate([response.shapes([*rig.forces]), -across(rig, response)])
+    forces = np.concatenate([modelled.forces, modelled.contacts])
     told = sum(check.spectra.sensors[i].station.body == response.body.name for i in kept)
     elastic = np.arange(response.body.rigid_modes, min(told, response.count))
     return BodyMotion(response, response.accelerance * times(pushed.T, forces), elastic)

@@ -137,12 +137,12 @@ def _observed(
     tolerances: Tolerances,
 ) -> list[ContactRecord]:
     samples = separated.force_n.shape[1] * separated.factor
-    samples = min(samples, motion.force_n.size)
+    samples = min(samples, motion.samples)
     eta, velocity = relative_displacements(rig, motion), relative_velocities(rig, motion)
     found = []
     quiet = separated.force_n[:, : motion.excited_from // separated.factor]
     quiet_n = quiet.std(axis=1) if quiet.shape[1] else np.zeros(len(rig.contacts))
-    quiet_n = np.maximum(quiet_n, ROUNDING * motion.force_n.std())
+    quiet_n = np.maximum(quiet_n, ROUNDING * motion.forces_n.std(axis=1).max())
     for j in range(len(rig.contacts)):
         displaced = separated.nuisances.eta_m[:, j]
         moving = np.any(displaced, axis=1)

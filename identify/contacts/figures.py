@@ -14,7 +14,7 @@ from identify.pages.picture import Picture
 from identify.pages.style import BLUE, GREEN, GREY, RED, picture
 from identify.pages.wording import COVERED, number
 from identify.structure.joined import Joined
-from identify.structure.modal import receptance
+from identify.structure.modal import pushing_force, receptance
 
 Marks = Mapping[str, tuple[float, float]]
 """Reference values by contact: clearance (m) and stiffness (N/m), drawn as dashed lines."""
@@ -69,7 +69,8 @@ def _outputs(figure: Any, found: Identification, _marks: Marks, _marks_name: str
     equation, rate = found.surface.equation, found.motion.sample_rate_hz
     measured = equation.displacement[:LONGEST]
     low_hz = max(found.weak.frequency_hz[0], found.motion.trusted_hz[0])
-    spectrum = np.fft.rfft(equation.shape_at_force * found.motion.force_n[:LONGEST], 2 * measured.size)
+    exciting_n = pushing_force(found.rig, equation, found.motion.forces_n[:, :LONGEST])
+    spectrum = np.fft.rfft(equation.shape_at_force * exciting_n, 2 * measured.size)
     at_hz = np.fft.rfftfreq(2 * measured.size, 1 / rate)
     frf = np.where(at_hz >= low_hz, receptance(equation.frequency_hz, equation.damping_ratio, at_hz), 0.0)
     free = np.fft.irfft(spectrum * frf)[: measured.size]

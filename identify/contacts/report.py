@@ -167,7 +167,8 @@ def _methods(found: Identification) -> str:
     modes = [
         (f"{m.beam} {m.index}", f"{m.frequency_hz:.3f} Hz", f"{100 * m.damping_ratio:.2f} %") for m in report.modes
     ]
-    by_nifo = "NIFO ({:.3g} to {:.3g} Hz) and ".format(*report.nifo[0].band_hz) if report.nifo else ""
+    bands = [n.band_hz for n in report.nifo]  # each that of the forces on its body
+    by_nifo = f"NIFO ({min(bands)[0]:.3g} to {max(b[1] for b in bands):.3g} Hz) and " if bands else ""
     return (
         "<p>With the law found, the response of the modes beyond the fitted ones is taken off; then "
         f"{by_nifo}the restoring force surface are applied to every modal equation. Their "

@@ -46,9 +46,9 @@ class Kinematics:
     sample_rate_hz: float
     trusted_hz: tuple[float, float]
     zero_known: bool
-    force_n: Float[np.ndarray, " samples"]
-    displacement_m: Float[np.ndarray, "had samples"]
-    velocity_m_per_s: Float[np.ndarray, "also samples"]
+    forces_n: Float[np.ndarray, "forces samples"]
+    displacement_m: Float[np.ndarray, "_ samples"]
+    velocity_m_per_s: Float[np.ndarray, "_ samples"]
     acceleration_m_per_s2: Float[np.ndarray, "stations samples"]
     lost_m_per_s2: Float[np.ndarray, "stations samples"]
     excited_from: int
@@ -57,6 +57,16 @@ class Kinematics:
     def time_s(self, samples: int, factor: int = 1) -> Float[np.ndarray, " samples"]:
         """When every `factor`-th of the first samples was taken."""
         return self.start_s + np.arange(samples) * factor / self.sample_rate_hz
+
+    @property
+    def force_n(self) -> Float[np.ndarray, " samples"]:
+        """Of a rig with one."""
+        (only,) = self.forces_n
+        return np.asarray(only)
+
+    @property
+    def samples(self) -> int:
+        return self.forces_n.shape[1]
 
     @property
     def quiet_samples(self) -> int:
@@ -71,7 +81,7 @@ class Kinematics:
         """Some of the samples."""
         return replace(
             self,
-            force_n=self.force_n[now],
+            forces_n=self.forces_n[:, now],
             displacement_m=self.displacement_m[:, now],
             velocity_m_per_s=self.velocity_m_per_s[:, now],
             acceleration_m_per_s2=self.acceleration_m_per_s2[:, now],
@@ -83,7 +93,7 @@ class Kinematics:
     @property
     def without_rows(self) -> "Kinematics":
         """With no station's motion, which takes much memory."""
-        none = np.empty((0, self.force_n.size))
+        none = np.empty((0, self.samples))
         return replace(self, displacement_m=none, velocity_m_per_s=none, acceleration_m_per_s2=none, lost_m_per_s2=none)
 
 
@@ -127,7 +137,7 @@ def kinematics(
     lost = np.zeros((len(stations), usable))
     channels: dict[str, None] = {}
     at_contacts = {s for c in rig.contacts for s in contact_stations(c)}
-    excited_from = at_rest_until(recording.force_n, (_channel(recording, s) for s in sensors), rate)
+    excited_from = at_rest_until(recording.forces_n, (_channel(recording, s) for s in sensors), rate)
     lead = 0 if excited_from or recording.start_s > 0 else round(TAPER_S * rate)
     below = 1 - _high_pass(omega, corner_hz)
     powers = cache(lambda power: integrated(omega, power, corner_hz))
@@ -152,7 +162,7 @@ def kinematics(
         sample_rate_hz=rate,
         trusted_hz=(corner_hz if integrates else 0.0, PASSBAND * rate),
         zero_known=not integrates,
-        force_n=recording.force_n[:usable],
+        forces_n=recording.forces_n[:, :usable],
         displacement_m=moved_by[0],
         velocity_m_per_s=moved_by[1],
         acceleration_m_per_s2=moved_by[2],

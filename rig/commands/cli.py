@@ -142,7 +142,8 @@ def record(
     if as_json:
         print(json.dumps({"recording": str(out), "truth": str(truth_path(out))}))
     else:
-        force_text = f"force {force_n.rms_n:g} N rms, {force_n.low_hz:g} to {force_n.high_hz:g} Hz"
+        forces = "force" if len(rig.forces) == 1 else f"{len(rig.forces)} forces, each"
+        force_text = f"{forces} {force_n.rms_n:g} N rms, {force_n.low_hz:g} to {force_n.high_hz:g} Hz"
         print(f"{out}: {machine.duration_s:g} s of {scenario} recorded by the plant {plant}, {force_text}")
         print(f"{truth_path(out)}: what only a simulator knows")
 

@@ -15,7 +15,7 @@ from rig.lab.clock import RATE_TOLERANCE, even
 from rig.lab.column import Column
 from rig.lab.tables import TextForm, columns_of
 from rig.lab.units import si_factor
-from rig.model.description import Rig, read_rig, refuse_several
+from rig.model.description import Rig, read_rig
 from rig.recording import RECORDED, RIG_NAME, channel_groups, with_history, writing
 
 
@@ -34,11 +34,12 @@ class Source(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The TOML file beside measured data. The rig is a path from the map's folder.
 
-    force = "none" is that of a free decay, which has no column of it.
+    force is a list where several act at once, in the order of rig.json; "none" of a free decay, which has no column
+    of it.
     """
 
     rig: str = RIG_NAME
-    force: Source | Literal["none"]
+    force: Source | tuple[Source, ...] | Literal["none"]
     sensors: dict[str, Source]
     time: Source | None = None
     sample_rate_hz: float | None = None
@@ -50,6 +51,12 @@ class Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
             raise RigError("time and sample_rate_hz are both given; leave one out")
         if self.sample_rate_hz is not None and not 0 < self.sample_rate_hz < np.inf:
             raise RigError(f"sample_rate_hz is {self.sample_rate_hz}; give a value above zero")
+
+    @property
+    def forces(self) -> tuple[Source, ...]:
+        if isinstance(self.force, str):
+            return ()
+        return self.force if isinstance(self.force, tuple) else (self.force,)
 
 
 def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
@@ -83,7 +90,12 @@ def _import(
     for wrong, what in ((given - names, "is no sensor of the rig"), (names - given, "is missing")):
         if wrong:
             raise RigError(f"{map_path}: sensor {min(wrong)!r} {what}; [sensors] needs {', '.join(sorted(names))}")
-    wanted = {} if mapping.force == "none" else {"force": ("force", mapping.force)}
+    forces = mapping.forces
+    if mapping.force != "none" and len(forces) != len(rig.forces):
+        raise RigError(
+            f"{map_path}: force has {len(forces)} columns, and its rig.json {len(rig.forces)} forces; make them agree"
+        )
+    wanted = {name: ("force", source) for name, source in zip(rig.force_names, forces, strict=False)}
     wanted |= {s.name: (s.quantity, mapping.sensors[s.name]) for s in rig.sensors}
     try:
         taken, factors = taken_columns(columns, wanted)
@@ -98,7 +110,7 @@ def _import(
     steps = (
         f"{rows.shape[1]} samples of {len(rows)} columns read from {origin['source']}",
         "made SI: " + ", ".join(f"{n} = {factors[n]:.9g} x column {c.name!r}" for n, c in taken.items()),
-        *(() if "force" in taken else ("no force was measured: its channel is zero",)),
+        *(() if forces else ("no force was measured: its channel is zero",)),
         *resampled,
     )
     provenance = {
@@ -106,7 +118,7 @@ def _import(
         **origin,
         "map": map_path.name,
     }
-    unforced = {"force": np.zeros(values.shape[1])}
+    unforced = dict.fromkeys(rig.force_names, np.zeros(values.shape[1]))
     _write(out, rig, unforced | dict(zip(taken, values, strict=True)), with_history(provenance, *steps))
     return steps
 
@@ -160,7 +172,6 @@ def _read_map(path: Path, out: Path) -> tuple[Map, Rig]:
     text = contents(path)
     try:
         given = msgspec.toml.decode(text)
-        refuse_several(given, "force", str(path))
         mapping = msgspec.convert(given, Map)
     except RigError:
         raise

@@ -47,6 +47,11 @@ class Simulator:
     simulate: Simulate
 
 
+def _level_n(recording: Recording) -> float:
+    """Of all forces together, N rms."""
+    return float(np.sqrt(np.sum(np.var(recording.forces_n, axis=1))))
+
+
 def diagnose(
     recordings: Recording | Sequence[Recording],
     validation: Recording | None,
@@ -73,7 +78,7 @@ def diagnose(
     every = [record_of(part, tolerances=believed) for part in parts]
     other, record = parts[last], every[last]
     fitted = [k for k in range(len(parts)) if k != last]
-    searched_on = max(fitted, key=lambda k: float(np.std(parts[k].force_n)))
+    searched_on = max(fitted, key=lambda k: _level_n(parts[k]))
     fit_record = every[searched_on]
     simulate = simulator.simulate if record.forced else released(other, simulator.simulate)
     null_reference = null_reference_of(
@@ -95,7 +100,7 @@ def diagnose(
     between = None
     if several:
         cause = decision.best if decision.verdict in ("explained", "partly_explained") else None
-        names = [f"{k + 1}, {np.std(p.force_n):.3g} N{', validates' * (k == last)}" for k, p in enumerate(parts)]
+        names = [f"{k + 1}, {_level_n(p):.3g} N{', validates' * (k == last)}" for k, p in enumerate(parts)]
         between = differences(every, seen, cause, known, names, lambda x: progress("causes", 0.9 + 0.05 * x))
     progress("causes", 0.95)
     likeliest = decision.best.corrected if decision.best else other.rig
@@ -110,7 +115,7 @@ def diagnose(
     further: tuple[NextExperiment, ...] = ()
     rivals = _rivals(ranked, decision) if ask_next and record.forced else None
     if rivals:
-        further = next_experiments(record, other.force_n, rivals, simulator.simulate)
+        further = next_experiments(record, other.forces_n, rivals, simulator.simulate)
     doubt = doubted(ranked, decision.verdict)
     after = decision.best.misfit if decision.best else nothing.misfit
     without = decision.best.without if decision.best else nothing.misfit

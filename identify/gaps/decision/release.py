@@ -38,8 +38,8 @@ def released(measured: Recording, simulate: Simulate) -> Simulate:
     for _ in range(SCALINGS):
         peak_n *= level / _level(decay(measured.rig, measured.rig, peak_n, first, 0), first)
 
-    def simulated(rig: Rig, actual: Rig, force_n: Float[np.ndarray, " samples"], seed: int) -> Recording:
-        return decay(rig, actual, peak_n, force_n.size, seed)
+    def simulated(rig: Rig, actual: Rig, force_n: Float[np.ndarray, "*forces samples"], seed: int) -> Recording:
+        return decay(rig, actual, peak_n, force_n.shape[-1], seed)
 
     return simulated
 

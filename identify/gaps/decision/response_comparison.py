@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 from scipy.signal import csd, welch
 
 from identify.gaps.decision.familiar import familiar_figures
@@ -32,14 +32,14 @@ def compared(
     forget()
     observed = []
     for simulated, rig in ((None, corrected), (believed, believed), (corrected, corrected)):
-        run = measured if simulated is None else simulate(believed, simulated, measured.force_n, 1)
+        run = measured if simulated is None else simulate(believed, simulated, measured.forces_n, 1)
         observed.append(_observed(run, linearized(record_of(run), rig)))
     was, by_believed, by_corrected = (one.figures for one in observed)
     rows = tuple(
         Figure(name, unit, value, by_believed[name][0], by_corrected[name][0], null_reference.by_chance(name))
         for name, (value, unit) in was.items()
     )
-    curves = [_spectrum(measured, observed), *([_response(measured, observed)] if np.any(measured.force_n) else [])]
+    curves = [_spectrum(measured, observed), *_responses(measured, observed)]
     for j, contact in enumerate(joined(believed).contacts):
         eta = [1e3 * one.eta_m[j] for one in observed]
         edges = np.linspace(min(e.min() for e in eta), max(e.max() for e in eta), CELLS + 1)
@@ -57,7 +57,7 @@ def compared(
 
 @dataclass(frozen=True)
 class _Observed:
-    """What is compared of one run; spectra are those of the last sensor, and of it by the force.
+    """What is compared of one run; spectra are those of the last sensor, and of it by each force.
 
     The relative displacements begin when the force does: the rest before it would be a peak of the histogram.
     """
@@ -65,7 +65,7 @@ class _Observed:
     figures: dict[str, tuple[float, str]]
     eta_m: Float[np.ndarray, "contacts samples"]
     density: Float[np.ndarray, " lines"]
-    response: Float[np.ndarray, " lines"]
+    responses: Float[np.ndarray, "forces lines"]
 
 
 def _observed(run: Recording, linearization: Linearization) -> _Observed:
@@ -74,12 +74,13 @@ def _observed(run: Recording, linearization: Linearization) -> _Observed:
     record = linearization.record
     begun = round(max(0.0, record.excited_s - record.time_s[0]) * rate)
     last = run.signals[run.rig.sensors[-1].quantity].values[-1]
-    cross = np.abs(csd(run.force_n, last, rate, nperseg=segment)[1])
+    _, of_forces = csd(run.forces_n[:, None], run.forces_n[None], rate, nperseg=segment)
+    _, cross = csd(run.forces_n, last, rate, nperseg=segment)
     return _Observed(
         figures=familiar_figures(linearization),
         eta_m=record.sampled(linearization.model.eta_m)[:, begun:],
         density=welch(last, rate, nperseg=segment)[1],
-        response=cross / np.maximum(welch(run.force_n, rate, nperseg=segment)[1], 1e-300),
+        responses=np.abs(_h1(of_forces, cross)),
     )
 
 
@@ -97,19 +98,34 @@ def _spectrum(measured: Recording, observed: list[_Observed]) -> Curve:
     )
 
 
-def _response(measured: Recording, observed: list[_Observed]) -> Curve:
-    """The last sensor over the force, H1."""
+def _responses(measured: Recording, observed: list[_Observed]) -> list[Curve]:
+    """The last sensor over each force that acts, H1."""
     last, rate = measured.rig.sensors[-1], measured.rig.sample_rate_hz
-    hz, strong = welch(measured.force_n, rate, nperseg=int(SEGMENT_S * rate))
-    keep = slice(1, int(np.flatnonzero(strong > 1e-3 * strong.max())[-1]))
-    return Curve(
-        f"FRF (H1), {last.name} over force",
-        "frequency, Hz",
-        f"({last.measures.unit})/N",
-        tuple(hz[keep].tolist()),
-        *_three(one.response[keep] for one in observed),
-        True,
-    )
+    found = []
+    for number, name in enumerate(measured.force_names):
+        hz, strong = welch(measured.forces_n[number], rate, nperseg=int(SEGMENT_S * rate))
+        if not np.any(strong):
+            continue
+        keep = slice(1, int(np.flatnonzero(strong > 1e-3 * strong.max())[-1]))
+        found.append(
+            Curve(
+                f"FRF (H1), {last.name} over {name}",
+                "frequency, Hz",
+                f"({last.measures.unit})/N",
+                tuple(hz[keep].tolist()),
+                *_three(one.responses[number, keep] for one in observed),
+                True,
+            )
+        )
+    return found
+
+
+def _h1(
+    of_forces: Complex[np.ndarray, "forces forces lines"], cross: Complex[np.ndarray, "forces lines"]
+) -> Complex[np.ndarray, "forces lines"]:
+    """H of S_fy = S_ff H, line by line; of least size where forces are alike, zero where none acts."""
+    inverse = np.linalg.pinv(of_forces.transpose(2, 0, 1), rcond=1e-12, hermitian=True)
+    return np.asarray(np.einsum("lij,jl->il", inverse, cross))
 
 
 def _three(

@@ -57,7 +57,7 @@ class Record:
 
     delivered is what each sensor gave, turned into an acceleration by powers of i omega, its believed gain and delay
     still in it; displaced the same as a displacement, high-passed where it had to be integrated. noise is the variance
-    of each of its lines by the sensor's noise alone, power its smoothed size; force_noise the variance of the force's
+    of each of its lines by the sensor's noise alone, power its smoothed size; force_noise the variance of each force's
     lines by its channel's noise. eta_beyond is each relative displacement as measured on the lines from `high_hz` on,
     drifts what is known of its slow part (None where nothing is lost; the linear model has the springs). window is
     what samples were multiplied by, excited_s when the force begins, period_s after what it repeats (None: it does
@@ -73,11 +73,11 @@ class Record:
     factor: int
     window: Float[np.ndarray, " samples"]
     omega: Float[np.ndarray, " lines"]
-    force: Complex[np.ndarray, " lines"]
+    forces: Complex[np.ndarray, "forces lines"]
     delivered: Complex[np.ndarray, "sensors lines"]
     displaced: Complex[np.ndarray, "sensors lines"]
     noise: Float[np.ndarray, "sensors lines"]
-    force_noise: float
+    force_noise: Float[np.ndarray, " forces"]
     power: Float[np.ndarray, "sensors lines"]
     eta_beyond: Complex[np.ndarray, "contacts morelines"]
     drifts: tuple[Drift | None, ...]
@@ -93,7 +93,7 @@ class Record:
     @property
     def forced(self) -> bool:
         """Whether a force was measured; else the record is a free decay."""
-        return bool(np.any(self.force))
+        return bool(np.any(self.forces))
 
     @property
     def rate_hz(self) -> float:
@@ -165,15 +165,15 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         raise RigError(
             f"the record lasts {recording.duration_s:.3g} s; the diagnosis needs {SHORTEST_S:g} s, better 30 s or more"
         )
-    if not np.any(recording.force_n):
+    if not np.any(recording.forces_n):
         check_decay(recording)
     moving = [s for s in rig.sensors if s.measures.translates]
     if not moving:
         raise RigError("the recording has no sensors of motion; the diagnosis needs them, best accelerometers")
     quantity = max(moving, key=lambda s: s.measures.order).quantity
     sensors = sensors_of(rig, quantity)
-    motion = kinematics(recording, quantity, least_order=2 if np.any(recording.force_n) else 0)
-    excited_hz = REACH * driven_to_hz(motion) if is_unforced(motion) else _excited_hz(recording.force_n, rate)
+    motion = kinematics(recording, quantity, least_order=2 if np.any(recording.forces_n) else 0)
+    excited_hz = REACH * driven_to_hz(motion) if is_unforced(motion) else _excited_hz(recording.forces_n, rate)
     high_hz = min(excited_hz, motion.trusted_hz[1], tolerances.highest_hz or np.inf)
     if high_hz <= low_hz:
         raise RigError(
@@ -191,7 +191,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     if not quiet:
         shape = shape * shape[::-1]
 
-    def spectrum(signal: Float[np.ndarray, " samples"]) -> Complex[np.ndarray, " all"]:
+    def spectrum(signal: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows all"]:
         return np.asarray(rfft(signal * shape, length))
 
     beyond_rad = 2 * np.pi * rate / length * np.arange(lines - 1, length // 2 + 1)
@@ -206,7 +206,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     )
     smooth = uniform_filter1d(np.abs(measured) ** 2, max(1, round(SMOOTHED_HZ * length / rate)), axis=1)
     noise = acceleration_noise(motion, rig)
-    period = period_of(recording.force_n[motion.excited_from :])
+    period = _period_of(recording.forces_n[:, motion.excited_from :])
     densities = _densities(sensors, motion)
     size = np.stack([omega ** (2 - s.measures.order) for s in sensors])
     begin_s = 0.0 if quiet else LEFT_OUT_S
@@ -221,10 +221,10 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         factor=factor,
         window=shape,
         omega=omega,
-        force=spectrum(recording.force_n)[:lines],
+        forces=spectrum(recording.forces_n)[:, :lines],
         delivered=measured * turned,
         displaced=measured * twice_less,
-        force_noise=samples * _force_noise_n(recording, motion, tolerances) ** 2,
+        force_noise=samples * _force_noise_n(motion, tolerances) ** 2,
         noise=samples * (densities[:, None] * size) ** 2 * rate / 2,
         power=smooth * np.abs(turned) ** 2,
         eta_beyond=eta_beyond,
@@ -236,9 +236,19 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     )
 
 
-def _excited_hz(force_n: Float[np.ndarray, " samples"], rate_hz: float) -> float:
+def _excited_hz(forces_n: Float[np.ndarray, "forces samples"], rate_hz: float) -> float:
     """Up to where a force is taken to excite the rig."""
-    return min(REACH * force_band(force_n, rate_hz)[1], OF_MOST * force_band(force_n, rate_hz, 1 - MOST)[1])
+    return max(
+        min(REACH * force_band(row, rate_hz)[1], OF_MOST * force_band(row, rate_hz, 1 - MOST)[1])
+        for row in forces_n
+        if np.any(row)
+    )
+
+
+def _period_of(forces_n: Float[np.ndarray, "forces samples"]) -> int | None:
+    """After how many samples all forces repeat; None where they do not, or not together."""
+    first, *others = {period_of(row) for row in forces_n if np.any(row)} or {None}
+    return None if others else first
 
 
 def _decayed_s(motion: Kinematics) -> float:
@@ -273,16 +283,15 @@ def _row(recording: Recording, sensor: Sensor) -> Float[np.ndarray, " samples"]:
     return signals.values[signals.channels.names.index(sensor.name)]
 
 
-def _force_noise_n(recording: Recording, motion: Kinematics, tolerances: Tolerances) -> float:
-    """Standard deviation of the force channel's noise: heard in the quiet start, else as the tolerances state it.
+def _force_noise_n(motion: Kinematics, tolerances: Tolerances) -> Float[np.ndarray, " forces"]:
+    """Standard deviation of each force channel's noise: heard in the quiet start, else as the tolerances state it.
 
     None of a free decay, in which no force acts.
     """
-    if is_unforced(motion):
-        return 0.0
-    if motion.quiet_samples:
-        return float(np.std(recording.force_n[: motion.quiet_samples]))
-    return float(tolerances.force_noise_density * np.sqrt(motion.sample_rate_hz / 2))
+    if motion.quiet_samples and not is_unforced(motion):
+        return np.asarray(np.std(motion.forces_n[:, : motion.quiet_samples], axis=1))
+    stated_n = tolerances.force_noise_density * np.sqrt(motion.sample_rate_hz / 2)
+    return np.full(len(motion.forces_n), 0.0 if is_unforced(motion) else stated_n)
 
 
 def _densities(sensors: tuple[Sensor, ...], motion: Kinematics) -> Float[np.ndarray, " sensors"]:
