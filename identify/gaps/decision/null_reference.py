@@ -128,8 +128,8 @@ def null_reference_of(
         )
         made = simulate(measured.rig, actual, forces_n, seed)
         rows.append(_left(_instrumented(made, corners_hz, densities, gain, rng), tolerances))
+        forget()
         progress((seed + 1) / simulations)
-    forget()
     reference = NullReference(key, tuple(rows))
     if kept:
         make_folder(kept.parent)
