@@ -366,7 +366,7 @@ def gap(
             next_experiment,
         )
     used = every if validation is None else [*every, validation]
-    told = dict.fromkeys(without_dead_force(findings))  # a force channel of zeros was taken as that of a free decay
+    told = dict.fromkeys(without_dead_force(findings, first.force_names))  # zeros were taken as a free decay's force
     return GapResult(found, corrected, _title(every, first), tuple(told), _files(used))
 
 
@@ -409,7 +409,9 @@ def _of_rig(source: Source, rig: Rig | None, name: Rig | str | Path | None) -> R
     if known != {quantity: (s.channels.names, s.channels.sample_rate_hz) for quantity, s in recording.signals.items()}:
         told = name if isinstance(name, str | Path) else f"rig {rig.name!r}"
         file = "the recording" if isinstance(source, Recording) else source
-        raise RigError(f"{told}: its sensors or their sampling rate are not those of {file}; give one with the same")
+        raise RigError(
+            f"{told}: its forces, sensors or their sampling rate are not those of {file}; give one with the same"
+        )
     signals = {quantity: replace(s, channels=groups[quantity]) for quantity, s in recording.signals.items()}
     return replace(recording, rig=rig, signals=signals)
 

@@ -1,6 +1,8 @@
 """The one error that a user sees: a sentence saying what is wrong, with which value, and what to do."""
 
 import unicodedata
+from collections.abc import Iterable
+from difflib import get_close_matches
 
 LONGEST = 1500
 _OBEYED = {"Cc", "Cf", "Cs", "Zl", "Zp"}
@@ -22,6 +24,11 @@ class CutOffError(RigError):
     def __init__(self, sentence: str, strerror: str) -> None:
         super().__init__(sentence)
         self.strerror = strerror
+
+
+def meant(word: str, known: Iterable[str]) -> str:
+    """The known word that is most like one that is not known, as a question in brackets; empty if none is."""
+    return "".join(f" (did you mean {found!r}?)" for found in get_close_matches(word, known, 1))
 
 
 def is_plain(text: str) -> bool:

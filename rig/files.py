@@ -1,5 +1,6 @@
 """Files: what is read is a file and no device; what is written is whole or not there: beside, on the disk, renamed."""
 
+import hashlib
 import os
 import time
 from collections.abc import Iterator
@@ -44,6 +45,12 @@ def contents(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise RigError(f"{path}: cannot be read ({error.strerror}); check the file") from error
+
+
+def sha256_of(path: Path) -> str:
+    """The SHA-256 of a file, hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def check_target(path: Path, *sources: Path, new_folder: bool = False) -> None:

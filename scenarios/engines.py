@@ -15,8 +15,9 @@ from rich.console import Console
 from rich.table import Table
 
 from rig.commands.command_line import progress_bar, run
+from rig.model.description import Station
 from rig.simulation.excitation import QUIET_S, force_history
-from rig.simulation.motion import Motion, Plant, joined
+from rig.simulation.motion import Forces, Motion, Plant, joined
 from rig.simulation.plants import ancf, modal
 from rig.simulation.reference import BarrelCradle
 from rig.simulation.sensors import digitised
@@ -40,15 +41,23 @@ class Statistics:
     acceleration_m_per_s2: float
 
 
-def young_motion(plant: Plant, step_s: float, scale: float = SMALL) -> Motion:
-    """The barrel and its cradle until some 0.2 s after their first contact, from the moment the force sets in."""
+def young_motion(plant: Plant, step_s: float, scale: float = SMALL, beside: Station | None = None) -> Motion:
+    """The barrel and its cradle until some 0.2 s after their first contact, from the moment the force sets in.
+
+    A further force, of another seed, acts at the place `beside`.
+    """
     base = BarrelCradle()
     clearance_m = scale * base.clearance_1_m
     settings = msgspec.structs.replace(
         base, sensors="acceleration", clearance_1_m=clearance_m, clearance_2_m=clearance_m
     )
-    force_n = scale * force_history(settings.force(), QUIET_S + 0.5, step_s)[round(QUIET_S / step_s) :]
-    return joined(plant(settings.rig(), force_n, step_s, lambda _: None))
+    rig, excitations = settings.rig(), [settings.force()]
+    if beside:
+        rig = msgspec.structs.replace(rig, force_at=(*rig.forces, beside))
+        excitations.append(msgspec.structs.replace(settings.force(), seed=2))
+    begun = slice(round(QUIET_S / step_s), None)
+    forces_n = Forces(tuple(scale * force_history(one, QUIET_S + 0.5, step_s)[begun] for one in excitations))
+    return joined(plant(rig, forces_n, step_s, lambda _: None))
 
 
 def tip_difference(motion: Motion, reference: Motion) -> dict[str, float]:

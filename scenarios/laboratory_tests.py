@@ -22,7 +22,7 @@ from identify.pages.wording import COVERED
 from rig import RigError
 from rig.commands.command_line import run
 from rig.effects import effect_named
-from rig.model.description import BaseMotion, Rig, contact_stations
+from rig.model.description import BaseMotion, Rig, Station, contact_stations
 from rig.model.quantities import QUANTITIES
 from rig.recording import Recording, read
 from rig.simulation.excitation import Excitation, excitation_of
@@ -48,6 +48,7 @@ app = typer.Typer(pretty_exceptions_enable=False)
 class Test:
     """Settings of a reference rig, its force, what is changed of its rig.json, and what is cut off at its start.
 
+    beside are the forces that act at the rig's further places.
     effect is what the machine has in the two records that are diagnosed, and rig.json not. The force channel of one
     that is unforced is zero. A base that shakes is not in rig.json: of one mass the recording
     holds the motion against it, and minus the mass times its acceleration as the force, else the motion alone.
@@ -60,6 +61,7 @@ class Test:
     unforced: bool = False
     base: BaseMotion | None = None
     effect: str = WIDER
+    beside: tuple[Excitation, ...] = ()
 
     @property
     def rig(self) -> Rig:
@@ -83,6 +85,15 @@ def fewer_stations(count: int) -> Callable[[Rig], Rig]:
         return changed(rig, sensors=tuple(s for s in rig.sensors if s.station in kept))
 
     return change
+
+
+def driven_too(body: str, position_m: float, force: str = "gaussian", rms_n: float = 14.0) -> dict[str, Any]:
+    """A further force there, over the same band."""
+    at = Station(body, position_m)
+    return {
+        "change": lambda rig: changed(rig, force_at=(*rig.forces, at)),
+        "beside": (excitation_of(force, rms_n=rms_n, low_hz=0.5, high_hz=100.0),),
+    }
 
 
 def without_contact_2(rig: Rig) -> Rig:
@@ -155,6 +166,9 @@ TESTS = {
         rms_n=0.0, base=shaken(1.0), without_s=1.0, effect=STIFFER
     ),
     "one mass, base excitation, displacement": mass(sensors="displacement", rms_n=0.0, base=shaken(1.0), without_s=1.0),
+    "two beams, a shaker on each": beams(effect=STIFFER, **driven_too("cradle", 0.6)),
+    "two beams, two shakers on the barrel": beams(effect=HEAVIER, **driven_too("barrel", 0.2)),
+    "two beams, a shaker and a hammer": beams(**driven_too("cradle", 0.6, "hammer", 4.0)),
 }
 REFUSED = {
     "two beams, force not recorded": beams(unforced=True),
@@ -188,9 +202,13 @@ def recorded(
     if test.base:
         rms = level * test.base.acceleration_rms_m_per_s2
         actual = changed(actual, base_motion=changed(test.base, seed=seed, acceleration_rms_m_per_s2=rms))
+    forces = [
+        changed(force, seed=seed + 1000 * k, rms_n=level * force.rms_n)
+        for k, force in enumerate((test.force, *test.beside))
+    ]
     record(
         rig,
-        changed(test.force, seed=seed, rms_n=level * test.force.rms_n),
+        forces,
         plant=modal.simulate,
         duration_s=duration_s,
         step_s=step_s,

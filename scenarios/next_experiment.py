@@ -180,7 +180,7 @@ def _recorded(asked: ToAsk, experiment: Experiment | None) -> tuple[Record, Floa
     if experiment is None:
         made = measured(machine, LEVEL_N, QUIET_S, round(DURATION_S * rate), rate, 100 + asked.seed)
         return _record(rig, made.force_n, made.acceleration_m_per_s2)
-    known, force_n = experiment.changed(rig), experiment.force_n
+    known, (force_n,) = experiment.changed(rig), experiment.forces_n
     displacements = known.sensors[0].quantity == "displacement"
     made = measured(
         _changed(machine, known),
@@ -218,7 +218,8 @@ def _truth(asked: ToAsk) -> EffectTruth:
 
 def _changed(machine: Machine, known: Rig) -> Machine:
     """The machine with what an experiment changes of the rig: the force's place, known masses, the sensors' kind."""
-    machine = replace(machine, force_at=Place(known.force_at.body, known.force_at.position_m))
+    (at,) = known.forces
+    machine = replace(machine, force_at=Place(at.body, at.position_m))
     for mass in known.masses:
         hung = ((mass.station.position_m, mass.mass_kg),)
         beams = [replace(b, masses=b.masses + hung * (b.name == mass.station.body)) for b in machine.beams]

@@ -139,7 +139,7 @@ def progressive_stop(quantity: str, *stops: tuple[float, float]) -> Rig:
     rig = one_mass(1e-3, quantity=quantity)
     laws = stops or ((5e-4, 8e3), (1e-3, 1e5))
     return replace(
-        rig, contacts=tuple(stop(name, rig.force_at, None, *law) for name, law in zip(STOPS, laws, strict=False))
+        rig, contacts=tuple(stop(name, rig.forces[0], None, *law) for name, law in zip(STOPS, laws, strict=False))
     )
 
 

@@ -40,7 +40,7 @@ OBJECTS: dict[str, type[msgspec.Struct]] = {
         for name, law in LAWS.items()
     },
     "sensors": Sensor,
-    "station, force_at, at, against": Station,
+    "station, force_at (or a list of them, where several measured forces act at once), at, against": Station,
     "masses": PointMass,
     "springs": PointSpring,
     "dampers": PointDamper,

@@ -10,8 +10,9 @@ from msgspec.structs import replace
 import identify
 from rig.errors import RigError
 from rig.lab.importing import import_file
-from rig.model.description import BaseMotion, PointMass, from_json, to_json
+from rig.model.description import BaseMotion, PointMass, to_json
 from rig.recording import Recording, Signals, channel_groups
+from rig.simulation.fmu import export_fmu
 from rig.simulation.plants import ancf
 from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle, Sdof
@@ -21,6 +22,7 @@ from tests.rig.lab.modal import test_uff as uff
 
 HEAD = "| rig or test | refused by | sentence |"
 SDOF, BEAMS = Sdof(sensors="acceleration").rig(), BarrelCradle(sensors="acceleration").rig()
+TWO_FORCES = replace(SDOF, force_at=(SDOF.force_at, SDOF.force_at))
 CHAIN = topologies.chain(2, "displacement", ground=True)
 SHAKEN = BaseMotion(acceleration_rms_m_per_s2=1.0, low_hz=1.0, high_hz=15.0)
 
@@ -130,11 +132,10 @@ CASES = {name: laboratory(name) for name in laboratory_tests.REFUSED} | {
     "strain gauges alone, diagnosed": gap(BarrelCradle(sensors="strain").rig()),
     "a record of 4 s, diagnosed": gap(SDOF, seconds=4.0),
     "base motion of held beams in rig.json, diagnosed": gap(replace(BEAMS, base_motion=SHAKEN)),
-    "two forces in rig.json": lambda _: from_json(
-        to_json(SDOF).replace(b'"force_at": {', b'"force_at": [{}, {').replace(b'},\n  "sensors"', b'}],\n  "sensors"'),
-        "rig.json",
+    "two forces at once, as an FMU": lambda folder: export_fmu(TWO_FORCES, folder / "r.fmu"),
+    "two forces in the map, one in rig.json": imported(
+        f'force = [{{ column = "F" }}, {{ column = "G" }}]\n[sensors]\n{SDOF.sensors[0].name} = {{ column = "a" }}\n'
     ),
-    "two forces in the map": imported('force = [{ column = "F" }, { column = "G" }]\n[sensors]\n'),
     "time stamps with a gap": imported(
         'time = { column = "t" }\nforce = { column = "F", unit = "N" }\n[sensors]\n'
         f'{SDOF.sensors[0].name} = {{ column = 3, unit = "m/s^2" }}\n'

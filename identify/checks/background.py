@@ -1,10 +1,12 @@
 """What is beside the motion in a channel: noise, mains hum, an offset, drift; and motion before the record begins."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from identify.checks.findings import Finding
 from identify.checks.spectra import quiet_samples
-from identify.checks.waveforms import Row
+from identify.checks.waveforms import Row, Rows
 
 HUMS = 3.0
 """Mains hum of more than so many times the neighbouring lines, and a hundredth of the channel, counts."""
@@ -16,7 +18,7 @@ ALIKE = 1.5
 NOISY = 0.05
 
 
-def noise(name: str, rate_hz: float, row: Row, force: Row) -> Finding | None:
+def noise(name: str, rate_hz: float, row: Row, force: Rows, forces: Sequence[str] = ("force",)) -> Finding | None:
     """In the quiet start."""
     quiet = quiet_samples(force, rate_hz)
     share = float(row[:quiet].std() / row.std()) if quiet else 0.0
@@ -26,7 +28,7 @@ def noise(name: str, rate_hz: float, row: Row, force: Row) -> Finding | None:
     if fast < ALIKE * usual:
         return Finding(
             cause="force",
-            channels=("force", name),
+            channels=(*forces, name),
             evidence=f"{name} moves as it does later, with {100 * share:.2g} % of its root mean square, before "
             "the force begins",
             mend="check that the force is of this record and on its clock, or let the rig come to rest first",
@@ -39,7 +41,7 @@ def noise(name: str, rate_hz: float, row: Row, force: Row) -> Finding | None:
     )
 
 
-def mains(rate_hz: float, row: Row, force: Row) -> tuple[float, float] | None:
+def mains(rate_hz: float, row: Row, force: Rows) -> tuple[float, float] | None:
     """Frequency and amplitude of a mains tone that stands out, in the quiet start if there is one; else None."""
     quiet = quiet_samples(force, rate_hz)
     part = row[:quiet] if quiet > 0.4 * rate_hz else row
@@ -58,7 +60,7 @@ def mains(rate_hz: float, row: Row, force: Row) -> tuple[float, float] | None:
     return None
 
 
-def hum(name: str, rate_hz: float, row: Row, force: Row) -> Finding | None:
+def hum(name: str, rate_hz: float, row: Row, force: Rows) -> Finding | None:
     found = mains(rate_hz, row, force)
     if found is None:
         return None

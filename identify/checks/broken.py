@@ -1,7 +1,8 @@
 """A broken tolerance in words."""
 
-from identify.checks.findings import Cause, Finding
+from identify.checks.findings import Cause, Finding, spoken
 from identify.checks.pulls import Broken
+from identify.structure.nuisance import THE_FORCE
 
 
 def broken_finding(found: Broken) -> Finding:
@@ -17,15 +18,16 @@ def broken_finding(found: Broken) -> Finding:
     if what.kind == "force gain":
         return Finding(
             cause="gain",
-            channels=("force",),
-            evidence=f"the force is {100 * size:+.2g} % off what all sensors imply {asked}",
+            channels=("force" if what.of == THE_FORCE else what.of,),
+            evidence=f"{what.of} is {100 * size:+.2g} % off what all sensors imply {asked}",
             mend="calibrate the load cell, or check all masses of rig.json",
         )
     if what.kind == "force delay":
         return Finding(
             cause="delay",
-            channels=("force",),
-            evidence=f"the force comes {1e3 * abs(size):.2g} ms {'late' if size > 0 else 'early'} against all sensors",
+            channels=(what.of,),
+            evidence=f"{spoken(what.of)} comes {1e3 * abs(size):.2g} ms {'late' if size > 0 else 'early'} against all "
+            "sensors",
             mend="synchronise the force's clock with the sensors'",
         )
     if what.kind in ("mass", "density"):

@@ -7,7 +7,7 @@ from jaxtyping import Complex, Float
 
 from identify.structure.nuisance import BodyMotion, Nuisance
 from identify.structure.response import times
-from rig.model.description import Sensor
+from rig.model.description import Sensor, force_names
 from rig.model.tolerances import Tolerances
 
 
@@ -24,15 +24,15 @@ def candidates_of(
     parameters: list[Nuisance],
     bodies: tuple[BodyMotion, ...],
     sensors: tuple[Sensor, ...],
-    by_force: Complex[np.ndarray, "sensors lines"],
+    by_force: Complex[np.ndarray, "forces sensors lines"],
     omega: Float[np.ndarray, " lines"],
     tolerances: Tolerances,
 ) -> tuple[list[Suspect], Complex[np.ndarray, "added sensors lines"]]:
-    """All nuisance parameters; then, with columns of their own, densities, a clock that is off and a force that comes
+    """All nuisance parameters; then, with columns of their own, densities, a clock that is off and forces that come
     late."""
     found = [_of(p, tolerances) for p in parameters]
     added = []
-    clock = np.zeros_like(by_force)
+    clock = np.zeros_like(by_force[0])
     for body in bodies:
         r = body.response
         rows = [i for i, s in enumerate(sensors) if s.station.body == r.body.name]
@@ -40,12 +40,13 @@ def candidates_of(
         tuned = times(shapes, r.sensitivity("frequency") * body.acceleration)
         clock[rows] += tuned
         if r.body.length_m and tolerances.mass:
-            heavier = np.zeros_like(by_force)
+            heavier = np.zeros_like(clock)
             heavier[rows] = -tolerances.mass * (times(shapes, body.acceleration) + 0.5 * tuned)
             added.append((Suspect("density", r.body.name, tolerances.mass), heavier))
     added.append((Suspect("clock", "", 1.0), clock))
     if tolerances.delay_s:
-        added.append((Suspect("force delay", "force", tolerances.delay_s), 1j * omega * tolerances.delay_s * by_force))
+        for name, row in zip(force_names(len(by_force)), by_force, strict=True):
+            added.append((Suspect("force delay", name, tolerances.delay_s), 1j * omega * tolerances.delay_s * row))
     return [*found, *(a for a, _ in added)], np.stack([column for _, column in added])
 
 

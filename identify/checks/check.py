@@ -1,6 +1,6 @@
 """All checks of a recording, in the order in which one hides the other."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 
@@ -41,18 +41,19 @@ def check_recording(
     of a longer record, which does not begin at rest.
     """
     believed = tolerances or recording.rig.tolerances or LABORATORY
+    forces = recording.force_names
     found = _waveforms(recording, use)
     found += _against_model(recording, use, believed, found)
     if any(f.cause == "force" for f in found):
         found = [f for f in found if f.cause != "noise"]
-    told = {"force", *(c for f in found if f.cause not in HIDE for c in f.channels if len(f.channels) == 1)}
-    found = [f for f in found if f.cause not in ("noise", "drift", "offset", "force") or not _told(f, told)]
+    told = {*forces, *(c for f in found if f.cause not in HIDE for c in f.channels if len(f.channels) == 1)}
+    found = [f for f in found if f.cause not in ("noise", "drift", "offset", "force") or not _told(f, forces, told)]
     return merged(found, recording.rig)
 
 
-def _told(found: Finding, told: set[str]) -> bool:
+def _told(found: Finding, forces: Sequence[str], told: set[str]) -> bool:
     """Whether a better reason is known for what one channel's waveform shows."""
-    return found.channels != ("force",) and set(found.channels) <= told
+    return not set(found.channels) <= {*forces} and set(found.channels) <= told
 
 
 @contextmanager
@@ -66,22 +67,22 @@ def naming(findings: tuple[Finding, ...]) -> Iterator[None]:
         raise RigError(f"{error} (the check of the record found: {findings[0].sentence})") from error
 
 
-def _left_out(found: Finding) -> tuple[str, ...]:
-    """Of two channels that are the same one may be right, but for the force."""
-    return found.channels[1:] if found.cause == "copy" and "force" not in found.channels else found.channels
+def _left_out(found: Finding, forces: Sequence[str]) -> tuple[str, ...]:
+    """Of two channels that are the same one may be right, but for a force."""
+    return found.channels[1:] if found.cause == "copy" and not set(found.channels) & {*forces} else found.channels
 
 
 def _against_model(recording: Recording, use: Use, believed: Tolerances, shown: list[Finding]) -> list[Finding]:
     """After what the waveforms show."""
-    rig = recording.rig
-    spoilt = {c for f in shown if f.cause in SPOILS for c in _left_out(f)}
+    rig, forces = recording.rig, recording.force_names
+    spoilt = {c for f in shown if f.cause in SPOILS for c in _left_out(f, forces)}
     sensors = tuple(s for s in rig.sensors if s.measures.translates and use in ("auto", s.quantity))
-    if not sensors or "force" in spoilt or any(f.cause == "not at rest" for f in shown):
+    if not sensors or spoilt & {*forces} or any(f.cause == "not at rest" for f in shown):
         return []
     usable = [i for i, s in enumerate(sensors) if s.name not in spoilt]
     try:
         if len(usable) > len(joined_contacts(rig)) + 1:
-            if not quiet_samples(recording.force_n, rig.sample_rate_hz):
+            if not quiet_samples(recording.forces_n, rig.sample_rate_hz):
                 return []  # it may ring of what was before, which no force explains
             return _of_channels(recording, sensors, usable, believed)
         if not shown and all(b.is_mass for b in rig.bodies):
@@ -116,7 +117,8 @@ def _of_channels(
 
 def _waveforms(recording: Recording, use: Use) -> list[Finding]:
     """Of every channel the first fault that its samples show; then what several channels show together."""
-    rig, rate, force = recording.rig, recording.rig.sample_rate_hz, recording.force_n
+    rig, rate, force = recording.rig, recording.rig.sample_rate_hz, recording.forces_n
+    forces = recording.force_names
     measured = {s.name for s in rig.sensors if use in ("auto", s.quantity)}
     found: list[Finding] = []
     names, rows, offs, moving = [], [], [], []
@@ -124,7 +126,7 @@ def _waveforms(recording: Recording, use: Use) -> list[Finding]:
         for name, row in zip(signals.channels.names, signals.values, strict=True):
             if group != "force" and name not in measured:
                 continue
-            if (one := waveforms.dead(name, row)) is not None:
+            if (one := waveforms.dead(name, row, forces)) is not None:
                 found.append(one)
                 continue
             off = waveforms.off_neighbours(row)
@@ -134,10 +136,10 @@ def _waveforms(recording: Recording, use: Use) -> list[Finding]:
             checks = [
                 waveforms.clipped(name, row),
                 waveforms.quantised(name, row),
-                waveforms.held(name, row, force),
+                waveforms.held(name, row, force, forces),
             ]
             if group != "force":
-                checks += [background.hum(name, rate, row, force), background.noise(name, rate, row, force)]
+                checks += [background.hum(name, rate, row, force), background.noise(name, rate, row, force, forces)]
             if group == "acceleration":
                 checks += [background.drift(name, rate, row), background.offset(name, row)]
             elif group != "force" and (quiet := quiet_samples(force, rate)):
@@ -147,8 +149,8 @@ def _waveforms(recording: Recording, use: Use) -> list[Finding]:
             found += [f for f in checks if f is not None][:1]
     told = {c for f in found for c in f.channels}
     for i, name in enumerate(names):
-        others = [o for n, o in zip(names, offs, strict=True) if n not in (name, "force")]
-        spiked = waveforms.spikes(name, offs[i], others if name != "force" else offs[1:])
+        others = [o for n, o in zip(names, offs, strict=True) if n not in (name, *forces)]
+        spiked = waveforms.spikes(name, offs[i], others)
         if spiked is not None and name not in told:
             found.append(spiked)
     if moving and np.mean([f is not None for f in moving]) > MOST_REST:

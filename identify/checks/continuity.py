@@ -17,9 +17,15 @@ QUIET = 0.02
 
 
 def breaks(rig: Rig, spectra: Spectra, kept: list[int]) -> list[Finding]:
-    """A break that all channels show, or the one channel without which there is none; spectra on all lines."""
+    """A break that all channels show, or the one channel without which there is none; spectra on all lines.
+
+    None where it is one of several forces that breaks off: a hammer's.
+    """
     ratio, at_s = break_ratio(rig, spectra, kept)
     if ratio < BREAK or len(kept) < len(rig.contacts) + 3:
+        return []
+    several = len(spectra.forces) if len(spectra.forces) > 1 else 0
+    if any(break_ratio(rig, spectra, kept, doubted)[0] < BREAK for doubted in range(several)):
         return []
     without = {k: break_ratio(rig, spectra, [i for i in kept if i != k])[0] for k in kept}
     best = min(without, key=lambda k: without[k])
@@ -43,10 +49,10 @@ def breaks(rig: Rig, spectra: Spectra, kept: list[int]) -> list[Finding]:
     ]
 
 
-def break_ratio(rig: Rig, spectra: Spectra, kept: list[int]) -> tuple[float, float]:
+def break_ratio(rig: Rig, spectra: Spectra, kept: list[int], doubted: int | None = None) -> tuple[float, float]:
     """The largest part's share of residual in the motion, over that which 30 % of the parts stay below; and when."""
     check = linear_check(rig, spectra, kept)
-    left = Projector(check, kept)((spectra.acceleration - check.accelerance[0] * spectra.force)[kept])
+    left = Projector(check, kept, doubted)((spectra.acceleration - check.by_force)[kept])
     moved = spectra.in_time((spectra.acceleration / check.scale)[kept])
     shares = _powers(left, spectra.per_s)
     motion = _powers(moved, spectra.per_s)

@@ -46,7 +46,8 @@ Cause = Literal[
 
 
 class Finding(msgspec.Struct, frozen=True, kw_only=True):
-    """`channels` are those concerned, by name ("the force" is "force"); empty where the whole record or rig.json is.
+    """`channels` are those concerned, by name ("the force" is "force", one of several "force_1"); empty where the whole
+    record or rig.json is.
 
     `of` is the body, mode or contact that is concerned, if one is.
     """
@@ -60,6 +61,11 @@ class Finding(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def sentence(self) -> str:
         return f"{self.evidence}: {self.mend}."
+
+
+def spoken(force: str) -> str:
+    """How a sentence names the channel of a force."""
+    return "the force" if force == "force" else force
 
 
 def named(channels: tuple[str, ...], most: int = 3) -> str:

@@ -1,7 +1,7 @@
 """Gross faults of channels, force or rig.json: the one change after which the linear model fits the record."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
 
@@ -41,19 +41,20 @@ class Gross:
 
 
 def gross(rig: Rig, spectra: Spectra, usable: list[int], fine: Callable[[], Spectra], doubted: bool = False) -> Gross:
-    """The change that leaves the least misfit: of a channel, the force, two channels that are swapped, all gains,
+    """The change that leaves the least misfit: of a channel, a force, two channels that are swapped, all gains,
     rig.json; or several channels left out. `fine` gives the spectra on all lines.
 
     Of a record that fits well, but is doubted, only a change that fits much better is told.
     """
     check = linear_check(rig, spectra, usable)
     misfit = check.predicted(usable).misfit
-    force = _force(check, usable)
-    wrong = [f for f in (force.findings() if force else ()) if f.cause in ("force", "filtered")]
+    forces = list(_forces(check, usable))
+    only = forces[0].findings() if len(forces) == 1 else ()  # of several a weak one follows the errors of the model
+    wrong = [f for f in only if f.cause in ("force", "filtered")]
     if misfit < SOUND and (wrong or not doubted):
         return Gross(tuple(wrong), usable, not wrong)
     trials = [
-        *([force] if force else []),
+        *forces,
         *_channels(rig, spectra, usable, fine),
         *_swaps(rig, spectra, usable),
         *_gains(rig, spectra, usable),
@@ -114,13 +115,20 @@ def _over_time(rig: Rig, spectra: Spectra, channel: int, kept: list[int]) -> Flo
     return np.array(delays) if np.ptp(delays) > LATE_S else None
 
 
-def _force(check: LinearCheck, usable: list[int]) -> Trial | None:
-    found = check.predicted(usable, force=False)
-    if not np.isfinite(found.misfit):
-        return None
-    size = np.abs(check.accelerance[0][usable])
-    weight = np.sqrt(np.mean((size / check.scale[usable]) ** 2, axis=0))
-    return Trial(found.misfit, usable, lambda: (force_finding(check.spectra, found.force, weight),), False, LEFT_OUT)
+def _forces(check: LinearCheck, usable: list[int]) -> Iterator[Trial]:
+    for number in range(len(check.spectra.forces)):
+        found = check.predicted(usable, doubted=number)
+        if np.isfinite(found.misfit):
+            yield Trial(found.misfit, usable, partial(_of_force, check, usable, number, found), False, LEFT_OUT)
+
+
+def _of_force(check: LinearCheck, usable: list[int], number: int, found: Predicted) -> tuple[Finding, ...]:
+    shown = (check.accelerance[number] / check.scale)[usable]
+    if len(check.spectra.forces) > 1:  # what no contact force does too
+        basis = np.linalg.qr((check.of_contacts / check.scale)[:, usable].transpose(2, 1, 0))[0]
+        shown = shown - np.einsum("lsi,lti,tl->sl", basis, basis.conj(), shown, optimize=True)
+    weight = np.sqrt(np.mean(np.abs(shown) ** 2, axis=0))
+    return (force_finding(check.spectra, number, found.forces[number], weight),)
 
 
 def _swaps(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]:
@@ -133,6 +141,12 @@ def _swaps(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]:
             [i for i in usable if i not in (one, other)],
             partial(_swapped, names),
         )
+    for pair in combinations(range(len(spectra.forces)), 2):
+        forces = spectra.forces.copy()
+        forces[[*pair]] = forces[[*pair[::-1]]]
+        names = spectra.force_names[pair[0]], spectra.force_names[pair[1]]
+        left = linear_check(rig, replace(spectra, forces=forces), usable).predicted(usable).misfit
+        yield Trial(left, usable, partial(_swapped, names), False)
 
 
 def _swapped(names: tuple[str, str]) -> tuple[Finding, ...]:
@@ -154,8 +168,8 @@ def _gains(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]:
     rows, gains = spectra.acceleration, np.ones(len(spectra.sensors))
     for _ in range(3):
         check = linear_check(rig, spectra.with_rows(rows), usable)
-        by_force = (check.accelerance[0] * spectra.force / check.scale)[usable]
-        basis = np.linalg.qr((check.accelerance[1:][:, usable] / check.scale[usable]).transpose(2, 1, 0))[0]
+        by_force = (check.by_force / check.scale)[usable]
+        basis = np.linalg.qr((check.of_contacts[:, usable] / check.scale[usable]).transpose(2, 1, 0))[0]
         columns = np.zeros((spectra.omega.size, len(usable), len(usable)), dtype=complex)
         index = np.arange(len(usable))
         columns[:, index, index] = (rows / check.scale)[usable].T

@@ -54,9 +54,8 @@ class MassFit:
 
 
 def mass_findings(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> list[Finding]:
-    """Of the mass on which the force acts."""
-    body = rig.body(rig.force_at.body)
-    row = motion.row(rig.force_at)
+    """Of the mass on which the force acts, or all forces together."""
+    body, row = _driven(rig, motion)
     if not body.is_mass or row is None:
         return []
     fit = open_fit(rig, motion, row)
@@ -64,14 +63,20 @@ def mass_findings(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> list[
         return []
     sensor = motion.sensors[row]
     clock = _clock(body, sensor.measures.order, fit, tolerances)
-    return [clock] if clock else list(_compared(body, (sensor.name,), fit, tolerances))
+    return [clock] if clock else list(_compared(body, (*rig.force_names, sensor.name), fit, tolerances))
+
+
+def _driven(rig: Rig, motion: Kinematics) -> tuple[Body, int | None]:
+    """The body on which the (first) force acts, and the row of its station; none if others act elsewhere."""
+    at = rig.forces[0]
+    return rig.body(at.body), motion.row(at) if set(rig.forces) == {at} else None
 
 
 def mass_pull(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> float:
     """By how many standard deviations of tolerances and errors mass and frequency of the mass on which the force acts
     are off, or the clock with them, whichever is most; 0 where nothing tells, or other bodies' channels tell more."""
-    body, row = rig.body(rig.force_at.body), motion.row(rig.force_at)
-    if row is None or len(rig.bodies) > 1 or not body.is_mass or not np.any(motion.force_n):
+    body, row = _driven(rig, motion)
+    if row is None or len(rig.bodies) > 1 or not body.is_mass or not np.any(motion.forces_n):
         return 0.0
     fit = open_fit(rig, motion, row)
     if fit is None or fit.explained < UNRELATED:
@@ -95,11 +100,11 @@ def open_fit(rig: Rig, motion: Kinematics, row: int) -> MassFit | None:
 
 
 def _fit_below(share: float, rig: Rig, motion: Kinematics, row: int) -> MassFit | None:
-    high_hz = force_band(motion.force_n, motion.sample_rate_hz)[1]
+    high_hz = force_band(motion.forces_n, motion.sample_rate_hz)[1]
     factor = max(1, int(motion.sample_rate_hz / 2 / (TO_FORCE * high_hz)))
     rate = motion.sample_rate_hz / factor
     rows = (motion.acceleration_m_per_s2[row], motion.velocity_m_per_s[row], motion.displacement_m[row])
-    signals = decimated(np.stack([motion.force_n, *rows]), factor)
+    signals = decimated(np.stack([motion.forces_n.sum(axis=0), *rows]), factor)
     begun = motion.excited_from // factor + 1
     passages = _passages(_open(rig, motion, factor, share), begun)
     if sum(p.stop - p.start for p in passages) < 50:
@@ -134,10 +139,10 @@ def _fit_below(share: float, rig: Rig, motion: Kinematics, row: int) -> MassFit 
 
 def _open(rig: Rig, motion: Kinematics, factor: int, share: float) -> Bool[np.ndarray, " fewer"]:
     """Where every contact of the force's body is in the middle of its gap."""
-    found = np.ones(-(-motion.force_n.size // factor), dtype=bool)
+    found = np.ones(-(-motion.samples // factor), dtype=bool)
     for one in joined_contacts(rig):
         contact = one.contact
-        if rig.force_at.body not in (contact.at.body, contact.against.body if contact.against else None):
+        if rig.forces[0].body not in (contact.at.body, contact.against.body if contact.against else None):
             continue
         sides = [motion.row(s) for s in (contact.at, contact.against) if s is not None]
         if None in sides:
@@ -156,16 +161,17 @@ def _passages(is_open: Bool[np.ndarray, " fewer"], begun: int) -> list[slice]:
     return [slice(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if a >= begun and b - a >= SHORTEST]
 
 
-def _compared(body: Body, sensor: tuple[str, ...], fit: MassFit, tolerances: Tolerances) -> list[Finding]:
-    """The first that is off: whether the force drives it at all, delay, size, frequency, damping."""
+def _compared(body: Body, channels: tuple[str, ...], fit: MassFit, tolerances: Tolerances) -> list[Finding]:
+    """The first that is off, of the forces and, last, the sensor: whether the force drives it at all, delay, size,
+    frequency, damping."""
     mass, damping, stiffness = fit.values
     if fit.explained < UNRELATED:
         return [
             Finding(
                 cause="force",
-                channels=("force", *sensor),
+                channels=channels,
                 evidence=f"while its contacts are open, {100 * max(fit.explained, 0):.2g} % of the force shows in "
-                f"{sensor[0]}",
+                f"{channels[-1]}",
                 mend="check that both channels are of this record, and the quantity of the sensor",
             )
         ]
@@ -179,15 +185,15 @@ def _compared(body: Body, sensor: tuple[str, ...], fit: MassFit, tolerances: Tol
         found.append(
             Finding(
                 cause="delay",
-                channels=("force", *sensor),
-                evidence=f"{sensor[0]} comes {1e3 * abs(fit.delay_s):.2g} ms "
+                channels=channels,
+                evidence=f"{channels[-1]} comes {1e3 * abs(fit.delay_s):.2g} ms "
                 f"{'late' if fit.delay_s < 0 else 'early'} against the force",
                 mend="synchronise the two, or set its delay_s in rig.json",
             )
         )
     allowed = FAR * float(np.hypot.reduce([tolerances.mass, tolerances.gain, tolerances.force_gain, LEAST]))
     if abs(ratio - 1) > allowed + FAR * fit.errors[0] / abs(mass):
-        found.append(_size(body, sensor, ratio))
+        found.append(_size(body, channels, ratio))
     natural_hz = _told_hz(body)
     square = stiffness / mass
     if natural_hz:
@@ -267,10 +273,9 @@ def _off(
     return off, deviation, np.array([order - 2.0, 1.0])
 
 
-def _size(body: Body, sensor: tuple[str, ...], ratio: float) -> Finding:
+def _size(body: Body, channels: tuple[str, ...], ratio: float) -> Finding:
     """The sensor delivers 1 / ratio times what the force and the mass make."""
-    evidence = f"{sensor[0]} delivers {1 / ratio:.4g} times what the force and the mass of {body.name} make"
-    channels = ("force", *sensor)
+    evidence = f"{channels[-1]} delivers {1 / ratio:.4g} times what the force and the mass of {body.name} make"
     if ratio < 0 and 0.5 < -ratio < 2:
         return Finding(
             cause="polarity", channels=channels, evidence=evidence, mend="turn it, or the force, with scale = -1"

@@ -30,7 +30,7 @@ MOST, NEXT = 4, 0.25
 """No more are named, and none that is asked for by less than this share of the first."""
 STEADY = 2.0
 """Motion that lasts for half of the record is taken to last for all of it."""
-AT_ONCE = 4096
+AT_ONCE = 1024
 """Samples of all columns that are worked on at once."""
 FLOOR = 0.003
 """No model is believed to fit better than to this share of what a body does at a line."""
@@ -55,7 +55,7 @@ def broken(
     sensors = tuple(check.spectra.sensors[i] for i in kept)
     omega, measured = check.spectra.omega, check.spectra.acceleration[kept]
     responses = [response_of(rig, body, omega) for body in rig.bodies]
-    by_force = check.accelerance[0][kept] * check.spectra.force
+    by_force = check.by_each_force[:, kept]
     modelled = check.predicted(kept)
     bodies = tuple(_body(rig, r, check, kept, modelled) for r in responses)
     observed = Observed(
@@ -71,16 +71,16 @@ def broken(
     )
     forget()
     project = Projector(check, kept)
-    left = project(measured - by_force)
+    left = project(measured - by_force.sum(axis=0))
     parameters, columns = [], []
     for change in changes_of(observed):
         parameters.append(change.parameter)
-        columns.append(project(_whole(change, measured.shape)))
+        columns.append(_Column.of(project(_whole(change, measured.shape))))
     if not parameters:
         return [], np.zeros(0)
     candidates, added = candidates_of(parameters, bodies, sensors, by_force, omega, tolerances)
     count = len(parameters)
-    columns += [project(spectra) for spectra in added]
+    columns += [_Column.of(project(spectra)) for spectra in added]
     found: list[Broken] = []
     free: list[int] = []
     weights = np.ones(left.shape[1], left.dtype)
@@ -108,8 +108,24 @@ def broken(
     return found, pulls
 
 
-def _along(columns: list[np.ndarray], values: np.ndarray) -> np.ndarray | float:
-    return sum((np.float32(value) * column for value, column in zip(values, columns, strict=True)), start=0.0)
+@dataclass(frozen=True)
+class _Column:
+    """In half precision, in units of its largest value: there are hundreds, and scores need no more."""
+
+    halves: np.ndarray
+    largest: np.float32
+
+    @classmethod
+    def of(cls, values: np.ndarray) -> "_Column":
+        largest = np.float32(max(float(np.max(np.abs(values))), 1e-30))
+        return cls((values / largest).astype(np.float16), largest)
+
+    def values(self, part: slice = slice(None)) -> np.ndarray:
+        return np.asarray(self.largest * self.halves[:, part].astype(np.float32))
+
+
+def _along(columns: list[_Column], values: np.ndarray) -> np.ndarray | float:
+    return sum((np.float32(value) * column.values() for value, column in zip(values, columns, strict=True)), start=0.0)
 
 
 @dataclass(frozen=True)
@@ -119,14 +135,14 @@ class _Sizes:
 
 
 def _scores(
-    left: np.ndarray, columns: list[np.ndarray], count: int, free: list[int], weights: np.ndarray
+    left: np.ndarray, columns: list[_Column], count: int, free: list[int], weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, _Sizes]:
     """The pulls of the first `count`, each candidate's score and its size, with the free ones without a prior."""
     fitted = [*range(count), *free]
     products, along = np.zeros((len(columns), len(columns))), np.zeros(len(columns))
     for first in range(0, left.shape[1], AT_ONCE):
         part = slice(first, first + AT_ONCE)
-        rows = np.stack([column[:, part] * weights[part] for column in columns]).reshape(len(columns), -1)
+        rows = np.stack([column.values(part) * weights[part] for column in columns]).reshape(len(columns), -1)
         products += rows @ rows.T
         along += rows @ (left[:, part] * weights[part]).reshape(-1)
     prior = np.r_[np.ones(count), np.full(len(free), 1e-9)]
@@ -149,14 +165,15 @@ def _matters(candidate: Suspect, size: float, tolerances: Tolerances) -> bool:
 
 
 class Projector:
-    """Over the scale, with the contact forces projected out, as real numbers; scaled so that a sound record has one."""
+    """Over the scale, with the contact forces, and a force that is doubted, projected out, as real numbers; scaled so
+    that a sound record has one."""
 
-    def __init__(self, check: LinearCheck, kept: list[int]) -> None:
+    def __init__(self, check: LinearCheck, kept: list[int], doubted: int | None = None) -> None:
         noise = check.spectra.noise[kept]
         level = np.sqrt(np.maximum(check.scale[kept] ** 2 - noise**2, 0)) / ROUGH
         self._scale = np.hypot(FLOOR * level, noise)
         self._scale = np.maximum(self._scale, 1e-9 * self._scale.max())
-        unknown = (check.accelerance[1:][:, kept] / self._scale).transpose(2, 1, 0)
+        unknown = (check.unknown(doubted)[:, kept] / self._scale).transpose(2, 1, 0)
         self._basis = np.linalg.qr(unknown)[0] if unknown.shape[2] else None
         self._spectra = check.spectra
         moving = self._spectra.in_time(check.spectra.acceleration[kept] / self._scale)
@@ -188,9 +205,9 @@ def _whole(change: Change, shape: tuple[int, ...]) -> Complex[np.ndarray, "senso
 
 
 def _body(rig: Rig, response: Response, check: LinearCheck, kept: list[int], modelled: Predicted) -> BodyMotion:
-    """Modal accelerations as the force and the contact forces make them; as many modes as sensors may be off."""
-    pushed = np.concatenate([response.shapes([rig.force_at]), -across(rig, response)])
-    forces = np.concatenate([modelled.force[None], modelled.contacts])
+    """Modal accelerations as the forces and the contact forces make them; as many modes as sensors may be off."""
+    pushed = np.concatenate([response.shapes([*rig.forces]), -across(rig, response)])
+    forces = np.concatenate([modelled.forces, modelled.contacts])
     told = sum(check.spectra.sensors[i].station.body == response.body.name for i in kept)
     elastic = np.arange(response.body.rigid_modes, min(told, response.count))
     return BodyMotion(response, response.accelerance * times(pushed.T, forces), elastic)

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec.structs import replace
 from scipy.optimize import minimize_scalar
 
-from identify.checks.findings import Finding
+from identify.checks.findings import Finding, spoken
 from identify.checks.prediction import linear_check
 from identify.checks.spectra import Spectra
 from identify.checks.trial import Trial
@@ -48,15 +48,17 @@ def rig_trials(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]
             yield trial(left, partial(say, body.name, factor))
     fast, left = scaled(lambda x: replace(rig, bodies=tuple(b.scale_frequencies(x) for b in rig.bodies)), 1.2)
     yield trial(left, partial(_clock, fast))
-    body = rig.body(rig.force_at.body)
-    for place in _places(body, rig.force_at):
-        yield trial(misfit(replace(rig, force_at=place)), partial(_force_place, place))
+    for number, (name, now) in enumerate(zip(rig.force_names, rig.forces, strict=True)):
+        for place in _places(rig.body(now.body), now):
+            moved = (*rig.forces[:number], place, *rig.forces[number + 1 :])
+            moved_rig = replace(rig, force_at=moved if len(moved) > 1 else place)
+            yield trial(misfit(moved_rig), partial(_force_place, name, place))
     for contact in rig.contacts:
         for side in ("at", "against"):
             at = getattr(contact, side)
             for place in _places(rig.body(at.body), at) if at else ():
-                moved = tuple(replace(c, **{side: place}) if c is contact else c for c in rig.contacts)
-                yield trial(misfit(replace(rig, contacts=moved)), partial(_contact_place, contact.name, place))
+                contacts = tuple(replace(c, **{side: place}) if c is contact else c for c in rig.contacts)
+                yield trial(misfit(replace(rig, contacts=contacts)), partial(_contact_place, contact.name, place))
 
 
 def _places(body: Body, now: Station) -> list[Station]:
@@ -106,12 +108,12 @@ def _turned(body: str, spectra: Spectra) -> Finding:
     )
 
 
-def _force_place(place: Station) -> Finding:
+def _force_place(name: str, place: Station) -> Finding:
     return Finding(
         cause="force place",
-        channels=("force",),
+        channels=(name,),
         of=place.body,
-        evidence=f"the force acts as if it stood at {place.position_m:.3g} m of {place.body}",
+        evidence=f"{spoken(name)} acts as if it stood at {place.position_m:.3g} m of {place.body}",
         mend="measure where it acts and correct force_at in rig.json",
     )
 

@@ -12,7 +12,7 @@ from identify.signals.beginning import QUIET_S, force_begins
 from identify.signals.kinematics import TAPER_S, taper
 from identify.signals.spectra import force_band
 from rig.errors import RigError
-from rig.model.description import Sensor
+from rig.model.description import Sensor, force_names
 from rig.model.sensing import PASSBAND
 from rig.recording import Recording
 
@@ -38,7 +38,7 @@ class Spectra:
     sensors: tuple[Sensor, ...]
     omega: Float[np.ndarray, " lines"]
     acceleration: Complex[np.ndarray, "sensors lines"]
-    force: Complex[np.ndarray, " lines"]
+    forces: Complex[np.ndarray, "forces lines"]
     noise: Float[np.ndarray, "sensors lines"]
     lines: Int[np.ndarray, " lines"]
     length: int
@@ -64,6 +64,10 @@ class Spectra:
         begin, end = (round(at * self.per_s) for at in self.taken_s)
         return np.asarray(found[..., begin:end])
 
+    @property
+    def force_names(self) -> tuple[str, ...]:
+        return force_names(len(self.forces))
+
     def with_rows(self, acceleration: Complex[np.ndarray, "sensors lines"]) -> "Spectra":
         return replace(self, acceleration=acceleration)
 
@@ -74,10 +78,10 @@ def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], most: int | No
     Raises RigError if the force is zero or its band lies below.
     """
     rate = recording.rig.sample_rate_hz
-    force = recording.force_n
-    ending = taper(force.size, min(round(TAPER_S * rate), force.size // 4))
-    length = next_fast_len(force.size + round(RING_S * rate), real=True)
-    high_hz = min(TO_FORCE * force_band(force, rate)[1], PASSBAND * rate)
+    forces_n, samples = recording.forces_n, recording.samples
+    ending = taper(samples, min(round(TAPER_S * rate), samples // 4))
+    length = next_fast_len(samples + round(RING_S * rate), real=True)
+    high_hz = min(TO_FORCE * force_band(forces_n, rate)[1], PASSBAND * rate)
     first, last = int(np.ceil(LOWEST_HZ * length / rate)), int(high_hz * length / rate)
     if last - first < SMOOTHED:
         raise RigError("the force's band is too low or too narrow")
@@ -85,7 +89,7 @@ def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], most: int | No
     omega = 2 * np.pi * lines * rate / length
     rows = np.stack([_row(recording, s) for s in sensors])
     found = rfft(rows * ending, length)[:, lines]
-    begun = quiet_samples(force, rate)
+    begun = quiet_samples(forces_n, rate)
     quiet = rows[:, :begun]
     chains = np.stack([chain(s, omega) for s in sensors])
     found *= chains
@@ -93,9 +97,10 @@ def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], most: int | No
         deviation = quiet.std(axis=1)
     else:
         deviation = np.array([s.noise_density * np.sqrt(rate / 2) for s in sensors])
-    per_line = np.sqrt(force.size) * deviation[:, None] * np.abs(chains)
-    taken_s = (begun / rate, max(force.size / rate - CUT_S, 0.5 * force.size / rate))
-    return Spectra(sensors, omega, found, rfft(force * ending, length)[lines], per_line, lines, length, taken_s, rate)
+    per_line = np.sqrt(samples) * deviation[:, None] * np.abs(chains)
+    taken_s = (begun / rate, max(samples / rate - CUT_S, 0.5 * samples / rate))
+    forces = rfft(forces_n * ending, length)[:, lines]
+    return Spectra(sensors, omega, found, forces, per_line, lines, length, taken_s, rate)
 
 
 def chain(sensor: Sensor, omega: Float[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:
@@ -103,7 +108,7 @@ def chain(sensor: Sensor, omega: Float[np.ndarray, " lines"]) -> Complex[np.ndar
     return np.asarray((1j * omega) ** (2 - sensor.measures.order) / sensor.response(omega))
 
 
-def quiet_samples(force: Float[np.ndarray, " samples"], rate_hz: float) -> int:
+def quiet_samples(force: Float[np.ndarray, "*forces samples"], rate_hz: float) -> int:
     """How many samples at the start are before the force, at least a quarter second; else zero."""
     before = force_begins(force, rate_hz) - round(0.05 * rate_hz)
     return before if before > QUIET_S * rate_hz else 0

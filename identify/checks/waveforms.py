@@ -1,6 +1,6 @@
 """What a channel's samples show by themselves, without any model of the rig; see also `background`."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -20,17 +20,18 @@ SPIKE = 25.0
 IMPACT, APART, MOST_SPIKES = 8.0, 2.0, 60
 
 Row = Float[np.ndarray, " samples"]
+Rows = Float[np.ndarray, "*rows samples"]
 
 
-def dead(name: str, row: Row) -> Finding | None:
+def dead(name: str, row: Row, forces: Sequence[str] = ("force",)) -> Finding | None:
     if np.ptp(row) > 1e-9 * max(abs(float(row[0])), 1e-300) and np.ptp(row) > 0:
         return None
     return Finding(
         cause="dead",
         channels=(name,),
         evidence=f"{name} stands at {row[0]:.4g} throughout",
-        mend="check its cable and amplifier, unless this is a free decay, without a force"
-        if name == "force"
+        mend="check its cable and amplifier, unless it did not act, as in a free decay"
+        if name in forces
         else "check its cable and amplifier, or take it out of rig.json",
     )
 
@@ -66,16 +67,17 @@ def quantised(name: str, row: Row) -> Finding | None:
     )
 
 
-def held(name: str, row: Row, force: Row) -> Finding | None:
+def held(name: str, row: Row, force: Rows, forces: Sequence[str] = ("force",)) -> Finding | None:
     """Runs of equal samples in a channel that else moves: samples that were lost and filled."""
     same = np.diff(row) == 0
     edges = np.flatnonzero(np.diff(np.r_[0, same.astype(np.int8), 0]))
     begins, ends = edges[::2], edges[1::2]
     if not begins.size or np.mean(same) > 0.3:
         return None
-    from_s = int(np.argmax(np.abs(force) > 0.05 * np.abs(force).max()))
+    size = np.abs(np.atleast_2d(force))
+    from_s = int(np.argmax((size > 0.05 * size.max(axis=1, keepdims=True)).any(axis=0)))
     long = (ends - begins >= HELD) & (begins > from_s) & ~np.isin(row[begins], (row.max(), row.min()))
-    if name == "force":
+    if name in forces:
         long &= row[begins] != 0
     if not long.any():
         return None

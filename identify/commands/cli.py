@@ -13,9 +13,9 @@ from rich.text import Text
 
 import identify
 from identify.checks import Finding
-from identify.commands.exporting import Export, check_export
 from identify.commands.gap import gap
 from identify.commands.history import compare, history
+from identify.commands.options import Believed, Export, Used, check_export
 from identify.contacts.curves import curves
 from identify.contacts.identified_rig import identified_rig
 from identify.contacts.pooled import LARGE_BYTES, SEGMENT_S, identify_long
@@ -61,13 +61,8 @@ def _group(version: Version = False) -> None:
 @app.command()
 def check(
     file: Annotated[Path, typer.Argument(help="The recording, an .mcap file.")],
-    use: Annotated[str, typer.Option(help=f"Which sensors: {', '.join(get_args(Use))}.")] = "auto",
-    tolerances: Annotated[
-        str | None,
-        typer.Option(
-            help="How exactly rig.json is believed: laboratory, exact, or a TOML file; else as it says itself."
-        ),
-    ] = None,
+    use: Used = "auto",
+    tolerances: Believed = None,
     as_json: Json = False,
 ) -> None:
     """Whether a recording's channels fit each other, the force and rig.json; exits with 1 if they do not.
@@ -106,18 +101,13 @@ def contact(
         Path | None,
         typer.Option(help="Folder for contact.json, the identified rig.json, the figures and contact.html, a page."),
     ] = None,
-    use: Annotated[str, typer.Option(help=f"Which sensors: {', '.join(get_args(Use))}.")] = "auto",
+    use: Used = "auto",
     equation: Annotated[str | None, typer.Option(help='Main modal equation, e.g. "barrel 3".')] = None,
     averages: Annotated[int, typer.Option(help="How many blocks to average over.")] = 40,
     block: Annotated[float | None, typer.Option(help="Length of a block, s; otherwise from the averages.")] = None,
     overlap: Annotated[float, typer.Option(help="Overlap of the blocks, 0 to below 1.")] = 0.5,
     window: Annotated[str, typer.Option(help=f"Window: {', '.join(POWERS)}.")] = "hann",
-    tolerances: Annotated[
-        str | None,
-        typer.Option(
-            help="How exactly rig.json is believed: laboratory, exact, or a TOML file; else as it says itself."
-        ),
-    ] = None,
+    tolerances: Believed = None,
     band: Annotated[tuple[float, float] | None, typer.Option(help="Band of NIFO, Hz; otherwise the force's.")] = None,
     segment: Annotated[
         float | None,
@@ -192,7 +182,8 @@ def law(
     file: Annotated[Path, typer.Argument(help="The recording, an .mcap file.")],
     contact: Annotated[str | None, typer.Option(help="The contact's name; otherwise all of them.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for law.html, a page, law.json and the figures.")] = None,
-    use: Annotated[str, typer.Option(help=f"Which sensors: {', '.join(get_args(Use))}.")] = "auto",
+    use: Used = "auto",
+    tolerances: Believed = None,
     seconds: Annotated[float, typer.Option(help="Longest search, s, shared by the contacts.")] = 60.0,
     seed: Annotated[int, typer.Option(help="Of the search and of the points drawn for it.")] = 0,
     export: Export = None,
@@ -213,7 +204,13 @@ def law(
             refuse_existing(out / name, force, file, new_folder=True)
     with progress_bar(f"searching the laws of {file.name}") as progress:
         found = identify.law(
-            file, contact=contact, use=msgspec.convert(use, Use), seconds=seconds, seed=seed, progress=progress
+            file,
+            contact=contact,
+            use=msgspec.convert(use, Use),
+            seconds=seconds,
+            seed=seed,
+            tolerances=tolerances,
+            progress=progress,
         )
     if out is not None:
         found.save(out)

@@ -8,7 +8,7 @@ import msgspec
 import typer
 
 from identify.api import gap as diagnosed
-from identify.commands.exporting import Export, check_export
+from identify.commands.options import Believed, Export, check_export
 from identify.gaps.results import Matters
 from identify.pages.tables import save_tables
 from rig.commands.command_line import Force, Json, literal_console, progress_bar, refuse_existing
@@ -41,12 +41,7 @@ def gap(
             help="File of the null reference, made where it is not there or of another rig; else beside the first REAL."
         ),
     ] = None,
-    tolerances: Annotated[
-        str | None,
-        typer.Option(
-            help="How exactly rig.json is believed: laboratory, exact, or a TOML file; else as it says itself."
-        ),
-    ] = None,
+    tolerances: Believed = None,
     matters: Annotated[
         float, typer.Option(min=0.0, help="A gap below this share of the acceleration does not matter, %.")
     ] = 0.5,

@@ -10,17 +10,13 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from identify.api import compare as compared
+from identify.commands.options import Believed, Used
 from identify.history.observed import sources_in
 from identify.history.page import rows
 from identify.signals.kinematics import Use
 from rig.commands.command_line import Force, Json, literal_console, progress_bar, refuse_existing, say
 
 Out = Annotated[Path | None, typer.Option(help="Folder for history.html, history.csv and history.json.")]
-Used = Annotated[str, typer.Option(help=f"Which sensors: {', '.join(get_args(Use))}.")]
-Believed = Annotated[
-    str | None,
-    typer.Option(help="How exactly rig.json is believed: laboratory, exact, or a TOML file; else as it says itself."),
-]
 
 
 def compare(

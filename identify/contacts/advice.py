@@ -42,7 +42,7 @@ def assumed(found: Identification) -> Iterator[str]:
         yield (
             "Tolerances of rig.json, as standard deviations, fitted along: sensor gains "
             f"{100 * believed.gain:.2g} %, their positions {1e3 * believed.position_m:.2g} mm, delays "
-            f"{1e3 * believed.delay_s:.2g} ms and high-pass {believed.high_pass_hz:.2g} Hz, the force's gain "
+            f"{1e3 * believed.delay_s:.2g} ms and high-pass {believed.high_pass_hz:.2g} Hz, each force's gain "
             f"{100 * believed.force_gain:.2g} %, masses {100 * believed.mass:.2g} %, natural frequencies "
             f"{100 * believed.frequency:.2g} %, damping {100 * believed.damping:.2g} %."
         )

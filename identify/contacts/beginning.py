@@ -49,7 +49,7 @@ def initial_states(
     Behind its end, where nothing was measured, the modes lack the free motion from their state there: likewise unknown.
     """
     sharp = replace(lines, tapered=False)
-    samples, behind = motion.force_n.size, lines.length - motion.force_n.size
+    samples, behind, forces = motion.samples, lines.length - motion.samples, len(motion.forces_n)
     motions, at_start, at_end = motions_of(responses, motion, float(lines.omega[-1]) / (2 * np.pi), lines.length)
     orders = [s.measures.order for s in motion.sensors]
     of_start = spectra_of(motions, orders, in_metres, lines.omega, lambda rows: sharp.spectra(rows[:, :samples]))
@@ -61,8 +61,8 @@ def initial_states(
         np.concatenate([of_start, late * of_end]),
         np.concatenate([at_start[0], at_end[0]]),
         np.concatenate([at_start[1], at_end[1]]),
-        measured - delivered[0] * sharp.spectra(motion.force_n),
-        -delivered[1:],
+        measured - np.sum(delivered[:forces] * sharp.spectra(motion.forces_n)[:, None], axis=0),
+        -delivered[forces:],
         errors.parts(0 if motion.zero_known else int(np.count_nonzero(lines.omega < 2 * 2 * np.pi * CORNER_HZ))),
         alike=lines.alike,
     )

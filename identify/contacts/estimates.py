@@ -137,12 +137,12 @@ def _observed(
     tolerances: Tolerances,
 ) -> list[ContactRecord]:
     samples = separated.force_n.shape[1] * separated.factor
-    samples = min(samples, motion.force_n.size)
+    samples = min(samples, motion.samples)
     eta, velocity = relative_displacements(rig, motion), relative_velocities(rig, motion)
     found = []
     quiet = separated.force_n[:, : motion.excited_from // separated.factor]
     quiet_n = quiet.std(axis=1) if quiet.shape[1] else np.zeros(len(rig.contacts))
-    quiet_n = np.maximum(quiet_n, ROUNDING * motion.force_n.std())
+    quiet_n = np.maximum(quiet_n, ROUNDING * motion.forces_n.std(axis=1).max())
     for j in range(len(rig.contacts)):
         displaced = separated.nuisances.eta_m[:, j]
         moving = np.any(displaced, axis=1)
@@ -214,10 +214,9 @@ def _density(
     row = motion.stations.index(station)
     own = [i for i, s in enumerate(motion.stations) if s.body == station.body]
     own.sort(key=lambda i: motion.stations[i].position_m)
-    acceleration = motion.acceleration_m_per_s2[own]
     followed_hz = 0.5 / KNOT_S
     factor = max(1, int(motion.sample_rate_hz / (2 * followed_hz)))
-    slow = decimated(acceleration, factor)
+    slow = np.stack([decimated(acceleration, factor) for acceleration in motion.acceleration_m_per_s2[own]])
     error = tolerances.gain**2 * np.mean(slow[own.index(row)] ** 2)
     if len(own) > 1:
         slope = np.gradient(slow, [motion.stations[i].position_m for i in own], axis=0)[own.index(row)]

@@ -12,9 +12,9 @@ from identify.contacts.linearised import law_force_n
 from identify.contacts.results import ContactReport, Segment
 from identify.pages.picture import Picture
 from identify.pages.style import BLUE, GREEN, GREY, RED, picture
-from identify.pages.wording import COVERED
+from identify.pages.wording import COVERED, number
 from identify.structure.joined import Joined
-from identify.structure.modal import receptance
+from identify.structure.modal import pushing_force, receptance
 
 Marks = Mapping[str, tuple[float, float]]
 """Reference values by contact: clearance (m) and stiffness (N/m), drawn as dashed lines."""
@@ -69,7 +69,8 @@ def _outputs(figure: Any, found: Identification, _marks: Marks, _marks_name: str
     equation, rate = found.surface.equation, found.motion.sample_rate_hz
     measured = equation.displacement[:LONGEST]
     low_hz = max(found.weak.frequency_hz[0], found.motion.trusted_hz[0])
-    spectrum = np.fft.rfft(equation.shape_at_force * found.motion.force_n[:LONGEST], 2 * measured.size)
+    exciting_n = pushing_force(found.rig, equation, found.motion.forces_n[:, :LONGEST])
+    spectrum = np.fft.rfft(equation.shape_at_force * exciting_n, 2 * measured.size)
     at_hz = np.fft.rfftfreq(2 * measured.size, 1 / rate)
     frf = np.where(at_hz >= low_hz, receptance(equation.frequency_hz, equation.damping_ratio, at_hz), 0.0)
     free = np.fft.irfft(spectrum * frf)[: measured.size]
@@ -84,7 +85,8 @@ def _outputs(figure: Any, found: Identification, _marks: Marks, _marks_name: str
         lower.semilogy(frequency[band], density[band], color=colour, lw=1.1)
     upper.set(xlabel="time, s", ylabel=f"q of {equation.name},\n1e-3 √kg m")
     upper.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
-    lower.set(xlabel="frequency, Hz", ylabel="PSD of q, kg m²/Hz")
+    least = float(density[band].min())  # as measured: without contact hardly anything moves above the force's band
+    lower.set(xlabel="frequency, Hz", ylabel="PSD of q, kg m²/Hz", ylim=(0.1 * least, None))
     figure.suptitle("Output with and without the contacts")
 
 
@@ -198,7 +200,7 @@ def _stiffness(figure: Any, found: Identification, marks: Marks, marks_name: str
             axes[0][i].plot(result.frequency_hz, values, color=colour, lw=1.0, label=label)
             deviation = 100 * np.abs(result.stiffness_n_per_m[i] / reference - 1)
             axes[1][i].semilogy(result.frequency_hz, np.maximum(deviation, 1e-6), color=colour, lw=1.0)
-        axes[0][i].axhline(mean, color=RED, lw=1.0, label=f"spectral mean {mean:.5g} N/m")
+        axes[0][i].axhline(mean, color=RED, lw=1.0, label=f"spectral mean {number(mean, 5)} N/m")
         if contact.name in marks:
             axes[0][i].axhline(reference, color="k", ls=":", lw=1.0, label=marks_name)
         limits = np.quantile(found.weak.stiffness_n_per_m[i].real, [0.02, 0.98])

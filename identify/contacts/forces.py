@@ -62,15 +62,17 @@ def separated_forces(
 
     Raises RigError if the stations or the modes cannot tell the contacts apart.
     """
-    samples, rate = motion.force_n.size, motion.sample_rate_hz
+    samples, rate, known = motion.samples, motion.sample_rate_hz, len(rig.forces)
     length = factor * next_fast_len(-(-(samples + round(RING_S * rate)) // factor), real=True)
     lines = Lines(length, factor, rate)
     responses = responses_of(rig, lines.omega, motion.zero_known)
     floats = {r.body.name: bool(np.any(r.dynamics.natural_hz == 0)) for r in responses}
     in_metres = np.array([[motion.zero_known and not floats[s.body]] for s in motion.stations]) & lines.slow
-    drives, force = _accelerances(rig, motion, responses), lines.spectra(motion.force_n)
+    drives, forces = _accelerances(rig, motion, responses), lines.spectra(motion.forces_n)
     forget()
-    observed = _observed(rig, motion, lines, responses, in_metres, tolerances, drives[0] * force, from_rest)
+    observed = _observed(
+        rig, motion, lines, responses, in_metres, tolerances, drives[:known] * forces[:, None], from_rest
+    )
     measured, scale = observed.explained, observed.sensor_response
     noises = (samples * noise**2)[:, None] * np.abs(scale) ** 2
     floor = 1e-12 * float(np.mean(np.abs(measured) ** 2))
@@ -79,15 +81,15 @@ def separated_forces(
     for again in (True, False) if any(has_hidden_modes(r, motion) for r in responses) else (False,):
         changes = tuple(change.in_single_precision for change in changes_of(observed))
         errors = StationErrors(noises, floor, changes, lines.alike)
-        to_force = forces_by_stations(-drives[1:] * scale, errors)
-        rest = measured - scale * observed.by_force
+        to_force = forces_by_stations(-drives[known:] * scale, errors)
+        rest = measured - scale * observed.by_force.sum(axis=0)
         if not from_rest:
             begun = initial_states(responses, motion, in_metres, lines, scale * drives, errors)
             rest = rest - begun.delivered
         if again:
-            observed = _with_hidden_modes(rig, motion, observed, force, weighed(to_force, rest))
+            observed = _with_hidden_modes(rig, motion, observed, forces, weighed(to_force, rest))
             of_noise = weighed(to_force, noisy.explained)
-            noisy = _with_hidden_modes(rig, motion, noisy, np.zeros_like(force), of_noise)
+            noisy = _with_hidden_modes(rig, motion, noisy, np.zeros_like(forces), of_noise)
     left_out_s = LEFT_OUT_S if any(b.length_m for b in rig.bodies) else TAPER_S
     kept = (samples - round(left_out_s * rate)) // factor
     signs = np.array([[float(s == c.at) - float(s == c.against) for s in motion.stations] for c in rig.contacts])
@@ -120,7 +122,7 @@ def _observed(
     responses: tuple[Response, ...],
     in_metres: Bool[np.ndarray, "stations lines"],
     tolerances: Tolerances,
-    by_force: Complex[np.ndarray, "stations lines"],
+    by_force: Complex[np.ndarray, "forces stations lines"],
     from_rest: bool,
 ) -> Observed:
     """What was measured: accelerations, in_metres displacements."""
@@ -158,29 +160,29 @@ def _with_hidden_modes(
     rig: Rig,
     motion: Kinematics,
     observed: Observed,
-    force: Complex[np.ndarray, " lines"],
+    forces: Complex[np.ndarray, "forces lines"],
     contact_forces: Complex[np.ndarray, "contacts lines"],
 ) -> Observed:
     accelerations = observed.explained / observed.sensor_response
-    moved = (whole_motion(rig, b.response, motion, accelerations, force, contact_forces) for b in observed.bodies)
+    moved = (whole_motion(rig, b.response, motion, accelerations, forces, contact_forces) for b in observed.bodies)
     return replace(observed, bodies=tuple(moved))
 
 
 def _on_mass(mass: Modes, motion: Kinematics, factor: int) -> Float[np.ndarray, "contacts fewer"]:
-    """F - m a - c v - k x, which needs no quiet start."""
+    """F - m a - c v - k x, which needs no quiet start; F is the sum of all forces."""
     per_mass = float(mass.shapes(np.zeros(1), 1)[0, 0] ** 2)
     natural, ratio = 2 * np.pi * float(mass.frequencies_hz(1)[0]), float(mass.damping_ratios(1)[0])
     own = motion.acceleration_m_per_s2[:1] + 2 * ratio * natural * motion.velocity_m_per_s[:1]
-    return decimated(motion.force_n - (own + natural**2 * motion.displacement_m[:1]) / per_mass, factor)
+    return decimated(motion.forces_n.sum(axis=0) - (own + natural**2 * motion.displacement_m[:1]) / per_mass, factor)
 
 
 def _accelerances(
     rig: Rig, motion: Kinematics, responses: tuple[Response, ...]
 ) -> Complex[np.ndarray, "inputs stations lines"]:
-    """Acceleration of every station per newton at the exciting force (first) and in each contact's direction."""
+    """Acceleration of every station per newton at each exciting force (first) and in each contact's direction."""
     return np.asarray(
         sum(
-            r.transfer(r.shapes(motion.stations), np.concatenate([r.shapes([rig.force_at]), across(rig, r)]))
+            r.transfer(r.shapes(motion.stations), np.concatenate([r.shapes([*rig.forces]), across(rig, r)]))
             for r in responses
         )
     )

@@ -21,7 +21,7 @@ from identify.signals.finely import penetration
 from identify.signals.kinematics import Kinematics, Use
 from identify.signals.spectra import Averaging, blocks, force_band
 from identify.structure.joined import Joined
-from identify.structure.modal import modal_equations, transformation, until
+from identify.structure.modal import modal_equations, pushing_force, transformation, until
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.tolerances import LABORATORY, Tolerances
@@ -97,7 +97,8 @@ def identify_contact(
     Raises RigError if the record does not allow it: too short, too few stations, no force; with the first finding.
     """
     averaging = averaging or Averaging()
-    names = [f"{recording.rig.force_at.body} {i}" for i in range(1, EQUATIONS + 1)]
+    pushed = dict.fromkeys(station.body for station in recording.rig.forces)
+    names = [f"{body} {i}" for body in pushed for i in range(1, EQUATIONS + 1)]
     if equation not in (None, *names):
         raise RigError(f"no modal equation {equation!r} with a measured force; there are {', '.join(names)}")
     findings = findings_before(recording, use, tolerances)
@@ -106,35 +107,36 @@ def identify_contact(
         found = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY)
     names = [c.name for c in recording.rig.contacts]
     unforced = is_unforced(found.motion)
-    findings = without_dead_force(findings) if unforced else findings
+    findings = without_dead_force(findings, recording.force_names) if unforced else findings
     findings += tuple(fit_findings(names, found.estimates, found.separated.nuisances.parameters))
     progress(0.5)
     rig, motion, estimates, separated = found.rig, found.motion, found.estimates, found.separated.force_n
     factor, same_place = found.separated.factor, found.same_place
-    low, high = (0.0, driven_to_hz(motion)) if unforced else force_band(motion.force_n, motion.sample_rate_hz)
-    band = averaging.band_hz or (
-        max(low, CLEAR_OF_CORNER * motion.trusted_hz[0], LOWEST_HZ),
-        min(high, motion.trusted_hz[1]),
-    )
+    bands = _bands(rig, motion, averaging)
     eta, force, depth = _with_law(found)
     del found  # the nuisance parameters over time take much memory
     motion = motion.part(slice(eta.shape[1]))
     kept = until(motion)
-    eta, depth, exciting_n = eta[:, :kept], depth[:, :kept], motion.force_n[:kept]
+    eta, depth = eta[:, :kept], depth[:, :kept]
     stops = tuple(_stops(a) for a in estimates)
     alone = {place.members[0] for place in same_place if len(place.members) == 1}  # a histogram tells one knee a side
-    cut = blocks(kept, motion.sample_rate_hz, averaging, band)
+    cut = {body: blocks(kept, motion.sample_rate_hz, averaging, band) for body, band in bands.items()}
     equations = [e for body in rig.bodies for e in modal_equations(rig, motion, body, EQUATIONS, force)]
     motion = motion.part(slice(kept)).without_rows
     forced = [e for e in equations if e.shape_at_force != 0]
-    spectra = [] if unforced else [nifo(e, exciting_n, depth, cut) for e in forced]
+    acting = [] if unforced else [e for e in forced if e.body in cut]
+    spectra = [nifo(e, pushing_force(rig, e, motion.forces_n), depth, cut[e.body]) for e in acting]
     findings += tuple(equation_findings(names, estimates, spectra))
     progress(0.7)
     coarse = _decimation(rig, motion)
-    surfaces = [fit_surface(e, exciting_n, eta, coarse, stops) for e in equations]
+    surfaces = [fit_surface(e, pushing_force(rig, e, motion.forces_n), eta, coarse, stops) for e in equations]
     progress(0.95)
     weak = _main(spectra, equation) if spectra else None
     name = weak.equation.name if weak else equation or forced[0].name
+    forms = None
+    if weak:
+        exciting_n = pushing_force(rig, weak.equation, motion.forces_n)
+        forms = (weak, nifo(weak.equation, exciting_n, depth, cut[weak.equation.body], "paper"))
     return Identification(
         report=contact_report(
             rig,
@@ -158,9 +160,27 @@ def identify_contact(
         factor=factor,
         estimates=estimates,
         surface=next(s for s in surfaces if s.equation.name == name),
-        forms=(weak, nifo(weak.equation, exciting_n, depth, cut, "paper")) if weak else None,
+        forms=forms,
         tolerances=tolerances or rig.tolerances or LABORATORY,
     )
+
+
+def _bands(rig: Rig, motion: Kinematics, averaging: Averaging) -> dict[str, tuple[float, float]]:
+    """By body the band of the forces on it, Hz; where none acts on any body that of the motion."""
+    found = {}
+    for body in dict.fromkeys(station.body for station in rig.forces):
+        forces_n = motion.forces_n[[station.body == body for station in rig.forces]]
+        if is_unforced(motion):
+            low, high = 0.0, driven_to_hz(motion)
+        elif np.any(forces_n):
+            low, high = force_band(forces_n, motion.sample_rate_hz)
+        else:
+            continue
+        found[body] = averaging.band_hz or (
+            max(low, CLEAR_OF_CORNER * motion.trusted_hz[0], LOWEST_HZ),
+            min(high, motion.trusted_hz[1]),
+        )
+    return found
 
 
 def _with_law(

@@ -34,17 +34,17 @@ def whole_motion(
     response: Response,
     motion: Kinematics,
     accelerated: Complex[np.ndarray, "stations lines"],
-    force: Complex[np.ndarray, " lines"],
+    forces: Complex[np.ndarray, "forces lines"],
     contact_forces: Complex[np.ndarray, "contacts lines"],
 ) -> BodyMotion:
-    """With the others, whose accelerations are the model's under the exciting force and the contact forces:
+    """With the others, whose accelerations are the model's under the exciting forces and the contact forces:
 
-        A_m (phi_m(x_F) F - sum_j phi_mj f_j)
+        A_m (sum_k phi_m(x_k) F_k - sum_j phi_mj f_j)
 
     and the stations' less these.
     """
     told = len(transformation(rig, response.body, motion).inverse)
-    modal_force = response.shapes([rig.force_at]).T * force - times(across(rig, response).T, contact_forces)
+    modal_force = times(response.shapes([*rig.forces]).T, forces) - times(across(rig, response).T, contact_forces)
     hidden = response.accelerance[told:] * modal_force[told:]
     rest = accelerated - times(response.shapes(motion.stations)[:, told:], hidden)
     found = told_motion(rig, response, motion, rest)

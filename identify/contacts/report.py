@@ -21,7 +21,9 @@ _CAPTIONS = {
     "histogram": "The relative displacements, and how often each occurs. The stops stand where it piles up.",
     "section": "What the main modal equation leaves for each contact, over its relative displacement.",
     "surface": "The restoring force surface of the main modal equation.",
-    "stiffness": "The contact stiffness by NIFO over frequency, and its deviation from what is drawn dotted.",
+    "stiffness": "The contact stiffness by NIFO over frequency, and its deviation from what is drawn dotted. The "
+    "paper's form takes the spectra of blocks as they are: a mode that rings for longer than a block leaks. The weak "
+    "form takes the derivatives of the window along as inputs, so that nothing leaks.",
     "frf": "The linear FRF that NIFO finds beside the contacts, and that of rig.json.",
     "outputs": "The main modal coordinate as measured, and as it would be without contacts.",
 }
@@ -165,7 +167,8 @@ def _methods(found: Identification) -> str:
     modes = [
         (f"{m.beam} {m.index}", f"{m.frequency_hz:.3f} Hz", f"{100 * m.damping_ratio:.2f} %") for m in report.modes
     ]
-    by_nifo = "NIFO ({:.3g} to {:.3g} Hz) and ".format(*report.nifo[0].band_hz) if report.nifo else ""
+    bands = [n.band_hz for n in report.nifo]  # each that of the forces on its body
+    by_nifo = f"NIFO ({min(bands)[0]:.3g} to {max(b[1] for b in bands):.3g} Hz) and " if bands else ""
     return (
         "<p>With the law found, the response of the modes beyond the fitted ones is taken off; then "
         f"{by_nifo}the restoring force surface are applied to every modal equation. Their "

@@ -43,7 +43,7 @@ def contact_report(
         ),
         transformation=tuple(_transformation_result(t) for t in transformations),
         trusted_hz=motion.trusted_hz,
-        channels_used=("force", *motion.channels),
+        channels_used=(*rig.force_names, *motion.channels),
         findings=findings,
         noise_from=noise_source(motion, rig),
     )

@@ -15,7 +15,7 @@ MOST_UNEXPLAINED = 0.03
 
 
 def is_unforced(motion: Kinematics) -> bool:
-    return not np.any(motion.force_n)
+    return not np.any(motion.forces_n)
 
 
 def driven_to_hz(motion: Kinematics) -> float:
@@ -23,7 +23,7 @@ def driven_to_hz(motion: Kinematics) -> float:
 
     Raises RigError if neither a force nor a motion was recorded.
     """
-    rows = [row for row in (motion.displacement_m if is_unforced(motion) else [motion.force_n]) if np.any(row)]
+    rows = [row for row in (motion.displacement_m if is_unforced(motion) else motion.forces_n) if np.any(row)]
     if not rows:
         raise RigError("the force and all sensors are zero throughout; look at their channels")
     return max(force_band(row, motion.sample_rate_hz)[1] for row in rows)
@@ -45,6 +45,6 @@ def free_fits(contacts: Sequence[str], fits: Sequence[Joint | str]) -> tuple[Joi
     return tuple(fit if isinstance(fit, Joint) else reason + fit for fit in fits)
 
 
-def without_dead_force(findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    """The findings without that of a force channel at zero, which a free decay explains."""
-    return tuple(f for f in findings if (f.cause, f.channels) != ("dead", ("force",)))
+def without_dead_force(findings: Sequence[Finding], forces: Sequence[str]) -> tuple[Finding, ...]:
+    """The findings without those of force channels at zero, which a free decay explains."""
+    return tuple(f for f in findings if f.cause != "dead" or not set(f.channels) <= set(forces))

@@ -23,12 +23,16 @@ Row = Float[np.ndarray, " recordings"]
 
 
 class Observation(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One recording: its name, when it was recorded where its provenance says so, what it tells, or why nothing."""
+    """One recording: its name, when it was recorded where its provenance says so, what it tells, or why nothing.
+
+    sha256 is that of the recording, or of the contact.json that was read.
+    """
 
     name: str
     recorded: datetime | None = None
     report: ContactReport | None = None
     reason: str = ""
+    sha256: str = ""
 
 
 class QuantityHistory(msgspec.Struct, frozen=True, kw_only=True):

@@ -11,7 +11,7 @@ from identify.contacts.results import ContactReport
 from identify.history.changes import Observation
 from identify.signals.kinematics import Use
 from rig.errors import RigError
-from rig.files import contents
+from rig.files import contents, sha256_of
 from rig.model.tolerances import Tolerances
 from rig.recording import read, recorded_at, recordings_in
 
@@ -50,12 +50,13 @@ def _observed(source: Path, use: Use, tolerances: Tolerances | None) -> Observat
     if source.suffix == ".mcap":
         recording = read(source)
         report = identify_contact(recording, use=use, tolerances=tolerances).report
-        return Observation(name=source.name, recorded=recorded_at(recording.provenance), report=report)
-    return Observation(name=source.name, report=_report(source))
+        recorded = recorded_at(recording.provenance)
+        return Observation(name=source.name, recorded=recorded, report=report, sha256=sha256_of(source))
+    result = source / RESULT if source.is_dir() else source
+    return Observation(name=source.name, report=_report(result), sha256=sha256_of(result))
 
 
-def _report(source: Path) -> ContactReport:
-    path = source / RESULT if source.is_dir() else source
+def _report(path: Path) -> ContactReport:
     try:
         return msgspec.json.decode(contents(path), type=ContactReport)
     except msgspec.DecodeError as error:

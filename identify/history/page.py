@@ -43,12 +43,13 @@ def _changed(found: QuantityHistory) -> str:
 
 
 def drift(found: QuantityHistory) -> str:
-    """The change along the trend, in its unit and in per cent of the mean, ± 95 %."""
+    """The change along the trend, in its unit and, where it is smaller, in per cent of the mean; ± 95 %."""
     if found.drift is None:
         return ""
     _, unit, scale = WORDS[found.quantity]
-    share = f" ({100 * found.drift.value / found.mean:+.2g} %)" if found.mean else ""
-    return interval(scale * found.drift.value, scale * found.drift.standard_error, unit) + share
+    change, error = found.drift.value, found.drift.standard_error
+    share = f" ({100 * change / found.mean:+.2g} %)" if abs(change) < abs(found.mean) else ""
+    return interval(scale * change, scale * error, unit) + share
 
 
 def rows(history: History) -> Iterator[tuple[str, ...]]:
@@ -148,26 +149,19 @@ def _sections(history: History, figure: Picture) -> list[tuple[str, str]]:
     head = ("", "mean", "first to last, along the trend", "p of the trend", "p of the differences")
     found = [("Over the recordings", page.figure("history", figure, caption))]
     found.append(("What changed", note + page.table(head, rows(history))))
-    found.append(("The recordings", page.table(("", "recording", "recorded, UTC", "told"), _recordings(history))))
+    found.append(
+        ("The recordings", page.table(("", "recording", "SHA-256", "recorded, UTC", "told"), _recordings(history)))
+    )
     return found
 
 
 def _recordings(history: History) -> Iterator[Sequence[str]]:
     used = 0
     for observation in history.observations:
-        if observation.report is None:
-            yield (
-                "",
-                observation.name,
-                f"{observation.recorded:%Y-%m-%d %H:%M}" if observation.recorded else "",
-                f"left out: {observation.reason}",
-            )
-        else:
+        place, told = "", f"left out: {observation.reason}"
+        if observation.report is not None:
             used += 1
             findings = "; ".join(f.sentence for f in observation.report.findings)
-            yield (
-                str(used),
-                observation.name,
-                f"{observation.recorded:%Y-%m-%d %H:%M}" if observation.recorded else "",
-                f"not to be relied on: {findings}" if findings else "used",
-            )
+            place, told = str(used), f"not to be relied on: {findings}" if findings else "used"
+        recorded = f"{observation.recorded:%Y-%m-%d %H:%M}" if observation.recorded else ""
+        yield place, observation.name, observation.sha256[: page.SHOWN_DIGITS], recorded, told

@@ -110,7 +110,7 @@ def identify_law(
     findings = findings_before(recording, use, tolerances)
     with naming(findings):
         contacts = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY)
-    findings = without_dead_force(findings) if is_unforced(contacts.motion) else findings
+    findings = without_dead_force(findings, recording.force_names) if is_unforced(contacts.motion) else findings
     findings += tuple(fit_findings(names, contacts.estimates, contacts.separated.nuisances.parameters))
     progress(0.1)
     chosen = [p for p in contacts.same_place if contact in (None, *(names[j] for j in p.members))]

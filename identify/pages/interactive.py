@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator
 from html import escape
 from itertools import count, groupby
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,21 @@ _LEAST_PX, _NARROWEST_PX = 180, 290
 """Height of a panel; panels that would be narrower than the other stand one below the other."""
 _LONG = 30
 """Of a label, in letters: longer ones stand one below the other, as a phone has no room for two."""
+_TITLE = 36
+"""Letters in a line of a title, as a phone shows no more."""
+_LOG_TICKS = """const {start, end} = cb_data.range, decades = Math.log10(end / start), ticks = []
+if (decades < 1) {
+  const size = 10 ** Math.floor(Math.log10(end - start)), count = (end - start) / size
+  const step = size * (count < 2 ? 0.2 : count < 5 ? 0.5 : 1)
+  for (let n = Math.ceil(start / step); n * step <= end; n++) ticks.push(n * step)
+} else
+  for (let power = Math.floor(Math.log10(start)); power <= Math.log10(end); power++)
+    for (const digit of decades < 2.5 ? [1, 2, 5] : power % Math.ceil(decades / 6) ? [] : [1])
+      ticks.push(digit * 10 ** power)
+return ticks"""
+"""Where a logarithmic axis has numbers: evenly within a decade, at 1, 2, 5 in a few, else at powers of ten."""
+_LOG_NUMBER = """const n = +tick.toPrecision(6)
+return n < 1e-3 || n >= 1e7 ? n.toExponential().replace('+', '') : String(n)"""
 _PLAIN_POWER = 7
 """Below ten to it, numbers at an axis are written out."""
 _DASHES = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dashdot"}
@@ -73,7 +89,16 @@ def _is_plain(axes: Any) -> bool:
 
 
 def _plot(axes: Any, figure: Any, ranges: dict[Any, Any]) -> Any:
-    from bokeh.models import HoverTool, Legend, LegendItem, PlainText, PrintfTickFormatter, Range1d, Title
+    from bokeh.models import (
+        CustomJSTicker,
+        CustomJSTickFormatter,
+        HoverTool,
+        Legend,
+        LegendItem,
+        PlainText,
+        Range1d,
+        Title,
+    )
     from bokeh.plotting import figure as new_plot
 
     def shared(way: str, siblings: Any, limits: tuple[float, float]) -> Any:
@@ -87,7 +112,7 @@ def _plot(axes: Any, figure: Any, ranges: dict[Any, Any]) -> Any:
         y_axis_type=axes.get_yscale(),
         height=max(_LEAST_PX, round(_PX_PER_IN * figure.get_figheight() * axes.get_position().height)) + 80,
         min_width=_NARROWEST_PX,
-        min_border_left=75,
+        min_border_left=84,
         sizing_mode="stretch_width",
         tools="box_zoom,pan,wheel_zoom,reset,save",
         active_drag="box_zoom",
@@ -97,11 +122,12 @@ def _plot(axes: Any, figure: Any, ranges: dict[Any, Any]) -> Any:
         drawn.axis_label = PlainText(text=_label(axes, axis))
         drawn.axis_label_text_font_style = "normal"
         if axis.get_scale() == "log":
-            drawn.formatter = PrintfTickFormatter(format="%.6g")
+            drawn.formatter = CustomJSTickFormatter(code=_LOG_NUMBER)
+            drawn.ticker = CustomJSTicker(major_code=_LOG_TICKS)
         else:
             drawn.formatter.power_limit_high = _PLAIN_POWER
     if axes.get_title():
-        plot.title = Title(text=PlainText(text=axes.get_title()))
+        plot.title = Title(text=PlainText(text=fill(axes.get_title(), _TITLE)))
     by_label: dict[str, list[Any]] = {}
     for label, renderer in _draw(axes, plot, figure):
         by_label.setdefault(label, []).append(renderer)

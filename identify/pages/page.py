@@ -1,6 +1,5 @@
 """A page that stands alone: one HTML file with its style and its pictures, readable on a phone, light or dark."""
 
-import hashlib
 import sys
 from base64 import b64encode
 from collections.abc import Iterable, Sequence
@@ -12,10 +11,12 @@ from typing import Literal
 
 from identify.pages.interactive import interactive, library
 from identify.pages.picture import Picture
-from rig.files import write_bytes
+from rig.files import sha256_of, write_bytes
 
 Colour = Literal["green", "yellow", "red"]
 Rows = Iterable[Sequence[str]]
+SHOWN_DIGITS = 12
+"""Of the SHA-256 of a recording."""
 
 _STYLE = """
 :root{color-scheme:light dark;--ink:#1c1e21;--dim:#5b6168;--page:#fff;--line:#d8dce0;--card:#f4f6f8;
@@ -41,7 +42,9 @@ figure{margin:1rem 0}figure div{overflow-x:auto}figure img{max-width:46rem;min-w
 .pictures figure img{min-width:0}
 figcaption{color:var(--dim);font-size:.9rem;margin-top:.2rem}
 summary{cursor:pointer;color:var(--dim)}
-@media(max-width:40rem){table{font-size:.85rem}th,td{padding-right:.5rem}td{overflow-wrap:anywhere;min-width:5.5rem}}
+@media(max-width:40rem){table{font-size:.8rem}th,td{padding-right:.4rem;overflow-wrap:anywhere;hyphens:auto;
+min-width:2.9rem}td:first-child:not(.number){min-width:5rem}td.number{
+white-space:normal;overflow-wrap:normal}}
 """
 _PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">
@@ -86,7 +89,7 @@ def write(
 
 
 def _made(sources: Sequence[Path]) -> str:
-    hashes = (f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()[:12]}" for path in sources)
+    hashes = (f"{path.name} {sha256_of(path)[:SHOWN_DIGITS]}" for path in sources)
     command = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
     parts = (f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", f"rig-identify {version('rig-identify')}", command)
     return "Made " + ", ".join([*parts, *hashes]) + "."

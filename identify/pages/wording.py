@@ -38,7 +38,7 @@ def interval(value: float, standard_error: float, unit: str) -> str:
         digits, scale = first - last, 10.0**first
         return f"({value / scale:.{digits}f} ± {half / scale:.{digits}f})e{first}{named}"
     digits = max(0, -last)
-    return f"{round(value, -last):.{digits}f} ± {half:.{digits}f}{named}"
+    return f"{round(value, -last) + 0.0:.{digits}f} ± {half:.{digits}f}{named}"
 
 
 def _power(value: float) -> int:

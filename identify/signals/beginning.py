@@ -11,13 +11,17 @@ STILL = 0.02
 """A channel that scatters at the start by at most this share of its whole scatter shows a rig at rest."""
 
 
-def force_begins(force_n: Float[np.ndarray, " samples"], sample_rate_hz: float) -> int:
-    """The first sample at which the force has begun; 0 of a record without a quiet start, or without any force.
+def force_begins(force_n: Float[np.ndarray, "*forces samples"], sample_rate_hz: float) -> int:
+    """The first sample at which a force has begun; 0 of a record without a quiet start, or without any force.
 
-    The force has begun where it exceeds six standard deviations of its channel's first quarter second (1.4826 times
+    A force has begun where it exceeds six standard deviations of its channel's first quarter second (1.4826 times
     the median size, which a few samples of force do not move), and a thousandth of its peak. The start is quiet if
     six such standard deviations are less than the force's root mean square.
     """
+    return min((_begins(row, sample_rate_hz) for row in np.atleast_2d(force_n) if np.any(row)), default=0)
+
+
+def _begins(force_n: Float[np.ndarray, " samples"], sample_rate_hz: float) -> int:
     size = np.abs(force_n)
     first = size[: max(1, round(QUIET_S * sample_rate_hz))]
     noise_n = BEGUN * NORMAL_BY_MEDIAN * float(np.median(first))
@@ -27,7 +31,9 @@ def force_begins(force_n: Float[np.ndarray, " samples"], sample_rate_hz: float) 
 
 
 def at_rest_until(
-    force_n: Float[np.ndarray, " samples"], channels: Iterable[Float[np.ndarray, " samples"]], sample_rate_hz: float
+    force_n: Float[np.ndarray, "*forces samples"],
+    channels: Iterable[Float[np.ndarray, " samples"]],
+    sample_rate_hz: float,
 ) -> int:
     """As `force_begins`; 0 also where a channel scatters before it by more than 2 % of what it does over the record."""
     begun = force_begins(force_n, sample_rate_hz)

@@ -19,26 +19,29 @@ FINE_AT_ONCE = 1 << 18
 
 
 def finely(
-    law: Callable[..., Float[np.ndarray, "*blocks fine"]], signals: Float[np.ndarray, "rows samples"], times: int
-) -> Float[np.ndarray, " samples"]:
+    law: Callable[..., Float[np.ndarray, "*results blocks fine"]],
+    signals: Float[np.ndarray, "rows samples"],
+    times: int,
+) -> Float[np.ndarray, "*results samples"]:
     """law(*signals), evaluated at `times` the rate of the signals and low-passed at half their rate.
 
-    Each block is resampled by the Fourier transform (scipy.signal.resample) under tapers that are one where it is kept,
-    so that it need not be periodic.
+    A law may give several results in front. Each block is resampled by the Fourier transform (scipy.signal.resample)
+    under tapers that are one where it is kept, so that it need not be periodic.
     """
     samples = signals.shape[1]
     if times == 1:
         return law(*signals)
     length, count = KEPT + 4 * MARGIN, -(-samples // KEPT)
     padded = np.pad(signals, [(0, 0), (2 * MARGIN, count * KEPT + 2 * MARGIN - samples)], mode="edge")
-    found = np.empty((count, KEPT))
+    found = []
     whole, inner = _taper(length, 0, MARGIN), _taper(length * times, MARGIN * times, MARGIN * times)
     for first in range(0, count, batch := max(1, FINE_AT_ONCE // (length * times))):
         starts = np.arange(first, min(first + batch, count)) * KEPT
         cut = padded[:, starts[:, None] + np.arange(length)] * whole
         fine = law(*resample(cut, length * times, axis=-1)) * inner
-        found[first : first + batch] = resample(fine, length, axis=-1)[:, 2 * MARGIN : 2 * MARGIN + KEPT]
-    return np.asarray(found.reshape(-1)[:samples])
+        found.append(resample(fine, length, axis=-1)[..., 2 * MARGIN : 2 * MARGIN + KEPT])
+    rows = np.concatenate(found, axis=-2)
+    return rows.reshape(*rows.shape[:-2], -1)[..., :samples]
 
 
 def penetration(eta_m: Float[np.ndarray, " samples"], lower_m: float, upper_m: float) -> Float[np.ndarray, " samples"]:

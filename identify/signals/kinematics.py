@@ -46,9 +46,9 @@ class Kinematics:
     sample_rate_hz: float
     trusted_hz: tuple[float, float]
     zero_known: bool
-    force_n: Float[np.ndarray, " samples"]
-    displacement_m: Float[np.ndarray, "stations samples"]
-    velocity_m_per_s: Float[np.ndarray, "stations samples"]
+    forces_n: Float[np.ndarray, "forces samples"]
+    displacement_m: Float[np.ndarray, "_ samples"]
+    velocity_m_per_s: Float[np.ndarray, "_ samples"]
     acceleration_m_per_s2: Float[np.ndarray, "stations samples"]
     lost_m_per_s2: Float[np.ndarray, "stations samples"]
     excited_from: int
@@ -57,6 +57,16 @@ class Kinematics:
     def time_s(self, samples: int, factor: int = 1) -> Float[np.ndarray, " samples"]:
         """When every `factor`-th of the first samples was taken."""
         return self.start_s + np.arange(samples) * factor / self.sample_rate_hz
+
+    @property
+    def force_n(self) -> Float[np.ndarray, " samples"]:
+        """Of a rig with one."""
+        (only,) = self.forces_n
+        return np.asarray(only)
+
+    @property
+    def samples(self) -> int:
+        return self.forces_n.shape[1]
 
     @property
     def quiet_samples(self) -> int:
@@ -71,7 +81,7 @@ class Kinematics:
         """Some of the samples."""
         return replace(
             self,
-            force_n=self.force_n[now],
+            forces_n=self.forces_n[:, now],
             displacement_m=self.displacement_m[:, now],
             velocity_m_per_s=self.velocity_m_per_s[:, now],
             acceleration_m_per_s2=self.acceleration_m_per_s2[:, now],
@@ -83,11 +93,13 @@ class Kinematics:
     @property
     def without_rows(self) -> "Kinematics":
         """With no station's motion, which takes much memory."""
-        none = np.empty((0, self.force_n.size))
+        none = np.empty((0, self.samples))
         return replace(self, displacement_m=none, velocity_m_per_s=none, acceleration_m_per_s2=none, lost_m_per_s2=none)
 
 
-def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNER_HZ) -> Kinematics:
+def kinematics(
+    recording: Recording, use: Use = "auto", corner_hz: float = CORNER_HZ, least_order: int = 0
+) -> Kinematics:
     """Displacement, velocity and acceleration at every station with a sensor.
 
     In the frequency domain, with the end of the record tapered off: each sensor's gain and delay are divided out, and
@@ -95,6 +107,7 @@ def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNE
     corner. Each motion comes from the sensor that measured it, else from the nearest one that needs no integration.
     `use` takes the sensors of one quantity only. A segment of a longer record is tapered off at its start too, and is
     wrong there. Where a record does not begin at rest, its point reflection leads it in before it is differentiated.
+    Derivatives below the least order are left out: they take memory.
 
     Raises RigError if no such sensor is there, or the record is too short for its ends to be left out.
     """
@@ -120,16 +133,17 @@ def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNE
     # silence behind the record, as the Fourier transform wraps its end, which integration falsifies, round to its start
     length = next_fast_len(recording.samples + round(2 * left_out * rate), real=True)
     omega = 2 * np.pi * np.fft.rfftfreq(length, 1 / rate)
-    moved_by, lost = np.empty((3, len(stations), usable)), np.zeros((len(stations), usable))
+    moved_by = [np.empty((len(stations) if order >= least_order else 0, usable)) for order in range(3)]
+    lost = np.zeros((len(stations), usable))
     channels: dict[str, None] = {}
     at_contacts = {s for c in rig.contacts for s in contact_stations(c)}
-    excited_from = at_rest_until(recording.force_n, (_channel(recording, s) for s in sensors), rate)
+    excited_from = at_rest_until(recording.forces_n, (_channel(recording, s) for s in sensors), rate)
     lead = 0 if excited_from or recording.start_s > 0 else round(TAPER_S * rate)
     below = 1 - _high_pass(omega, corner_hz)
     powers = cache(lambda power: integrated(omega, power, corner_hz))
     for row, station in enumerate(stations):
         spectra: dict[tuple[str, int], Complex[np.ndarray, " lines"]] = {}
-        for order, motion in enumerate(moved_by):
+        for order, motion in list(enumerate(moved_by))[least_order:]:
             sensor = _nearest(chosen[station], order)
             own = lead if order > sensor.measures.order else 0  # of an integral nothing may come before the record
             if (sensor.name, own) not in spectra:
@@ -148,7 +162,7 @@ def kinematics(recording: Recording, use: Use = "auto", corner_hz: float = CORNE
         sample_rate_hz=rate,
         trusted_hz=(corner_hz if integrates else 0.0, PASSBAND * rate),
         zero_known=not integrates,
-        force_n=recording.force_n[:usable],
+        forces_n=recording.forces_n[:, :usable],
         displacement_m=moved_by[0],
         velocity_m_per_s=moved_by[1],
         acceleration_m_per_s2=moved_by[2],

@@ -177,12 +177,19 @@ def _ramped(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[n
 
 
 def force_band(
-    force_n: Float[np.ndarray, " samples"], sample_rate_hz: float, share: float = 1e-3
+    force_n: Float[np.ndarray, "*forces samples"], sample_rate_hz: float, share: float = 1e-3
 ) -> tuple[float, float]:
-    """The band that holds all but `share` of the force's power at either end, Hz.
+    """The band that holds all but `share` of the force's power at either end, Hz; of several forces, of each.
 
-    Raises RigError if the force is zero or constant.
+    Raises RigError if no force is other than zero, or one is constant.
     """
+    rows = np.atleast_2d(force_n)
+    acting = [row for row in rows if np.any(row)] or rows[:1]
+    lows, highs = zip(*(_band_of(row, sample_rate_hz, share) for row in acting), strict=True)
+    return min(lows), max(highs)
+
+
+def _band_of(force_n: Float[np.ndarray, " samples"], sample_rate_hz: float, share: float) -> tuple[float, float]:
     power = np.cumsum(np.abs(np.fft.rfft(force_n)) ** 2)
     if not power[-1] > 0:
         raise RigError("the exciting force is zero throughout; record its channel, or give --band")

@@ -76,7 +76,7 @@ def motions_of(
     known to a share; else the deviation is wide. A mode whose spring acts on the high-passed displacement moves as a
     free one: what integration loses of it.
     """
-    time_s = np.arange(max(motion.force_n.size, length - motion.force_n.size)) / motion.sample_rate_hz
+    time_s = np.arange(max(motion.samples, length - motion.samples)) / motion.sample_rate_hz
     motions: list[FreeMotion] = []
     mean: list[float] = []
     share: list[float] = []

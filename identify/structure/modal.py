@@ -34,6 +34,7 @@ class Transformation:
 class ModalEquation:
     """One decoupled equation: q'' + 2 zeta omega q' + omega^2 q = shape_at_force F - sum_j shape_at_contacts_j f_j.
 
+    Of several forces shape_at_force is that of the largest size, and F is `pushing_force`.
     shape_at_force and shape_at_contacts are mass-normalised (1/sqrt(kg)); the latter carry the sign with which the
     body's displacement enters the relative displacement. visibility is their size as a share of the shape's largest.
     """
@@ -100,7 +101,8 @@ def modal_equations(
     ]
     if contact_force_n is not None:
         coordinates = _without_higher_modes(rig, motion, transform, coordinates, contact_force_n)
-    at_force = shape_at(body, rig.force_at, modes)
+    at_forces = np.array([shape_at(body, station, modes) for station in rig.forces])
+    at_force = at_forces[np.argmax(np.abs(at_forces), axis=0), np.arange(modes)]
     at_contacts = np.array([contact_shapes(rig, body, j, modes) for j in range(len(rig.contacts))]).reshape(-1, modes)
     largest = np.abs(body.shapes(np.linspace(0, body.length_m, 101), modes)).max(axis=0)
     return tuple(
@@ -120,9 +122,20 @@ def modal_equations(
     )
 
 
+def pushing_force(
+    rig: Rig, equation: ModalEquation, forces_n: Float[np.ndarray, "forces samples"]
+) -> Float[np.ndarray, " samples"]:
+    """The force that pushes the mode as all forces do: F = sum_k phi(x_k) F_k / shape_at_force."""
+    if len(forces_n) == 1 or equation.shape_at_force == 0:
+        return forces_n[0]
+    body = rig.body(equation.body)
+    shapes = np.array([shape_at(body, station, equation.index)[-1] for station in rig.forces])
+    return shapes / equation.shape_at_force @ forces_n
+
+
 def until(motion: Kinematics) -> int:
     """So many samples have modal coordinates from which the higher modes can be taken off."""
-    return motion.force_n.size - round(0.25 * motion.sample_rate_hz)
+    return motion.samples - round(0.25 * motion.sample_rate_hz)
 
 
 def _without_higher_modes(
@@ -134,13 +147,13 @@ def _without_higher_modes(
 ) -> list[Float[np.ndarray, "modes fewer"]]:
     """Mode by mode, as all their responses together take much memory."""
     body, fitted, keep = transform.body, len(transform.inverse), until(motion)
-    length = next_fast_len(motion.force_n.size, real=True)
+    length = next_fast_len(motion.samples, real=True)
     at_hz = np.fft.rfftfreq(length, 1 / motion.sample_rate_hz)
-    forces = np.fft.rfft(np.concatenate([motion.force_n[None], -contact_force_n]), length)
+    forces = np.fft.rfft(np.concatenate([motion.forces_n, -contact_force_n]), length)
     places = np.array([motion.stations[i].position_m for i in transform.rows])
     shown = transform.inverse[: len(coordinates[0])] @ body.shapes(places, body.max_modes)
     contacts = [contact_shapes(rig, body, j, body.max_modes) for j in range(len(rig.contacts))]
-    drive = np.stack([shape_at(body, rig.force_at, body.max_modes), *contacts])
+    drive = np.stack([*(shape_at(body, s, body.max_modes) for s in rig.forces), *contacts])
     natural_hz, ratios = body.frequencies_hz(body.max_modes), body.damping_ratios(body.max_modes)
     falsified = np.zeros((len(shown), at_hz.size), dtype=complex)
     for m in range(fitted, body.max_modes):
@@ -215,7 +228,7 @@ def _lost(
     high_hz = natural_hz[fitted - 1] or natural_hz[fitted]
     response = receptance(natural_hz, body.damping_ratios(all_modes), np.linspace(0.01, 1, 500) * high_hz)
     pushed = [s for c in rig.contacts for s in contact_stations(c) if s.body == body.name]
-    pushed += [rig.force_at] if rig.force_at.body == body.name else []
+    pushed += [s for s in rig.forces if s.body == body.name]
     drive = body.shapes(np.array([s.position_m for s in pushed]), all_modes)
     covariance = (response @ response.conj().T).real * (drive.T @ drive)
     error = inverse @ body.shapes(places, all_modes) - np.eye(fitted, all_modes)

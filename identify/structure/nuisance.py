@@ -14,7 +14,7 @@ from jaxtyping import Complex, Float, Int
 from identify.signals.kinematics import CORNER_HZ, integrated
 from identify.structure.response import Response, times
 from identify.structure.sensor_chain import chain_sensitivities
-from rig.model.description import Sensor
+from rig.model.description import Sensor, force_names
 from rig.model.tolerances import Tolerances
 
 THE_FORCE = "the force"
@@ -55,7 +55,7 @@ class BodyMotion:
 
 @dataclass(frozen=True)
 class Observed:
-    """What sensors deliver of the true motion (explained), the accelerations by the measured force (by_force), and the
+    """What sensors deliver of the true motion (explained), the accelerations by each measured force (by_force), and the
     displacements at the sensors' stations, which the sensors `displaced_by` gave.
 
     sensor_response is what a sensor delivers per acceleration.
@@ -67,7 +67,7 @@ class Observed:
     omega: Float[np.ndarray, " lines"]
     sensor_response: Complex[np.ndarray, "sensors lines"]
     explained: Complex[np.ndarray, "sensors lines"]
-    by_force: Complex[np.ndarray, "sensors lines"]
+    by_force: Complex[np.ndarray, "forces sensors lines"]
     displaced: Complex[np.ndarray, "sensors lines"]
     bodies: tuple[BodyMotion, ...]
 
@@ -109,10 +109,12 @@ def _of_sensors(observed: Observed) -> Iterator[Change]:
 
 
 def _of_force(observed: Observed) -> Iterator[Change]:
-    """The measured force is gain times the true one."""
+    """A measured force is gain times the true one."""
+    names = force_names(len(observed.by_force)) if len(observed.by_force) > 1 else (THE_FORCE,)
     if gain := observed.tolerances.force_gain:
-        change = -gain * observed.sensor_response * observed.by_force
-        yield Change(Nuisance("force gain", THE_FORCE), list(range(len(change))), change)
+        for name, by_force in zip(names, observed.by_force, strict=True):
+            change = -gain * observed.sensor_response * by_force
+            yield Change(Nuisance("force gain", name), list(range(len(change))), change)
 
 
 def _of_positions(observed: Observed, body: BodyMotion, rows: list[int]) -> Iterator[Change]:

@@ -29,7 +29,7 @@ from rig.commands.command_line import (
     working,
 )
 from rig.effects import effect_named, effects
-from rig.errors import RigError
+from rig.errors import RigError, meant
 from rig.extras import needs_extra
 from rig.files import check_source
 from rig.model.description import Station, read_rig
@@ -142,7 +142,8 @@ def record(
     if as_json:
         print(json.dumps({"recording": str(out), "truth": str(truth_path(out))}))
     else:
-        force_text = f"force {force_n.rms_n:g} N rms, {force_n.low_hz:g} to {force_n.high_hz:g} Hz"
+        forces = "force" if len(rig.forces) == 1 else f"{len(rig.forces)} forces, each"
+        force_text = f"{forces} {force_n.rms_n:g} N rms, {force_n.low_hz:g} to {force_n.high_hz:g} Hz"
         print(f"{out}: {machine.duration_s:g} s of {scenario} recorded by the plant {plant}, {force_text}")
         print(f"{truth_path(out)}: what only a simulator knows")
 
@@ -152,7 +153,9 @@ def _machine(scenario: str, settings: dict[str, str]) -> Sdof | BarrelCradle | O
     own = Path(scenario).suffix == ".json"
     if not own and scenario not in REFERENCES:
         known = ", ".join(REFERENCES)
-        raise typer.BadParameter(f"{scenario!r} is none of {known}, and no FILE.json", param_hint="RIG")
+        raise typer.BadParameter(
+            f"{scenario!r} is none of {known}, and no FILE.json{meant(scenario, REFERENCES)}", param_hint="RIG"
+        )
     rig = read_rig(Path(scenario)) if own else None
     try:
         return reference(scenario, settings) if rig is None else own_rig(rig, settings)

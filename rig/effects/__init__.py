@@ -3,7 +3,7 @@
 import msgspec
 
 from rig.effects.base import Effect
-from rig.errors import RigError
+from rig.errors import RigError, meant
 from rig.registry import subclasses
 
 
@@ -20,7 +20,7 @@ def effect_named(text: str) -> Effect:
     name, _, words = text.partition(":")
     known = effects()
     if name not in known:
-        raise RigError(f"no effect {name!r}; there are {', '.join(known)}")
+        raise RigError(f"no effect {name!r}{meant(name, known)}; there are {', '.join(known)}")
     kind, given = known[name], {}
     for word in words.split(",") if words else []:
         parameter, equals, value = word.partition("=")

@@ -105,7 +105,7 @@ class Scale:
         return [c.law for c in self.rig.contacts if self.place.get("contact") in (None, c.name)]
 
     def _body(self) -> Body:
-        return self.rig.body(self.place.get("body") or self.place.get("beam") or self.rig.force_at.body)
+        return self.rig.body(self.place.get("body") or self.place.get("beam") or self.rig.forces[0].body)
 
     def _shapes(self) -> tuple[Float[np.ndarray, "places modes"], Float[np.ndarray, " modes"]]:
         body = self._body()
@@ -201,8 +201,8 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         return replace(rig, contacts=tuple(replace(c, law=laws.get(c.name, c.law)) for c in rig.contacts))
 
     def body_of(self, rig: Rig, name: str | None) -> Body:
-        """The body of that name; the one that the force drives if none is named."""
-        wanted = rig.force_at.body if name is None else name
+        """The body of that name; the one that the (first) force drives if none is named."""
+        wanted = rig.forces[0].body if name is None else name
         for body in rig.bodies:
             if body.name == wanted:
                 return body

@@ -149,7 +149,7 @@ def map_of(groups: Mapping[str, Channels], form: str) -> str:
         )
     else:
         lines.append(f"sample_rate_hz = {groups['force'].sample_rate_hz!r}")
-    sensors = []
+    forces, sensors = [], []
     place = 1 if form == "csv" else 0
     for group, channels in groups.items():
         for number, name in enumerate(channels.names, start=1):
@@ -161,7 +161,8 @@ def map_of(groups: Mapping[str, Channels], form: str) -> str:
                 column = name
             entry = f"{{ column = {json.dumps(column)}, unit = {json.dumps(channels.unit)} }}"
             if group == "force":
-                lines.append(f"force = {entry}")
+                forces.append(entry)
             else:
                 sensors.append(f"{json.dumps(name, ensure_ascii=False)} = {entry}")
-    return "\n".join([*lines, "", "[sensors]", *sensors, ""])
+    force = forces[0] if len(forces) == 1 else f"[{', '.join(forces)}]"
+    return "\n".join([*lines, f"force = {force}", "", "[sensors]", *sensors, ""])

@@ -1,6 +1,5 @@
 """From measured data and a map, which says what each column is, to a recording."""
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -11,12 +10,12 @@ import numpy as np
 from jaxtyping import Float
 
 from rig.errors import RigError
-from rig.files import check_target, contents
+from rig.files import check_target, contents, sha256_of
 from rig.lab.clock import RATE_TOLERANCE, even
 from rig.lab.column import Column
 from rig.lab.tables import TextForm, columns_of
 from rig.lab.units import si_factor
-from rig.model.description import Rig, read_rig, refuse_several
+from rig.model.description import Rig, read_rig
 from rig.recording import RECORDED, RIG_NAME, channel_groups, with_history, writing
 
 
@@ -35,11 +34,12 @@ class Source(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The TOML file beside measured data. The rig is a path from the map's folder.
 
-    force = "none" is that of a free decay, which has no column of it.
+    force is a list where several act at once, in the order of rig.json; "none" of a free decay, which has no column
+    of it.
     """
 
     rig: str = RIG_NAME
-    force: Source | Literal["none"]
+    force: Source | tuple[Source, ...] | Literal["none"]
     sensors: dict[str, Source]
     time: Source | None = None
     sample_rate_hz: float | None = None
@@ -52,6 +52,12 @@ class Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         if self.sample_rate_hz is not None and not 0 < self.sample_rate_hz < np.inf:
             raise RigError(f"sample_rate_hz is {self.sample_rate_hz}; give a value above zero")
 
+    @property
+    def forces(self) -> tuple[Source, ...]:
+        if isinstance(self.force, str):
+            return ()
+        return self.force if isinstance(self.force, tuple) else (self.force,)
+
 
 def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
     """Makes a recording of measured data and returns what was done, which is also in its provenance.
@@ -61,9 +67,8 @@ def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
     """
     mapping, rig = _read_map(map_path, out)
     columns = columns_of(source, mapping.csv)
-    digest = hashlib.sha256(source.read_bytes()).hexdigest()
     changed = datetime.fromtimestamp(source.stat().st_mtime, UTC).isoformat(timespec="seconds")
-    origin = {"source": source.name, "source_sha256": digest, RECORDED: changed}
+    origin = {"source": source.name, "source_sha256": sha256_of(source), RECORDED: changed}
     return _import(columns, origin, str(source), mapping, rig, map_path, out)
 
 
@@ -85,7 +90,12 @@ def _import(
     for wrong, what in ((given - names, "is no sensor of the rig"), (names - given, "is missing")):
         if wrong:
             raise RigError(f"{map_path}: sensor {min(wrong)!r} {what}; [sensors] needs {', '.join(sorted(names))}")
-    wanted = {} if mapping.force == "none" else {"force": ("force", mapping.force)}
+    forces = mapping.forces
+    if mapping.force != "none" and len(forces) != len(rig.forces):
+        raise RigError(
+            f"{map_path}: force has {len(forces)} columns, and its rig.json {len(rig.forces)} forces; make them agree"
+        )
+    wanted = {name: ("force", source) for name, source in zip(rig.force_names, forces, strict=False)}
     wanted |= {s.name: (s.quantity, mapping.sensors[s.name]) for s in rig.sensors}
     try:
         taken, factors = taken_columns(columns, wanted)
@@ -100,7 +110,7 @@ def _import(
     steps = (
         f"{rows.shape[1]} samples of {len(rows)} columns read from {origin['source']}",
         "made SI: " + ", ".join(f"{n} = {factors[n]:.9g} x column {c.name!r}" for n, c in taken.items()),
-        *(() if "force" in taken else ("no force was measured: its channel is zero",)),
+        *(() if forces else ("no force was measured: its channel is zero",)),
         *resampled,
     )
     provenance = {
@@ -108,7 +118,7 @@ def _import(
         **origin,
         "map": map_path.name,
     }
-    unforced = {"force": np.zeros(values.shape[1])}
+    unforced = dict.fromkeys(rig.force_names, np.zeros(values.shape[1]))
     _write(out, rig, unforced | dict(zip(taken, values, strict=True)), with_history(provenance, *steps))
     return steps
 
@@ -162,7 +172,6 @@ def _read_map(path: Path, out: Path) -> tuple[Map, Rig]:
     text = contents(path)
     try:
         given = msgspec.toml.decode(text)
-        refuse_several(given, "force", str(path))
         mapping = msgspec.convert(given, Map)
     except RigError:
         raise

@@ -21,7 +21,7 @@ NODES_PER_BODY = 1000
 def nodes_of(rig: Rig) -> dict[Station, int]:
     """The nodes: of a beam PLACES from end to end, of other bodies where their shapes are given, and all stations."""
     numbers: dict[Station, int] = {}
-    known = (*stations_of(rig), rig.force_at)
+    known = (*stations_of(rig), *rig.forces)
     for count, body in enumerate(rig.bodies, start=1):
         places = {s.position_m for s in known if s.body == body.name}
         apart_m = SAME * body.length_m

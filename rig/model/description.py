@@ -245,13 +245,14 @@ class ForceSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Everything that the experimenter believes about the machine and its instruments.
 
+    force_at is the place of the measured force, or of each of several that act at once; force_sensor holds for all.
     What stands after the sampling rate is absent from a rig that is as simple as it looks: see `rig.effects`.
     """
 
     name: str
     bodies: tuple[Body, ...]
     contacts: tuple[Contact, ...]
-    force_at: Station
+    force_at: Station | tuple[Station, ...]
     sensors: tuple[Sensor, ...]
     sample_rate_hz: float
     masses: tuple[PointMass, ...] = ()
@@ -277,7 +278,7 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
             ("sensor", [s.name for s in self.sensors]),
         ):
             _check_names(f"rig {self.name!r}", kind, names)
-        self._check_station("the force", self.force_at)
+        self._check_forces()
         for sensor in self.sensors:
             self._check_station(f"sensor {sensor.name!r}", sensor.station)
             self.fibre_m(sensor)
@@ -306,6 +307,16 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         for body in self.bodies if self.base_motion else ():
             _check_carried(body)
 
+    @property
+    def forces(self) -> tuple[Station, ...]:
+        """Where the measured forces act."""
+        return self.force_at if isinstance(self.force_at, tuple) else (self.force_at,)
+
+    @property
+    def force_names(self) -> tuple[str, ...]:
+        """Of their channels: force, or force_1, force_2, ..."""
+        return force_names(len(self.forces))
+
     def body(self, name: str) -> Body:
         for body in self.bodies:
             if body.name == name:
@@ -333,10 +344,25 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     def contact(self, name: str) -> Contact:
         return next(c for c in self.contacts if c.name == name)
 
+    def _check_forces(self) -> None:
+        if isinstance(self.force_at, tuple):
+            if not 2 <= len(self.force_at) <= MOST:
+                raise RigError(
+                    f"rig {self.name!r}: force_at is a list of {len(self.force_at)}; give the place of one force by "
+                    f"itself, those of several as a list of 2 to {MOST}"
+                )
+            _check_names(f"rig {self.name!r}", "channel", [*self.force_names, *(s.name for s in self.sensors)])
+        for name, station in zip(self.force_names, self.forces, strict=True):
+            self._check_station(f"the {name}", station)
+
     def _check_station(self, what: str, station: Station) -> None:
         body = self.body(station.body)
         if not 0 <= station.position_m <= body.length_m:
             raise RigError(f"{what} stands at {station.position_m} m, off {body.name!r}; give 0 to {body.length_m} m")
+
+
+def force_names(count: int) -> tuple[str, ...]:
+    return tuple(f"force_{k}" for k in range(1, count + 1)) if count > 1 else ("force",)
 
 
 def _without_stops(**numbers: float) -> DeadZone:
@@ -373,11 +399,12 @@ def stations_of(rig: Rig) -> tuple[Station, ...]:
 
 
 def check_given(rig: Rig, source: str) -> None:
-    """Raises RigError if a sensor, a contact or the force stands where the shapes of a structure are not given.
+    """Raises RigError if a sensor, a contact or a force stands where the shapes of a structure are not given.
 
     Only an effect may stand there, or a real rig that differs a little from what is believed: by interpolation.
     """
-    places = [("the force", rig.force_at), *((f"sensor {s.name!r}", s.station) for s in rig.sensors)]
+    places = [(f"the {name}", at) for name, at in zip(rig.force_names, rig.forces, strict=True)]
+    places += [(f"sensor {s.name!r}", s.station) for s in rig.sensors]
     places += [(f"contact {c.name!r}", station) for c in rig.contacts for station in contact_stations(c)]
     for what, station in places:
         body = rig.body(station.body)
@@ -401,15 +428,6 @@ def _with_laws_named(read: Any) -> Any:
     return read
 
 
-def refuse_several(given: Any, field: str, source: str) -> None:
-    """Raises RigError if a description names several forces."""
-    if isinstance(given, dict) and isinstance(given.get(field), list):
-        raise RigError(
-            f"{source}: {field} names {len(given[field])} forces, and a recording holds one; drive with one shaker at "
-            "a time, and take each as a recording of its own"
-        )
-
-
 def from_json(text: bytes, source: str) -> Rig:
     """The rig described by a JSON text; `source` names it in the error.
 
@@ -417,7 +435,6 @@ def from_json(text: bytes, source: str) -> Rig:
     """
     try:
         given = _with_laws_named(msgspec.json.decode(text))
-        refuse_several(given, "force_at", source)
         check_largest(given, source)
         return msgspec.convert(given, Rig)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:

@@ -26,10 +26,12 @@ def check_channels(path: Path, rig: Rig, found: Mapping[str, Channels], expected
         if (about.quantity, about.unit) != (name, unit):
             raise RigError(f"{path}: group {name} holds {about.quantity!r} in {about.unit!r}; write {name} in {unit}")
         if name == "force":
-            if len(about.names) != 1 or about.stations[0] not in (None, rig.force_at):
+            places = zip(about.stations, rig.forces, strict=False)
+            if len(about.names) != len(rig.forces) or any(at not in (None, believed_at) for at, believed_at in places):
+                said = f"one at {rig.force_at}" if len(rig.forces) == 1 else f"{len(rig.forces)} at {rig.forces}"
                 raise RigError(
-                    f"{path}: group force has the channels {about.names} at {about.stations}, rig.json one at "
-                    f"{rig.force_at}; make them agree"
+                    f"{path}: group force has the channels {about.names} at {about.stations}, rig.json {said}; make "
+                    "them agree"
                 )
             continue
         for channel, station in zip(about.names, about.stations, strict=True):

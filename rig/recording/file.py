@@ -88,12 +88,23 @@ class Recording:
         return known[name]
 
     @property
+    def forces_n(self) -> Float[np.ndarray, "forces samples"]:
+        return self.signals["force"].values
+
+    @property
+    def force_names(self) -> tuple[str, ...]:
+        return self.signals["force"].channels.names
+
+    @property
     def force_n(self) -> Float[np.ndarray, " samples"]:
-        return self.signals["force"].values[0]
+        """The force; raises RigError if several act at once."""
+        if len(self.forces_n) > 1:
+            raise RigError(f"the recording has {len(self.forces_n)} forces at once, where one is taken; see forces_n")
+        return self.forces_n[0]
 
     @property
     def samples(self) -> int:
-        return self.force_n.size
+        return self.forces_n.shape[1]
 
     @property
     def start_s(self) -> float:
@@ -254,9 +265,13 @@ def writing(
             raise
 
 
+def _forces(rig: Rig) -> Channels:
+    return Channels("force", UNITS["force"], rig.force_names, rig.forces, rig.sample_rate_hz)
+
+
 def channel_groups(rig: Rig) -> dict[str, Channels]:
     """The channels that a recording of this rig has."""
-    groups = {"force": Channels("force", UNITS["force"], ("force",), (rig.force_at,), rig.sample_rate_hz)}
+    groups = {"force": _forces(rig)}
     for quantity in quantities_of(rig):
         sensors = sensors_of(rig, quantity)
         groups[quantity] = Channels(
@@ -275,7 +290,7 @@ def truth_groups(rig: Rig) -> dict[str, Channels]:
     names = tuple(f"{s.body}_{round(s.position_m * 1000):04d}mm" for s in stations)
     nowhere = (None,) * len(contacts)
     return {
-        "force": Channels("force", "N", ("force",), (rig.force_at,), rate),
+        "force": _forces(rig),
         "displacement": Channels("displacement", "m", names, stations, rate),
         "relative_displacement": Channels("relative displacement", "m", contacts, nowhere, rate),
         "contact_force": Channels("contact force", "N", contacts, nowhere, rate),

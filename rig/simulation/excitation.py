@@ -1,8 +1,8 @@
 """Exciting forces: each a frozen description that gives the same force at any time step."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache, partial
 
 import msgspec
 import numpy as np
@@ -181,10 +181,13 @@ class LongForce:
         for k in range((max(first, quiet) - quiet) // half, (stop - 1 - quiet) // half + 2):
             begin = quiet + (k - 1) * half
             some = slice(max(first, begin, quiet), min(stop, begin + 2 * half))
-            force[some.start - first : some.stop - first] += _segment(self.excitation, self.step_s, k)[
-                some.start - begin : some.stop - begin
-            ]
+            force[some.start - first : some.stop - first] += self._segment(k)[some.start - begin : some.stop - begin]
         return force
+
+    @cached_property
+    def _segment(self) -> Callable[[int], Float[np.ndarray, " samples"]]:
+        """The last two are kept."""
+        return lru_cache(maxsize=2)(partial(_segment, self.excitation, self.step_s))
 
 
 def force_signal(excitation: Excitation, duration_s: float, step_s: float) -> ForceSignal:
@@ -219,7 +222,6 @@ def _check(excitation: Excitation, duration_s: float, step_s: float) -> None:
         raise RigError(f"step is {step_s} s; {excitation.high_hz} Hz needs a step above 0 and at most 1/(4 high_hz)")
 
 
-@lru_cache(maxsize=2)
 def _segment(band: BandLimitedGaussian, step_s: float, k: int) -> Float[np.ndarray, " samples"]:
     """The k-th segment under its window; the first one sets in smoothly, half-way through, where the force begins."""
     samples = 2 * round(SEGMENT_S / 2 / step_s)

@@ -7,6 +7,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
+from rig.errors import RigError
 from rig.model.description import Rig
 
 Progress = Callable[[float], None]
@@ -15,11 +16,32 @@ Progress = Callable[[float], None]
 
 @runtime_checkable
 class ForceSignal(Protocol):
-    """A force over time, had slice by slice; an array is one."""
+    """A force over time, had slice by slice; an array is one, and `Forces` are several."""
 
     def __len__(self) -> int: ...
 
-    def __getitem__(self, now: slice, /) -> Float[np.ndarray, " some"]: ...
+    def __getitem__(self, now: slice, /) -> Float[np.ndarray, "*forces some"]: ...
+
+
+@dataclass(frozen=True)
+class Forces:
+    """Several forces that act at once, in the order of the rig's; one signal each, all equally long."""
+
+    signals: tuple[ForceSignal, ...]
+
+    def __len__(self) -> int:
+        return len(self.signals[0])
+
+    def __getitem__(self, now: slice, /) -> Float[np.ndarray, "forces some"]:
+        return np.stack([signal[now] for signal in self.signals])
+
+
+def forces_of(rig: Rig, force_n: ForceSignal) -> Forces:
+    """A force, or several, as those of the rig; raises RigError if it has more or fewer."""
+    forces = force_n if isinstance(force_n, Forces) else Forces((force_n,))
+    if len(forces.signals) != len(rig.forces):
+        raise RigError(f"rig {rig.name!r} is driven by {len(rig.forces)} of force, not {len(forces.signals)}")
+    return forces
 
 
 @runtime_checkable
@@ -54,17 +76,23 @@ class Motion:
 
     sensed has one row per sensor of the rig, in the sensor's quantity, before any instrument; displacement one row per
     station of `stations_of(rig)`, both in space, also where the base moves; eta (relative displacement) and
-    contact_force one row per contact. force is the measured one. A plant may compute displacement and eta on
+    contact_force one row per contact. forces are the measured ones. A plant may compute displacement and eta on
     demand: ask for a slice, `motion.eta_m[:, ::4]`. After `joined` they are arrays.
     """
 
     start_s: float
     step_s: float
-    force_n: Float[np.ndarray, " samples"]
+    forces_n: Float[np.ndarray, "forces samples"]
     sensed: Float[np.ndarray, "sensors samples"]
     displacement_m: Rows
     eta_m: Rows
     contact_force_n: Float[np.ndarray, "contacts samples"]
+
+    @property
+    def force_n(self) -> Float[np.ndarray, " samples"]:
+        """Of a rig with one."""
+        (only,) = self.forces_n
+        return np.asarray(only)
 
 
 @runtime_checkable
@@ -79,14 +107,13 @@ def joined(blocks: Iterator[Motion]) -> Motion:
     parts = list(blocks)
     rows = {
         name: np.concatenate([getattr(part, name)[:, :] for part in parts], axis=1)
-        for name in ("sensed", "displacement_m", "eta_m", "contact_force_n")
+        for name in ("forces_n", "sensed", "displacement_m", "eta_m", "contact_force_n")
     }
-    force_n = np.concatenate([part.force_n for part in parts])
-    return Motion(start_s=parts[0].start_s, step_s=parts[0].step_s, force_n=force_n, **rows)
+    return Motion(start_s=parts[0].start_s, step_s=parts[0].step_s, **rows)
 
 
 def sensed_alone(blocks: Iterator[Motion]) -> Iterator[Motion]:
     """The motion without stations and contacts, for consumers of the sensors alone: nothing else is then computed."""
     for block in blocks:
-        none = np.zeros((0, block.force_n.size))
+        none = np.zeros((0, block.forces_n.shape[1]))
         yield replace(block, displacement_m=none, eta_m=none, contact_force_n=none)

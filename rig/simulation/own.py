@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
+from jaxtyping import Float
 
 from rig.errors import RigError
 from rig.model.description import Rig, Station
@@ -79,25 +80,33 @@ def plant_for(rig: Rig) -> str:
 def rattling_n(rig: Rig, low_hz: float, high_hz: float) -> float:
     """The force (N rms, flat from low to high) under which the rig, without its stops, would move 4 clearances rms.
 
+    Where several act, so much each, independent of one another.
+
     At the contact that moves least, by the bare bodies' modes: eta = sum_m b_m p_m F / (w_m^2 - w^2 + 2 i z_m w_m w).
     To one significant digit; 1 N where no contact has a clearance or none is reached by the force.
     """
     omega = 2 * np.pi * np.linspace(max(low_hz, high_hz * 1e-3), high_hz, LINES)
-    moved = rig.body(rig.force_at.body)
+    squares = np.sum([_squares_by(rig, station, omega) for station in rig.forces], axis=0)
+    wanted = []
+    for contact, square in zip(rig.contacts, squares, strict=True):
+        rms_m_per_n = float(np.sqrt(square))
+        if rms_m_per_n > 0 and contact.law.clearance_m > 0:
+            wanted.append(PLAYS * contact.law.clearance_m / rms_m_per_n)
+    return float(f"{max(wanted):.1g}") if wanted and np.isfinite(max(wanted)) else 1.0
+
+
+def _squares_by(rig: Rig, force_at: Station, omega: Float[np.ndarray, " lines"]) -> Float[np.ndarray, " contacts"]:
+    """The mean square over the lines of every contact's relative displacement per newton at a station, m^2/N^2."""
+    moved = rig.body(force_at.body)
     modes, count = modes_of(rig, moved), modes_wanted(moved, MODES)
     natural = 2 * np.pi * modes.frequencies_hz(count)[:, None]
     ratios = np.maximum(modes.damping_ratios(count), LEAST_DAMPING)[:, None]
 
-    def shape(station: Station) -> np.ndarray:
-        if station.body != moved.name:
+    def shape(station: Station | None) -> np.ndarray:
+        if station is None or station.body != moved.name:
             return np.zeros(count)
         return modes.shapes(np.array([station.position_m]), count)[0]
 
-    answers = shape(rig.force_at)[:, None] / (natural**2 - omega**2 + 2j * ratios * natural * omega)
-    wanted = []
-    for contact in rig.contacts:
-        across = shape(contact.at) - (shape(contact.against) if contact.against else 0.0)
-        rms_m_per_n = float(np.sqrt(np.mean(np.abs(across @ answers) ** 2)))
-        if rms_m_per_n > 0 and contact.law.clearance_m > 0:
-            wanted.append(PLAYS * contact.law.clearance_m / rms_m_per_n)
-    return float(f"{max(wanted):.1g}") if wanted and np.isfinite(max(wanted)) else 1.0
+    answers = shape(force_at)[:, None] / (natural**2 - omega**2 + 2j * ratios * natural * omega)
+    across = (shape(contact.at) - shape(contact.against) for contact in rig.contacts)
+    return np.array([np.mean(np.abs(row @ answers) ** 2) for row in across])

@@ -3,19 +3,20 @@
 import importlib.metadata
 import signal
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import replace
 from threadpoolctl import threadpool_limits
 
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.recording import RECORDED, channel_groups, truth_groups, truth_path, writing
 from rig.simulation.excitation import QUIET_S, Excitation, force_signal
-from rig.simulation.motion import Plant, Progress
+from rig.simulation.motion import Forces, Plant, Progress
 from rig.simulation.sensors import Samples, digitised, needed_duration_s
 
 MAX_DURATION_S = 1e6
@@ -23,7 +24,7 @@ MAX_DURATION_S = 1e6
 
 def record(
     rig: Rig,
-    excitation: Excitation,
+    excitation: Excitation | Sequence[Excitation],
     *,
     plant: Plant,
     duration_s: float,
@@ -38,7 +39,8 @@ def record(
     the same sensors, contacts and sampling rate; their properties and places may differ.
 
     The plant runs a little longer than duration_s, as the anti-aliasing filter needs samples on both sides. The
-    sensors' noise comes from the excitation's seed. Raises RigError where the rig cannot be simulated so or the file
+    sensors' noise comes from the excitation's seed. Of a rig with several forces give one for each; if only one is
+    given, each has its settings and a seed of its own. Raises RigError where the rig cannot be simulated so or the file
     not written.
     """
     actual = actual or rig
@@ -59,7 +61,10 @@ def record(
             f"duration is {duration_s} s and sample_rate_hz {rig.sample_rate_hz}, which makes no sample; record longer "
             "or sample faster"
         )
-    force = force_signal(excitation, needed_duration_s(actual, samples / rig.sample_rate_hz), step_s)
+    whole_s = needed_duration_s(actual, samples / rig.sample_rate_hz)
+    if isinstance(excitation, Excitation):
+        excitation = [_seeded(excitation, number) for number in range(len(rig.forces))]
+    force = Forces(tuple(force_signal(one, whole_s, step_s) for one in excitation))
     plant_name = getattr(plant, "__module__", "").rsplit(".", 1)[-1]
     provenance = {
         "made_by": "rig record",
@@ -67,11 +72,11 @@ def record(
         "plant": plant_name,
         "step_s": repr(step_s),
         "asked_duration_s": repr(duration_s),
-        "excitation": repr(excitation),
-        "seed": str(excitation.seed),
-        **{f"version of {name}": importlib.metadata.version(name) for name in ("rig-identify", "exudyn", "numpy")},
+        "excitation": ", ".join(map(repr, excitation)),
+        "seed": str(excitation[0].seed),
+        **dict(_versions("rig-identify", "exudyn", "numpy")),
     }
-    rng = np.random.default_rng([excitation.seed, 1])
+    rng = np.random.default_rng([excitation[0].seed, 1])
     written = 0
     with (
         np.errstate(over="ignore", divide="ignore", invalid="ignore"),  # what becomes of it is refused below
@@ -84,17 +89,32 @@ def record(
             keep = slice(0, samples - written)
             _check_finite(block)
             for file in (recording, truth):
-                file.append("force", block.force_n[None, keep])
+                file.append("force", block.forces_n[:, keep])
             for quantity, values in block.sensed.items():
                 recording.append(quantity, values[:, keep])
             for group, values in block.truth.items():
                 truth.append(group, values[:, keep])
-            written += block.force_n[keep].size
+            written += block.forces_n[:, keep].shape[1]
             check_interrupt()
 
 
+def _versions(*packages: str) -> Iterator[tuple[str, str]]:
+    """Those of the packages that are installed, as an extra need not be."""
+    for name in packages:
+        with suppress(importlib.metadata.PackageNotFoundError):
+            yield f"version of {name}", importlib.metadata.version(name)
+
+
+def _seeded(excitation: Excitation, number: int) -> Excitation:
+    """That of the force of that number, from 0: its seed is independent of every other of any seed."""
+    if not number:
+        return excitation
+    (seed,) = np.random.SeedSequence([excitation.seed, number]).generate_state(1)
+    return replace(excitation, seed=int(seed))
+
+
 def _check_finite(block: Samples) -> None:
-    for name, values in (("force", block.force_n), *block.sensed.items(), *block.truth.items()):
+    for name, values in (("force", block.forces_n), *block.sensed.items(), *block.truth.items()):
         if not np.isfinite(values).all():
             raise RigError(f"the simulated {name} is no finite number; check the rig for values without reason")
 

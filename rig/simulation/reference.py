@@ -4,7 +4,7 @@ from typing import Literal
 
 import msgspec
 
-from rig.errors import RigError
+from rig.errors import RigError, meant
 from rig.model.beam import Beam
 from rig.model.contact_laws.dead_zone import equal_sides
 from rig.model.description import Contact, Rig, Station
@@ -164,7 +164,8 @@ def reference(scenario: str, settings: dict[str, str]) -> Sdof | BarrelCradle:
         raise RigError(f"no scenario {scenario!r}; there are {', '.join(REFERENCES)}")
     kind = REFERENCES[scenario]
     if unknown := sorted(set(settings) - set(kind.__struct_fields__)):
-        raise RigError(f"{scenario} has no setting {unknown[0]!r}; it has {', '.join(kind.__struct_fields__)}")
+        names = kind.__struct_fields__
+        raise RigError(f"{scenario} has no setting {unknown[0]!r}{meant(unknown[0], names)}; it has {', '.join(names)}")
     try:
         return msgspec.convert(settings, kind, strict=False)
     except msgspec.ValidationError as error:

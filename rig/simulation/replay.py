@@ -3,6 +3,7 @@
 `modal` and `ancf` are the simulators that this package offers to a diagnosis, by the entry points of its installation.
 """
 
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -13,14 +14,31 @@ from threadpoolctl import threadpool_limits
 from rig.model.description import Rig
 from rig.model.sensing import quantities_of
 from rig.recording import Recording, Signals, channel_groups
-from rig.simulation.motion import Plant, Progress, sensed_alone
+from rig.simulation.motion import Forces, Plant, Progress, sensed_alone
 from rig.simulation.sensors import digitised, needed_duration_s
+
+
+@dataclass(frozen=True)
+class _Interpolated:
+    """A force at a plant's steps, had slice by slice."""
+
+    force_n: CubicSpline
+    until_s: float
+    step_s: float
+    steps: int
+
+    def __len__(self) -> int:
+        return self.steps
+
+    def __getitem__(self, now: slice) -> Float[np.ndarray, " some"]:
+        time_s = np.arange(*now.indices(self.steps)) * self.step_s
+        return np.asarray(self.force_n(np.minimum(time_s, self.until_s)))
 
 
 def replayed(
     believed: Rig,
     actual: Rig,
-    force_n: Float[np.ndarray, " samples"],
+    force_n: Float[np.ndarray, "*forces samples"],
     plant: Plant,
     step_s: float,
     seed: int,
@@ -28,24 +46,25 @@ def replayed(
 ) -> Recording:
     """The recording that `actual` makes under a force given at the sampling rate; its owner believes in `believed`.
 
-    The force is interpolated by a cubic to the plant's step and stays at its last value while the sensors' filters
-    need it. Raises RigError where the rig cannot be simulated so.
+    Several forces are rows. Each is interpolated by a cubic to the plant's step and stays at its last value while the
+    sensors' filters need it. Raises RigError where the rig cannot be simulated so.
     """
-    rate, samples = believed.sample_rate_hz, force_n.size
-    time_s = np.arange(round(needed_duration_s(actual, samples / rate) / step_s)) * step_s
-    fine = CubicSpline(np.arange(samples) / rate, force_n)(np.minimum(time_s, (samples - 1) / rate))
+    rate, samples, rows = believed.sample_rate_hz, force_n.shape[-1], np.atleast_2d(force_n)
+    until_s, steps = (samples - 1) / rate, round(needed_duration_s(actual, samples / rate) / step_s)
+    splines = (CubicSpline(np.arange(samples) / rate, row) for row in rows)
+    fine = Forces(tuple(_Interpolated(spline, until_s, step_s, steps) for spline in splines))
     with threadpool_limits(1):  # the matrices are small
         motion = sensed_alone(plant(actual, fine, step_s, progress))
         blocks = list(digitised(actual, motion, np.random.default_rng([seed, 1])))
     groups = channel_groups(believed)
-    signals = {"force": Signals(groups["force"], 0.0, force_n[None])}
+    signals = {"force": Signals(groups["force"], 0.0, rows)}
     for quantity in quantities_of(believed):
-        rows = np.concatenate([b.sensed[quantity] for b in blocks], axis=1)[:, :samples]
-        signals[quantity] = Signals(groups[quantity], 0.0, rows)
+        sensed = np.concatenate([b.sensed[quantity] for b in blocks], axis=1)[:, :samples]
+        signals[quantity] = Signals(groups[quantity], 0.0, sensed)
     return Recording(believed, signals, {"made_by": "replay", "seed": str(seed)})
 
 
-def modal(believed: Rig, actual: Rig, force_n: Float[np.ndarray, " samples"], seed: int) -> Recording:
+def modal(believed: Rig, actual: Rig, force_n: Float[np.ndarray, "*forces samples"], seed: int) -> Recording:
     """By the plant `modal`, with 24 modes a beam at 32 kHz or more."""
     from rig.simulation.plants.modal import simulate
 
@@ -53,7 +72,7 @@ def modal(believed: Rig, actual: Rig, force_n: Float[np.ndarray, " samples"], se
     return replayed(believed, actual, force_n, plant, _step_s(believed, 2.0**15), seed)
 
 
-def ancf(believed: Rig, actual: Rig, force_n: Float[np.ndarray, " samples"], seed: int) -> Recording:
+def ancf(believed: Rig, actual: Rig, force_n: Float[np.ndarray, "*forces samples"], seed: int) -> Recording:
     """By the plant `ancf`, with 12 elements a beam at 8 kHz or more."""
     from rig.simulation.plants.ancf import simulate
 

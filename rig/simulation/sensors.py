@@ -21,11 +21,17 @@ HALF_WIDTH = 16
 
 @dataclass(frozen=True)
 class Samples:
-    """A segment of a recording: the force and, per quantity, one row per sensor of that quantity; and the truth."""
+    """A segment of a recording: the forces and, per quantity, one row per sensor of that quantity; and the truth."""
 
-    force_n: Float[np.ndarray, " samples"]
+    forces_n: Float[np.ndarray, "forces samples"]
     sensed: dict[QuantityName, Float[np.ndarray, "sensors samples"]]
     truth: dict[str, Float[np.ndarray, "rows samples"]]
+
+    @property
+    def force_n(self) -> Float[np.ndarray, " samples"]:
+        """Of a rig with one."""
+        (only,) = self.forces_n
+        return np.asarray(only)
 
 
 def needed_duration_s(rig: Rig, duration_s: float) -> float:
@@ -42,17 +48,17 @@ def digitised(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> I
 
     Raises RigError unless the plant's rate is a multiple of the sampling rate.
     """
-    streams = rng.spawn(len(rig.sensors))
+    streams, forces = rng.spawn(len(rig.sensors)), len(rig.forces)
     filters: list[tuple[list[int], Decimator]] = []
     held, begun = np.zeros((0, 0)), 0
     truth: dict[str, Float[np.ndarray, "rows samples"]] = {}
     high_passes = [_HighPass.of(s, rig.sample_rate_hz) for s in rig.sensors]
     for block in blocks:
-        factor, size = _factor(rig, block.step_s), block.force_n.size
+        factor, size = _factor(rig, block.step_s), block.forces_n.shape[1]
         reach = (HALF_WIDTH + _longest_delay(rig)) * factor
         if not filters:
             filters = _filters(rig, factor, reach)
-            held = np.zeros((1 + len(rig.sensors), reach))  # at rest before the record
+            held = np.zeros((forces + len(rig.sensors), reach))  # at rest before the record
         instants = (slice(None), slice(-begun % factor, None, factor))
         begun += size
         fresh = {name: rows[instants] for name, rows in _truth_of(block).items()}
@@ -61,17 +67,17 @@ def digitised(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> I
         ready = max(0, (width - 2 * reach - 1) // factor + 1)
         queue = np.empty((len(held), max(width, *(one.reach(ready) for _, one in filters))))
         queue[:, : held.shape[1]] = held
-        queue[0, held.shape[1] : width] = block.force_n
-        queue[1:, held.shape[1] : width] = block.sensed
+        queue[:forces, held.shape[1] : width] = block.forces_n
+        queue[forces:, held.shape[1] : width] = block.sensed
         queue[:, width:] = 0.0
         held = queue[:, ready * factor : width]
         if ready:
             filtered = _filtered(filters, queue, ready)
-            for row, high_pass in zip(filtered[1:], high_passes, strict=True):
+            for row, high_pass in zip(filtered[forces:], high_passes, strict=True):
                 if high_pass:
                     row[:] = high_pass.passed(row)
-            sensed = {q: _delivered_all(rig, q, filtered[1:], streams) for q in quantities_of(rig)}
-            yield Samples(filtered[0], sensed, {name: rows[:, :ready] for name, rows in truth.items()})
+            sensed = {q: _delivered_all(rig, q, filtered[forces:], streams) for q in quantities_of(rig)}
+            yield Samples(filtered[:forces], sensed, {name: rows[:, :ready] for name, rows in truth.items()})
             truth = {name: rows[:, ready:] for name, rows in truth.items()}
 
 
@@ -96,8 +102,8 @@ class _HighPass:
 
 
 def _filters(rig: Rig, factor: int, reach: int) -> list[tuple[list[int], Decimator]]:
-    """The filter of every delay, with the rows that it is for: the force, without delay, then the sensors."""
-    delays = [0.0, *(s.delay_s for s in rig.sensors)]
+    """The filter of every delay, with the rows that it is for: the forces, without delay, then the sensors."""
+    delays = [*(0.0 for _ in rig.forces), *(s.delay_s for s in rig.sensors)]
     filters = []
     for delay in dict.fromkeys(delays):
         rows = [k for k, own in enumerate(delays) if own == delay]

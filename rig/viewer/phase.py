@@ -10,6 +10,8 @@ from rig.viewer.contact_view import OTHERS, Play
 from rig.viewer.drawing import LINES, STEEL, entity, pixels, send, style
 
 BINS = 120
+AT_REST = 0.01
+"""A contact has not moved yet while it is off its first place by at most this share of its range."""
 
 
 def send_phase(stream: rr.RecordingStream, play: Play) -> None:
@@ -39,8 +41,10 @@ def send_phase(stream: rr.RecordingStream, play: Play) -> None:
 
 
 def send_histogram(stream: rr.RecordingStream, play: Play) -> None:
-    """How often each relative displacement occurs: % of the time over mm, a bar as wide as its bin."""
-    counts, edges = np.histogram(1e3 * play.relative_m, BINS, range=(-play.reach_mm, play.reach_mm))
-    share = 100 * counts / max(play.relative_m.size, 1)
+    """How often each relative displacement occurs once it moves: % of the time over mm, a bar as wide as its bin."""
+    moved_m = np.abs(play.relative_m - play.relative_m[0])
+    moving_m = play.relative_m[int(np.argmax(moved_m > AT_REST * np.ptp(play.relative_m))) :]
+    counts, edges = np.histogram(1e3 * moving_m, BINS, range=(-play.reach_mm, play.reach_mm))
+    share = 100 * counts / moving_m.size
     bars = rr.BarChart(share, abscissa=edges[:-1], widths=np.diff(edges), color=LINES[0])
     style(stream, entity("histogram", play.contact.name), bars)

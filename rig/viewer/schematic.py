@@ -28,7 +28,7 @@ def draw(rig: Rig, path: Path) -> None:
         _body(drawing, plan, body)
     for contact in rig.contacts:
         _clearances(drawing, plan, contact)
-    _force(drawing, plan)
+    _forces(drawing, plan)
     _sensors(drawing, plan)
     _attached(drawing, plan)
     if rig.base_motion:
@@ -81,8 +81,7 @@ def _things(rig: Rig, body: Body) -> Iterator[object]:
     """What stands on a mass, from left to right: its own spring, then the rest."""
     yield body
     yield from (c for c in rig.contacts if body.name in (c.at.body, c.against.body if c.against else ""))
-    if rig.force_at.body == body.name:
-        yield rig.force_at
+    yield from (at for at in dict.fromkeys(rig.forces) if at.body == body.name)
     if any(s.station.body == body.name for s in rig.sensors):
         yield rig.sensors
     for attached in (rig.masses, rig.springs, rig.dampers, rig.loads, rig.tones):
@@ -114,9 +113,9 @@ def _body(drawing: Drawing, plan: _Plan, body: Body) -> None:
 
 
 def _ruler(drawing: Drawing, plan: _Plan, body: Body) -> None:
-    """Places from the left end, under the body: both ends, contacts, the force and what is attached."""
+    """Places from the left end, under the body: both ends, contacts, the forces and what is attached."""
     rig, left, y = plan.rig, plan.lefts[body.name], plan.under(body.name) + REACH_PX + 34
-    stations = [rig.force_at, *(s for c in rig.contacts for s in (c.at, c.against) if s is not None)]
+    stations = [*rig.forces, *(s for c in rig.contacts for s in (c.at, c.against) if s is not None)]
     stations += [one.station for group in (rig.masses, rig.springs, rig.dampers, rig.loads, rig.tones) for one in group]
     places = sorted({0.0, body.length_m, *(s.position_m for s in stations if s.body == body.name)})
     drawing.line((left, y), (left + plan.scale * body.length_m, y), colour=FAINT, width=1.0)
@@ -167,11 +166,14 @@ def _further(contact: Contact) -> Iterator[str]:
         yield kind
 
 
-def _force(drawing: Drawing, plan: _Plan) -> None:
-    at = plan.rig.force_at
-    x, top = plan.x(at, at), plan.over(at.body)
-    drawing.arrow((x, top - 1), (x, top - 80), FORCE, 3.0)
-    drawing.text(x + 10, top - 70, "force F", FORCE)
+def _forces(drawing: Drawing, plan: _Plan) -> None:
+    forces, names = plan.rig.forces, dict[Station, list[str]]()
+    for number, at in enumerate(forces, start=1):
+        names.setdefault(at, []).append("force F" if len(forces) == 1 else f"F{number}")
+    for at in dict.fromkeys(forces):
+        x, top = plan.x(at, at), plan.over(at.body)
+        drawing.arrow((x, top - 1), (x, top - 80), FORCE, 3.0)
+        drawing.text(x + 10, top - 70, ", ".join(names[at]), FORCE)
 
 
 def _sensors(drawing: Drawing, plan: _Plan) -> None:

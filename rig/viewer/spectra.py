@@ -32,8 +32,9 @@ class ShownSpectra:
 
 def spectra_of(recording: Recording, forces_n: Mapping[str, Float[np.ndarray, " samples"]]) -> list[ShownSpectra]:
     """Of the exciting force, of the contact forces that are known, and of every body's channels of each quantity."""
+    exciting = dict(zip(recording.rig.force_names, recording.forces_n, strict=True))
     found = [
-        ShownSpectra(entity("spectra", "force"), "Exciting force", "N", {"force": recording.force_n}),
+        ShownSpectra(entity("spectra", "force"), "Exciting force", "N", exciting),
         ShownSpectra(entity("spectra", "contact_force"), "Contact force", "N", forces_n),
     ]
     for quantity in quantities_of(recording.rig):

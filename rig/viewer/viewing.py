@@ -158,8 +158,9 @@ def _belongs(truth: Recording, recording: Recording) -> bool:
 
 def _series_scalars(recording: Recording, truth: Recording | None) -> int:
     """How many scalars the time series have at full rate."""
-    channels = sum(len(sensors_of(recording.rig, name)) for name in plotted(recording.rig))
-    return recording.samples * (1 + channels + len(recording.rig.contacts) * (1 if truth is None else 2))
+    rig = recording.rig
+    channels = len(rig.forces) + sum(len(sensors_of(rig, name)) for name in plotted(rig))
+    return recording.samples * (channels + len(rig.contacts) * (1 if truth is None else 2))
 
 
 def _send_model(stream: rr.RecordingStream, scene: Stage, recording: Recording, plays: Sequence[Play]) -> None:
@@ -182,18 +183,19 @@ def _send_model(stream: rr.RecordingStream, scene: Stage, recording: Recording, 
         at, colours = scene.point(play.contact.at), np.full((scene.time_s.size, 3), STEEL, dtype=np.uint8)
         colours[np.searchsorted(scene.time_s, play.time_s[play.frames] - 1e-9)] = play.colours
         send(stream, f"{path}/point", scene.time_s, rr.Points3D, positions=at, colors=colours)
-    force = recording.force_n[scene.frames]
-    arrows = np.zeros((force.size, 3))
-    arrows[:, 2] = 0.2 * scene.extent_m * force / (np.abs(recording.force_n).max() or 1.0)
-    pushed = scene.point(scene.rig.force_at)
-    style(stream, "model/force", rr.Arrows3D.from_fields(colors=[FORCE], radii=[0.004 * scene.extent_m]))
-    send(stream, "model/force", scene.time_s, rr.Arrows3D, vectors=arrows, origins=pushed)
+    longest_n = np.abs(recording.forces_n).max() or 1.0
+    for name, station, force_n in zip(scene.rig.force_names, scene.rig.forces, recording.forces_n, strict=True):
+        path, arrows = entity("model", name), np.zeros((scene.time_s.size, 3))
+        arrows[:, 2] = 0.2 * scene.extent_m * force_n[scene.frames] / longest_n
+        style(stream, path, rr.Arrows3D.from_fields(colors=[FORCE], radii=[0.004 * scene.extent_m]))
+        send(stream, path, scene.time_s, rr.Arrows3D, vectors=arrows, origins=scene.point(station))
 
 
 def _send_series(stream: rr.RecordingStream, recording: Recording, plays: Sequence[Play], stride: int) -> None:
     time_s = recording.signals["force"].time_s
-    send_lines(stream, "exciting_force", time_s[::stride], recording.force_n[None, ::stride], ["force"], (FORCE,))
-    send_legend(stream, "exciting_force", [("force", FORCE)])
+    exciting, colours = recording.rig.force_names, (FORCE, *LINES)
+    send_lines(stream, "exciting_force", time_s[::stride], recording.forces_n[:, ::stride], exciting, colours)
+    send_legend(stream, "exciting_force", list(zip(exciting, colours * len(exciting), strict=False)))
     legend = []
     for number, play in enumerate(plays):
         if play.force_n is not None:

@@ -99,7 +99,7 @@ def _of_places(rig: Rig, body: Body, rng: np.random.Generator) -> Iterator[Alter
             of=(body.name,),
             group="rig.json",
         )
-    at = rig.force_at
+    (at,) = rig.forces
     if at.body == body.name:
         other = min((s.station for s in own if s.station != at), key=lambda p: abs(p.position_m - at.position_m))
         yield Alteration(

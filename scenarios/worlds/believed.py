@@ -91,7 +91,7 @@ def nominal_machine(rig: Rig) -> Machine:
     return Machine(
         beams=tuple(_beam(body) for body in rig.bodies),
         contacts=tuple(_link(contact) for contact in rig.contacts),
-        force_at=_place(rig.force_at),
+        force_at=_place(rig.forces[0]),
         sensors=tuple(
             Accelerometer(name=s.name, at=_place(s.station), noise_density=s.noise_density) for s in rig.sensors
         ),

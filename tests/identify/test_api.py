@@ -84,7 +84,7 @@ def test_a_rig_with_other_sensors_is_refused(file, tmp_path):
     path = tmp_path / "other.json"
     path.write_bytes(to_json(rig.Sdof(sensors="velocity").rig()))
     with pytest.raises(
-        rig.RigError, match=r"other\.json: its sensors or their sampling rate are not those of .*mass\.mcap"
+        rig.RigError, match=r"other\.json: its forces, sensors or their sampling rate are not those of .*mass\.mcap"
     ):
         identify.gap(file, rig=path)
     with pytest.raises(rig.RigError, match="rig 'sdof': its sensors"):

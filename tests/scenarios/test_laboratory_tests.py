@@ -14,6 +14,7 @@ SHORT = [name for name in TESTS if name.startswith("one mass")] + [
     "two beams, no quiet start, displacements",
     "two beams, free decay, no force measured",
     "two beams, free decay, displacements",
+    "two beams, a shaker on each",
 ]
 
 
@@ -31,6 +32,17 @@ def test_every_contact_is_found(name, tmp_path):
         ):
             assert abs(estimate.value - true) < 3 * estimate.standard_error
             assert estimate.standard_error < 0.02 * true
+
+
+def test_nifo_looks_at_each_body_where_the_forces_on_it_act(tmp_path):
+    """A shaker up to 100 Hz on the barrel, a hammer on the cradle."""
+    test = TESTS["two beams, a shaker and a hammer"]
+    report = identify_contact(recorded(test, tmp_path / "r.mcap", duration_s=12.0)).report
+    found = {one.equation: one for one in report.nifo}
+    assert found["barrel 1"].band_hz[1] == pytest.approx(100.0, rel=0.02)
+    assert found["cradle 1"].band_hz[1] > 200.0
+    for stiffness in found["barrel 1"].stiffness:
+        assert stiffness.mean_n_per_m.value == pytest.approx(1e5, rel=0.02)
 
 
 def test_what_closes_rarely_is_not_told_by_accelerometers(tmp_path):

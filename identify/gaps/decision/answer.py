@@ -19,7 +19,7 @@ from identify.gaps.decision.sentence import sentence
 from identify.gaps.decision.unmeasured import cost_with, unmeasured
 from identify.gaps.decision.verdict import HALF, Decision, acts_where_they_do, decided, doubted
 from identify.gaps.residual.likelihood import Reference, reference_of
-from identify.gaps.residual.residual import Residual, linearized
+from identify.gaps.residual.residual import Residual, forget, linearized
 from identify.gaps.residual.spectra import Record, record_of
 from identify.gaps.results import USUAL, Gap, Matters, NextExperiment
 from identify.gaps.search.candidates import Candidate, candidates, scale_of
@@ -47,6 +47,11 @@ class Simulator:
     simulate: Simulate
 
 
+def _level_n(recording: Recording) -> float:
+    """Of all forces together, N rms."""
+    return float(np.sqrt(np.sum(np.var(recording.forces_n, axis=1))))
+
+
 def diagnose(
     recordings: Recording | Sequence[Recording],
     validation: Recording | None,
@@ -68,11 +73,12 @@ def diagnose(
     """
     parts, last = parts_of(recordings, validation)
     believed = tolerances or parts[0].rig.tolerances or LABORATORY
+    forget()
     parts, faults = sound(*parts)
     every = [record_of(part, tolerances=believed) for part in parts]
     other, record = parts[last], every[last]
     fitted = [k for k in range(len(parts)) if k != last]
-    searched_on = max(fitted, key=lambda k: float(np.std(parts[k].force_n)))
+    searched_on = max(fitted, key=lambda k: _level_n(parts[k]))
     fit_record = every[searched_on]
     simulate = simulator.simulate if record.forced else released(other, simulator.simulate)
     null_reference = null_reference_of(
@@ -80,6 +86,7 @@ def diagnose(
     )
     several = len(fitted) > 1
     hypotheses, known = searched(fit_record, lambda x: progress("causes", (0.4 if several else 0.7) * x))
+    forget()
     reference = _reference(record)
     if several:
         seen = [_reference(one) for one in every]
@@ -93,7 +100,7 @@ def diagnose(
     between = None
     if several:
         cause = decision.best if decision.verdict in ("explained", "partly_explained") else None
-        names = [f"{k + 1}, {np.std(p.force_n):.3g} N{', validates' * (k == last)}" for k, p in enumerate(parts)]
+        names = [f"{k + 1}, {_level_n(p):.3g} N{', validates' * (k == last)}" for k, p in enumerate(parts)]
         between = differences(every, seen, cause, known, names, lambda x: progress("causes", 0.9 + 0.05 * x))
     progress("causes", 0.95)
     likeliest = decision.best.corrected if decision.best else other.rig
@@ -108,7 +115,7 @@ def diagnose(
     further: tuple[NextExperiment, ...] = ()
     rivals = _rivals(ranked, decision) if ask_next and record.forced else None
     if rivals:
-        further = next_experiments(record, other.force_n, rivals, simulator.simulate)
+        further = next_experiments(record, other.forces_n, rivals, simulator.simulate)
     doubt = doubted(ranked, decision.verdict)
     after = decision.best.misfit if decision.best else nothing.misfit
     without = decision.best.without if decision.best else nothing.misfit

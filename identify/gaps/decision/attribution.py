@@ -46,7 +46,7 @@ def attribution(linearization: Linearization, at: Residual, left: Misfit) -> Att
         ),
         surface={
             c.name: _surface(
-                at.laid[j].eta_m[:: at.laid[j].finer], at.laid[j].rate_m_per_s[:: at.laid[j].finer], squares
+                at.laid[j].eta_m[:: at.laid[j].factor], at.laid[j].rate_m_per_s[:: at.laid[j].factor], squares
             )
             for j, (c, squares) in enumerate(zip(linearization.model.rig.contacts, contacts, strict=True))
         }

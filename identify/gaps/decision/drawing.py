@@ -21,7 +21,7 @@ def drawn(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draws"]
     """The rig with every value off by its tolerance times the next of the standard normal draws.
 
     A beam becomes a structure, each of whose modes has a frequency and a damping of its own. Also returns the corner of
-    each sensor's high-pass (Hz), which no rig describes.
+    each sensor's high-pass (Hz), which no rig describes; no more does it the gain of one of several forces.
     """
     draw = iter(normals.tolist())
     sensors, corners_hz = [], []
@@ -38,7 +38,7 @@ def drawn(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draws"]
         fibre_m = rig.fibre_m(sensor) or None  # a structure does not know how thick it is
         sensors.append(replace(sensor, station=moved[sensor.station], fibre_m=fibre_m, **chain))
         corners_hz.append(corner_hz if sensor.measures.ac_coupled else 0.0)
-    gain = rig.force_sensor.gain * (1 + tolerances.force_gain * next(draw))
+    gain = rig.force_sensor.gain * (1 + tolerances.force_gain * next(draw) * (len(rig.forces) == 1))
     contacts = tuple(_contact(contact, tolerances, draw) for contact in rig.contacts)
     bodies = tuple(_body(rig, body, sensors, tolerances, draw) for body in rig.bodies)
     taken_up = {b.name for b in bodies if not b.is_mass} & {b.name for b in rig.bodies}
@@ -92,7 +92,7 @@ def _body(rig: Rig, body: Body, sensors: list[Sensor], tolerances: Tolerances, d
     losses = np.exp([lossier + t.damping * next(draw) for t in own])
     frequencies = modes.frequencies_hz(count) * factors
     order = np.argsort(frequencies)
-    standing = [s.station for s in sensors] + [s.station for s in rig.sensors] + [rig.force_at]
+    standing = [s.station for s in sensors] + [s.station for s in rig.sensors] + [*rig.forces]
     standing += [s for c in rig.contacts for s in contact_stations(c)] + [load.station for load in rig.loads]
     given = body.places(PLACES)
     places = np.unique([*given, *(s.position_m for s in standing if s.body == body.name)])

@@ -59,12 +59,12 @@ class Experiment:
 
     words: str
     changed: Callable[[Rig], Rig]
-    force_n: Float[np.ndarray, " samples"]
+    forces_n: Float[np.ndarray, "forces samples"]
 
 
 def next_experiments(
     record: Record,
-    force_n: Float[np.ndarray, " samples"],
+    forces_n: Float[np.ndarray, "forces samples"],
     rivals: tuple[Hypothesis, Hypothesis],
     simulate: Simulate,
     progress: Callable[[float], None] = lambda _: None,
@@ -74,13 +74,13 @@ def next_experiments(
 
     Its figure is the mean, over which of the two is true, of the logarithm by which the odds of the true one grow.
     """
-    tried = list(experiments(record, force_n))
+    tried = list(experiments(record, forces_n))
     found = []
     for i, experiment in enumerate(tried):
         known = experiment.changed(record.rig)
         try:
             gains = [
-                _gain(known, a, b, experiment.force_n, simulate, record.tolerances) for a, b in (rivals, rivals[::-1])
+                _gain(known, a, b, experiment.forces_n, simulate, record.tolerances) for a, b in (rivals, rivals[::-1])
             ]
         except RigError:
             continue  # the machine cannot be shaken so
@@ -89,13 +89,17 @@ def next_experiments(
     return tuple(sorted(found, key=lambda e: -e.log_odds))
 
 
-def experiments(record: Record, force_n: Float[np.ndarray, " samples"]) -> Iterator[Experiment]:
-    """The same again, other levels, halves of the band, a longer record, other places of the force, a known mass on
-    every body, displacement sensors."""
+def experiments(record: Record, forces_n: Float[np.ndarray, "forces samples"]) -> Iterator[Experiment]:
+    """The same again, other levels, halves of the band, a longer record, other places of a force that acts alone, a
+    known mass on every body, displacement sensors."""
     rate, rig = record.sample_rate_hz, record.rig
     start = round(record.excited_s * rate)
-    random = partial(phase_randomized, start=start, sample_rate_hz=rate, rng=np.random.default_rng(11))
-    again = random(force_n)
+    rng = np.random.default_rng(11)
+
+    def random(rows: Float[np.ndarray, "forces some"]) -> Float[np.ndarray, "forces some"]:
+        return np.array([phase_randomized(row, start, rate, rng) for row in rows])
+
+    again = random(forces_n)
     yield Experiment(AGAIN, _as_it_is, again)
     for level in LEVELS:
         yield Experiment(f"record with {level:g} times the force", _as_it_is, level * again)
@@ -103,19 +107,19 @@ def experiments(record: Record, force_n: Float[np.ndarray, " samples"]) -> Itera
     for words, kind in (("lower", "lowpass"), ("upper", "highpass")):
         sections = butter(ORDER, SPLIT * high_hz, kind, fs=rate, output="sos")
         part = sosfiltfilt(sections, again)
-        part[:start] = 0.0
+        part[:, :start] = 0.0
         same = part * (np.std(again) / max(float(np.std(part)), 1e-300))
         yield Experiment(
             f"record with the {words} part of the band, split at {SPLIT * high_hz:.3g} Hz", _as_it_is, same
         )
-    longer = force_n
-    while longer.size < LONGER * force_n.size:
-        longer = np.concatenate([longer, longer[:start:-1]])  # mirrored, so that it does not jump
-    longer = random(longer[: round(LONGER * force_n.size)])
-    length = f"record {longer.size / rate:.3g} s"
+    longer, samples = forces_n, round(LONGER * forces_n.shape[1])
+    while longer.shape[1] < samples:
+        longer = np.concatenate([longer, longer[:, :start:-1]], axis=1)  # mirrored, so that it does not jump
+    longer = random(longer[:, :samples])
+    length = f"record {samples / rate:.3g} s"
     yield Experiment(length, _as_it_is, longer)
     yield Experiment(f"{length} with {LEVELS[-1]:g} times the force", _as_it_is, LEVELS[-1] * longer)
-    for station in _places(rig):
+    for station in _places(rig) if len(rig.forces) == 1 else ():
         yield Experiment(f"move the force to {_said(rig, station)}", partial(with_fields, force_at=station), again)
     for body in rig.bodies:
         mass_kg = ADDED * getattr(body, "mass_kg", 1.0)
@@ -229,14 +233,14 @@ def _gain(
     known: Rig,
     true: Hypothesis,
     rival: Hypothesis,
-    force_n: Float[np.ndarray, " samples"],
+    forces_n: Float[np.ndarray, "forces samples"],
     simulate: Simulate,
     tolerances: Tolerances,
 ) -> float:
     """-2 ln p of the rival less that of the true cause, on a recording that is simulated with the true one."""
     larger = enlarged(true)
     actual = larger.applied_to(known)
-    record = record_of(simulate(known, actual, force_n, 5), tolerances=tolerances)
+    record = record_of(simulate(known, actual, forces_n, 5), tolerances=tolerances)
     begun = begun_on(record, actual)
     own, other = refitted(begun, larger), refitted(begun, rival)
     changes = disagreement(rival, other) - disagreement(true, own)

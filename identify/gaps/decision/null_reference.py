@@ -21,7 +21,7 @@ from scipy.stats import t as student
 from identify.gaps.decision.drawing import drawn
 from identify.gaps.decision.familiar import familiar_figures
 from identify.gaps.residual.likelihood import Misfit, misfit, reference_of
-from identify.gaps.residual.residual import linearized
+from identify.gaps.residual.residual import forget, linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.nominal import fit_nuisance
 from rig.errors import RigError
@@ -39,7 +39,7 @@ MOST, BLOWS = 0.9, 0.1
 LEVEL = 1.25
 """Forces within this factor of each other share a null reference."""
 
-Simulate = Callable[[Rig, Rig, Float[np.ndarray, " samples"], int], Recording]
+Simulate = Callable[[Rig, Rig, Float[np.ndarray, "forces samples"], int], Recording]
 """The recording of the believed rig (first) that the actual one makes under a measured force, noise from a seed: the
 simulator that the diagnosis is handed."""
 
@@ -113,17 +113,22 @@ def null_reference_of(
     if kept:
         check_target(kept, new_folder=True)
     seen = record_of(measured, tolerances=tolerances)
-    density = float(np.sqrt(seen.force_noise / seen.samples))
+    densities = np.sqrt(seen.force_noise / seen.samples)
+    gain = tolerances.force_gain if len(densities) > 1 else 0.0  # of one force the rig that is drawn has it
     start = round(seen.excited_s * seen.sample_rate_hz)
     rows = []
     for seed, normals in enumerate(_normals(measured.rig, simulations)):
         rng = np.random.default_rng([seed, 77])
         actual, corners_hz = drawn(measured.rig, tolerances, normals)
-        force_n = measured.force_n
-        if not of_blows(force_n):
-            force_n = phase_randomized(force_n, start, measured.rig.sample_rate_hz, rng)
-        made = simulate(measured.rig, actual, force_n, seed)
-        rows.append(_left(_instrumented(made, corners_hz, density, rng), tolerances))
+        forces_n = np.array(
+            [
+                row if of_blows(row) else phase_randomized(row, start, measured.rig.sample_rate_hz, rng)
+                for row in measured.forces_n
+            ]
+        )
+        made = simulate(measured.rig, actual, forces_n, seed)
+        rows.append(_left(_instrumented(made, corners_hz, densities, gain, rng), tolerances))
+        forget()
         progress((seed + 1) / simulations)
     reference = NullReference(key, tuple(rows))
     if kept:
@@ -157,15 +162,20 @@ def _normals(rig: Rig, simulations: int) -> Float[np.ndarray, "simulations draws
 
 
 def _instrumented(
-    made: Recording, corners_hz: Sequence[float], force_noise_n: float, rng: np.random.Generator
+    made: Recording,
+    corners_hz: Sequence[float],
+    force_noise_n: Float[np.ndarray, " forces"],
+    force_gain: float,
+    rng: np.random.Generator,
 ) -> Recording:
-    """With the high-pass of each sensor and the noise of the force channel, which the simulator does not know."""
+    """With each sensor's high-pass, and noise and gains of the force channels, which the simulator does not know."""
     rate = made.rig.sample_rate_hz
     corner = dict(zip([s.name for s in made.rig.sensors], corners_hz, strict=True))
     signals = {}
     for name, group in made.signals.items():
         if name == "force":
-            values = group.values + force_noise_n * rng.standard_normal(group.values.shape)
+            values = group.values + force_noise_n[:, None] * rng.standard_normal(group.values.shape)
+            values = values * (1 + force_gain * rng.standard_normal((len(values), 1)))
         else:
             values = np.array(
                 [_high_passed(row, corner[n], rate) for n, row in zip(group.channels.names, group.values, strict=True)]
@@ -201,11 +211,11 @@ def null_key(measured: Recording, tolerances: Tolerances, simulator: str, simula
     """Of the rig, its tolerances, the simulator, the force's (in a free decay the motion's) level and length, and the
     program."""
     driven = (
-        measured.force_n if np.any(measured.force_n) else measured.signals[measured.rig.sensors[-1].quantity].values
+        measured.forces_n if np.any(measured.forces_n) else measured.signals[measured.rig.sensors[-1].quantity].values
     )
     level = round(float(np.log(max(np.std(driven), 1e-300)) / np.log(LEVEL)))
     version = importlib.metadata.version("rig-identify")
-    kind = " blows" * of_blows(measured.force_n)
+    kind = " blows" * any(of_blows(row) for row in measured.forces_n)
     parts = (
         to_json(replace(measured.rig, tolerances=None)),
         msgspec.json.encode(tolerances),

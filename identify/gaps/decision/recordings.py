@@ -23,7 +23,7 @@ def sound(*recordings: Recording) -> tuple[list[Recording], dict[str, str]]:
         faults |= sound_channels(one, without=tuple(faults))[1]
     found = [sound_channels(one, without=tuple(faults))[0] for one in recordings]
     for one in found:
-        if not np.any(one.force_n):
+        if not np.any(one.forces_n):
             check_decay(one)
     return found, faults
 

@@ -18,7 +18,7 @@ FIRST_S = 4
 def released(measured: Recording, simulate: Simulate) -> Simulate:
     """A simulator of free decays as long as the measured one, which take no notice of the force.
 
-    The blow, at the place of the force, is a half-sine of half the rig's longest period. It is scaled by what the
+    The blow, at the place of the first force, is a half-sine of half the rig's longest period. It is scaled by what the
     believed rig's last sensor shows in the first seconds of the record; a decay begins up to one period behind the
     blow, by the seed.
     """
@@ -31,16 +31,16 @@ def released(measured: Recording, simulate: Simulate) -> Simulate:
 
     def decay(rig: Rig, actual: Rig, peak_n: float, samples: int, seed: int) -> Recording:
         begin = blow.size + round(period * np.random.default_rng([seed, 78]).uniform())
-        force_n = np.zeros(begin + samples)
-        force_n[: blow.size] = peak_n * blow
-        return _unforced(part_of(simulate(rig, actual, force_n, seed), slice(begin, begin + samples)))
+        forces_n = np.zeros((len(rig.forces), begin + samples))
+        forces_n[0, : blow.size] = peak_n * blow
+        return _unforced(part_of(simulate(rig, actual, forces_n, seed), slice(begin, begin + samples)))
 
-    peak_n = measured.rig.body(measured.rig.force_at.body).mass_kg
+    peak_n = measured.rig.body(measured.rig.forces[0].body).mass_kg
     for _ in range(SCALINGS):
         peak_n *= level / _level(decay(measured.rig, measured.rig, peak_n, first, 0))
 
-    def simulated(rig: Rig, actual: Rig, force_n: Float[np.ndarray, " samples"], seed: int) -> Recording:
-        return decay(rig, actual, peak_n, force_n.size, seed)
+    def simulated(rig: Rig, actual: Rig, forces_n: Float[np.ndarray, "forces samples"], seed: int) -> Recording:
+        return decay(rig, actual, peak_n, forces_n.shape[1], seed)
 
     return simulated
 

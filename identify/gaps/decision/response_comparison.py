@@ -1,14 +1,15 @@
 """The measured record beside simulations with its force: the believed rig's, and that of the likeliest cause."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 from scipy.signal import csd, welch
 
 from identify.gaps.decision.familiar import familiar_figures
 from identify.gaps.decision.null_reference import NullReference, Simulate
-from identify.gaps.residual.residual import linearized
+from identify.gaps.residual.residual import Linearization, forget, linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Curve, Figure
 from identify.structure.joined import joined
@@ -16,6 +17,7 @@ from rig.model.description import Rig
 from rig.recording import Recording
 
 CURVE_POINTS = 400
+SEGMENT_S = 2.0
 CELLS = 80
 
 
@@ -27,21 +29,19 @@ def compared(
     Contacts are seen by the rig that each run is of, the measured by the corrected one. Two records of the same chaotic
     machine differ too, by as much as null simulations scatter: nothing is decided by these figures.
     """
-    runs = (
-        measured,
-        simulate(believed, believed, measured.force_n, 1),
-        simulate(believed, corrected, measured.force_n, 1),
-    )
-    rigs = (corrected, believed, corrected)
-    linearizations = [linearized(record_of(run), rig) for run, rig in zip(runs, rigs, strict=True)]
-    was, by_believed, by_corrected = (familiar_figures(linearization) for linearization in linearizations)
+    forget()
+    observed = []
+    for simulated, rig in ((None, corrected), (believed, believed), (corrected, corrected)):
+        run = measured if simulated is None else simulate(believed, simulated, measured.forces_n, 1)
+        observed.append(_observed(run, linearized(record_of(run), rig)))
+    was, by_believed, by_corrected = (one.figures for one in observed)
     rows = tuple(
         Figure(name, unit, value, by_believed[name][0], by_corrected[name][0], null_reference.by_chance(name))
         for name, (value, unit) in was.items()
     )
-    curves = [_spectrum(runs), *([_response(runs)] if np.any(measured.force_n) else [])]
+    curves = [_spectrum(measured, observed), *_responses(measured, observed)]
     for j, contact in enumerate(joined(believed).contacts):
-        eta = [1e3 * b.record.finely(b.model.eta_m)[j] for b in linearizations]
+        eta = [1e3 * one.eta_m[j] for one in observed]
         edges = np.linspace(min(e.min() for e in eta), max(e.max() for e in eta), CELLS + 1)
         curves.append(
             Curve(
@@ -55,48 +55,77 @@ def compared(
     return rows, tuple(curves)
 
 
-def _last(run: Recording) -> Float[np.ndarray, " samples"]:
-    quantity = run.rig.sensors[-1].quantity
-    return run.signals[quantity].values[-1]
+@dataclass(frozen=True)
+class _Observed:
+    """What is compared of one run; spectra are those of the last sensor, and of it by each force.
+
+    The relative displacements begin when the force does: the rest before it would be a peak of the histogram.
+    """
+
+    figures: dict[str, tuple[float, str]]
+    eta_m: Float[np.ndarray, "contacts samples"]
+    density: Float[np.ndarray, " lines"]
+    responses: Float[np.ndarray, "forces lines"]
 
 
-def _unit(runs: tuple[Recording, ...]) -> str:
-    return runs[0].rig.sensors[-1].measures.unit
+def _observed(run: Recording, linearization: Linearization) -> _Observed:
+    rate = run.rig.sample_rate_hz
+    segment = int(SEGMENT_S * rate)
+    record = linearization.record
+    begun = round(max(0.0, record.excited_s - record.time_s[0]) * rate)
+    last = run.signals[run.rig.sensors[-1].quantity].values[-1]
+    _, of_forces = csd(run.forces_n[:, None], run.forces_n[None], rate, nperseg=segment)
+    _, cross = csd(run.forces_n, last, rate, nperseg=segment)
+    return _Observed(
+        figures=familiar_figures(linearization),
+        eta_m=record.sampled(linearization.model.eta_m)[:, begun:],
+        density=welch(last, rate, nperseg=segment)[1],
+        responses=np.abs(_h1(of_forces, cross)),
+    )
 
 
-def _spectrum(runs: tuple[Recording, ...]) -> Curve:
+def _spectrum(measured: Recording, observed: list[_Observed]) -> Curve:
     """Of the last sensor."""
-    rate = runs[0].rig.sample_rate_hz
-    hz, density = zip(*(welch(_last(r), rate, nperseg=int(2 * rate)) for r in runs), strict=True)
-    keep = slice(1, CURVE_POINTS)
+    last, keep = measured.rig.sensors[-1], slice(1, CURVE_POINTS)
+    hz = np.arange(len(observed[0].density)) / SEGMENT_S
     return Curve(
-        f"power spectral density, {runs[0].rig.sensors[-1].name}",
+        f"power spectral density, {last.name}",
         "frequency, Hz",
-        f"({_unit(runs)})^2/Hz",
-        tuple(hz[0][keep].tolist()),
-        *_three(d[keep] for d in density),
-        True,
-    )
-
-
-def _response(runs: tuple[Recording, ...]) -> Curve:
-    """The last sensor over the force, H1."""
-    rate = runs[0].rig.sample_rate_hz
-    segment = int(2 * rate)
-    curves = []
-    for run in runs:
-        hz, cross = csd(run.force_n, _last(run), rate, nperseg=segment)
-        curves.append(np.abs(cross) / np.maximum(welch(run.force_n, rate, nperseg=segment)[1], 1e-300))
-    strong = welch(runs[0].force_n, rate, nperseg=segment)[1]
-    keep = slice(1, int(np.flatnonzero(strong > 1e-3 * strong.max())[-1]))
-    return Curve(
-        f"FRF (H1), {runs[0].rig.sensors[-1].name} over force",
-        "frequency, Hz",
-        f"({_unit(runs)})/N",
+        f"({last.measures.unit})^2/Hz",
         tuple(hz[keep].tolist()),
-        *_three(c[keep] for c in curves),
+        *_three(one.density[keep] for one in observed),
         True,
     )
+
+
+def _responses(measured: Recording, observed: list[_Observed]) -> list[Curve]:
+    """The last sensor over each force that acts, H1."""
+    last, rate = measured.rig.sensors[-1], measured.rig.sample_rate_hz
+    found = []
+    for number, name in enumerate(measured.force_names):
+        hz, strong = welch(measured.forces_n[number], rate, nperseg=int(SEGMENT_S * rate))
+        if not np.any(strong):
+            continue
+        keep = slice(1, int(np.flatnonzero(strong > 1e-3 * strong.max())[-1]))
+        found.append(
+            Curve(
+                f"FRF (H1), {last.name} over {name}",
+                "frequency, Hz",
+                f"({last.measures.unit})/N",
+                tuple(hz[keep].tolist()),
+                *_three(one.responses[number, keep] for one in observed),
+                True,
+            )
+        )
+    return found
+
+
+def _h1(
+    of_forces: Complex[np.ndarray, "forces forces lines"], cross: Complex[np.ndarray, "forces lines"]
+) -> Complex[np.ndarray, "forces lines"]:
+    """H of S_fy = S_ff H, line by line; of least size where forces are alike, zero where none acts."""
+    inverse = np.linalg.pinv(of_forces.transpose(2, 0, 1), rcond=1e-12, hermitian=True)
+    return np.asarray(np.einsum("lij,jl->il", inverse, cross))
 
 
 def _three(

@@ -70,9 +70,9 @@ def _place(figure: Any, unknown: Unknown, rig: Rig) -> None:
     _contacts(axes, rig, at, longest)
     sound = np.array([at(s.station) for s in rig.sensors if s.name != unknown.sensor]).reshape(-1, 2)
     axes.plot(sound[:, 0], sound[:, 1] + _HALF, "v", ms=5, color="white", mec=INK, zorder=4, label="sensors")
-    x, y = at(rig.force_at)
-    _arrow(axes, (x, y - _REACH), (x, y - _HALF), GREY, "->")
-    axes.plot([], [], color=GREY, lw=2.2, marker=(3, 0, 0), label="measured force")
+    for x, y in map(at, rig.forces):
+        _arrow(axes, (x, y - _REACH), (x, y - _HALF), GREY, "->")
+    axes.plot([], [], color=GREY, lw=2.2, marker=(3, 0, 0), label="measured force" + "s" * (len(rig.forces) > 1))
     _unknown(axes, unknown, rig, at)
     axes.set_yticks(list(rows.values()), list(rows))
     axes.set_ylim(min(rows.values()) - 0.5, 0.5)

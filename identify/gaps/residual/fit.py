@@ -23,7 +23,6 @@ from identify.gaps.residual.residual import (
 )
 from identify.gaps.residual.spectra import Record
 from identify.signals.descent import Step, descended
-from identify.signals.spectra import decimated
 from rig.errors import RigError
 from rig.model.description import Rig
 
@@ -121,12 +120,12 @@ def _by_motion(
     less_eta_m: Complex[np.ndarray, "contacts lines"],
 ) -> list[Float[np.ndarray, " _"]]:
     """What smaller contact forces and relative displacements take off the contact residuals, by the laws' slopes."""
-    fine_m = record.finely(less_eta_m, beyond=False) if np.any(less_eta_m) else None
+    less_m = record.sampled(less_eta_m, beyond=False) if np.any(less_eta_m) else None
     found = []
     for j, contact in enumerate(at.contacts):
         less_n = less_force_n[j]
-        if fine_m is not None:
-            less_n = less_n - decimated(contact.tangent_n_per_m * fine_m[j], contact.laid.finer)
+        if less_m is not None:
+            less_n = less_n - contact.sloped_n(less_m[j])
         column = np.zeros(contact.residual.size)
         column[: less_n.size] = contact.seen.weights * less_n
         found.append(column)

@@ -1,6 +1,10 @@
-"""Each separated contact force against the law that the rig has at its relative displacement: the contact residual."""
+"""Each separated contact force against the law that the rig has at its relative displacement: the contact residual.
 
-from collections.abc import Sequence
+A law is evaluated at `FINE_HZ` or more, block by block, and low-passed to the band of the force, so that its kinks do
+not alias and memory does not grow with the finer rate.
+"""
+
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,6 +20,7 @@ from identify.gaps.residual.linear import Linear
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.spectra import Record
 from identify.signals.drift import Spline, spline
+from identify.signals.finely import finely
 from identify.signals.spectra import decimated
 from identify.structure.joined import JoinedLaw
 from rig.errors import RigError
@@ -33,7 +38,8 @@ DEEP, DEPTHS = 3.0, 2000
 EDGE = 8
 """A contact force so few samples before a record ends rings on: the low-pass of its law lacks what follows."""
 
-Fine = Float[np.ndarray, " fine"]
+Signal = Float[np.ndarray, "*shape"]
+Results = Float[np.ndarray, "..."]
 
 
 @dataclass(frozen=True)
@@ -110,24 +116,32 @@ def _ringing(record: Record, force_n: Float[np.ndarray, " times"]) -> Float[np.n
 
 @dataclass(frozen=True)
 class ContactSignals:
-    """Force (N) and fine relative displacement and velocity of one contact, as a linear model has them."""
+    """Force (N) of one contact, and its relative displacement and velocity at the recording's rate, as a linear model
+    has them.
+
+    factor is how much lower the rate of the force is, finer how much higher the one at which laws are evaluated.
+    """
 
     force_n: Float[np.ndarray, " times"]
-    eta_m: Float[np.ndarray, " fine"]
-    rate_m_per_s: Float[np.ndarray, " fine"]
-    time_s: Float[np.ndarray, " fine"]
+    eta_m: Float[np.ndarray, " samples"]
+    rate_m_per_s: Float[np.ndarray, " samples"]
+    time_s: Float[np.ndarray, " samples"]
+    factor: int
     finer: int
     spring_n_per_m: float
+
+    def low_passed(self, law: Callable[..., Results], *signals: Signal) -> Float[np.ndarray, "*rows times"]:
+        """What a law makes of signals at the recording's rate, evaluated finely, at the rate of the force."""
+        return decimated(finely(law, np.stack(signals), self.finer), self.factor)
 
 
 def laid_out(record: Record, model: Linear) -> tuple[ContactSignals, ...]:
     """What every contact's law is to be laid against."""
-    finer = record.factor * record.finer
-    eta, rate = record.finely(model.eta_m), record.finely(model.eta_m, 1)
-    time_s = record.taken.start / record.rate_hz + np.arange(eta.shape[1]) / (record.rate_hz * finer)
+    eta, rate = record.sampled(model.eta_m), record.sampled(model.eta_m, 1)
+    time_s = record.taken.start / record.rate_hz + np.arange(eta.shape[1]) / record.sample_rate_hz
     forces = record.in_time(model.contact_n) + model.holding_n[:, None]
     return tuple(
-        ContactSignals(f, e, r, time_s, finer, s)
+        ContactSignals(f, e, r, time_s, record.factor, record.finer, s)
         for f, e, r, s in zip(forces, eta, rate, np.diag(model.slow_n_per_m), strict=True)
     )
 
@@ -141,7 +155,7 @@ def start_of(
     """
     start = np.zeros(seen.curve.knots + len(seen.trusted) * len(law.laws))
     first, (lower, upper) = law.laws[0], law.clearances_m
-    eta, rate, time_s = (x[:: laid.finer] for x in (laid.eta_m, laid.rate_m_per_s, laid.time_s))
+    eta, rate, time_s = (x[:: laid.factor] for x in (laid.eta_m, laid.rate_m_per_s, laid.time_s))
     force = laid.force_n - law.force_n(np.zeros_like(eta), rate)  # what acts in the gap too
     shifted = (upper - lower) / 2 + np.sign(force) * first.wear_m_per_s * time_s
     depth = _depth_m(law, force)
@@ -188,7 +202,8 @@ class ContactResidual:
 
     unknowns are the drift's knots (m), then clearance, stiffness and damping in their tolerances, of every contact
     between the same places. within is the law with the first two, damped_n what one tolerance of each damping adds to
-    it. residual is force less law, in standard deviations, above the residuals of the prior.
+    it. eta_m is the relative displacement with the drift. residual is force less law, in standard deviations, above
+    the residuals of the prior.
     """
 
     seen: ContactObservation
@@ -196,8 +211,8 @@ class ContactResidual:
     law: JoinedLaw
     within: JoinedLaw
     unknowns: Float[np.ndarray, " unknowns"]
-    eta_m: Float[np.ndarray, " fine"]
-    damped_n: list[Fine]
+    eta_m: Float[np.ndarray, " samples"]
+    damped_n: Float[np.ndarray, "laws times"]
     residual: Float[np.ndarray, " rows"]
 
     @property
@@ -205,16 +220,36 @@ class ContactResidual:
         return float(self.residual @ self.residual)
 
     @cached_property
-    def tangents_n_per_m(self) -> list[Fine]:
-        """Of every contact."""
-        return [
-            law.by_eta_n_per_m(sign * self.eta_m, self.laid.time_s)
-            for law, sign in zip(self.within.laws, self.within.signs, strict=True)
-        ]
+    def slopes(self) -> Float[np.ndarray, "3 laws times"]:
+        """Of every contact: the law's slope (N/m), the same with the sign of the relative displacement, and the force
+        at rest per stiffness (m)."""
+        laws = [changed(law, damping_n_s_per_m=0.0) for law in self.within.laws]
 
-    @cached_property
-    def tangent_n_per_m(self) -> Fine:
-        return np.asarray(sum(self.tangents_n_per_m))
+        def of(eta: Signal, *time_s: Signal) -> Results:
+            tangents = self._tangents(eta, *time_s)
+            per_stiffness = [
+                sign * more_n(one, sign * eta, 0.0, *time_s, stiffness_n_per_m=1.0)
+                for one, sign in zip(laws, self.within.signs, strict=True)
+            ]
+            return np.stack([tangents, tangents * np.sign(eta), np.stack(per_stiffness)])
+
+        return self.laid.low_passed(of, self.eta_m, *_times(self.within, self.laid))
+
+    def sloped_n(self, more_m: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " times"]:
+        """What the law makes of a little more relative displacement, by its slope."""
+
+        def of(eta: Signal, more: Signal, *time_s: Signal) -> Signal:
+            return np.asarray(self._tangents(eta, *time_s).sum(axis=0) * more)
+
+        return self.laid.low_passed(of, self.eta_m, more_m, *_times(self.within, self.laid))
+
+    def _tangents(self, eta: Signal, *time_s: Signal) -> Float[np.ndarray, "laws *shape"]:
+        return np.stack(
+            [
+                law.by_eta_n_per_m(sign * eta, *time_s)
+                for law, sign in zip(self.within.laws, self.within.signs, strict=True)
+            ]
+        )
 
     @property
     def pulls(self) -> Float[np.ndarray, " pulls"]:
@@ -245,7 +280,7 @@ class ContactResidual:
     @cached_property
     def by_eta(self) -> Float[np.ndarray, " times"]:
         """The law's derivative by slow changes of the relative displacement, N/m."""
-        return decimated(self.tangent_n_per_m, self.laid.finer) + self.laid.spring_n_per_m
+        return np.asarray(self.slopes[0].sum(axis=0) + self.laid.spring_n_per_m)
 
     @cached_property
     def columns(self) -> csr_matrix:
@@ -253,14 +288,9 @@ class ContactResidual:
         weights, curve = self.seen.weights, self.seen.curve
         by_clearance, by_stiffness, _ = self.seen.trusted
         rows = []
-        each = zip(self.law.signs, self.law.laws, self.within.laws, self.tangents_n_per_m, self.damped_n, strict=True)
-        for sign, law, within, tangent, damped in each:
-            at_rest, stiffness = changed(within, damping_n_s_per_m=0.0), law.stiffness_n_per_m
-            more = more_n(at_rest, sign * self.eta_m, 0.0, self.laid.time_s, stiffness_n_per_m=stiffness)
-            of_clearance = -tangent * np.sign(self.eta_m) * by_clearance * law.clearance_m
-            rows += [
-                decimated(of_one, self.laid.finer) for of_one in (of_clearance, by_stiffness * sign * more, damped)
-            ]
+        for law, sided, per_stiffness, damped in zip(self.law.laws, *self.slopes[1:], self.damped_n, strict=True):
+            of_clearance = -by_clearance * law.clearance_m * sided
+            rows += [of_clearance, by_stiffness * law.stiffness_n_per_m * per_stiffness, damped]
         by_law = np.stack(rows, axis=1)
         beside = _beside(curve.value, weights * self.by_eta, weights[:, None] * by_law)
         firm = self.seen.firm * (1 + WALL * (_beyond(self.pulls) != 0))
@@ -287,49 +317,62 @@ def contact_residual(
     added_n: float | Float[np.ndarray, " times"] = 0.0,
     added_m: float | Float[np.ndarray, " times"] = 0.0,
 ) -> ContactResidual:
-    """The residual at some drift and tolerances; added_n and added_m come on top of force and relative displacement.
-
-    The law is evaluated finely and low-passed to the band of the force, so that its kinks do not alias.
-    """
+    """The residual at some drift and tolerances; added_n and added_m come on top of force and relative displacement."""
     curve, knots = seen.curve, unknowns[: seen.curve.knots]
     slow, slow_rate = curve.value @ knots + added_m, curve.rate @ knots
-    eta = laid.eta_m + _finely(np.broadcast_to(slow, laid.force_n.shape), laid.finer)
-    rate = laid.rate_m_per_s + _finely(slow_rate, laid.finer)
+    eta = laid.eta_m + _between(np.broadcast_to(slow, laid.force_n.shape), laid.factor)
+    rate = laid.rate_m_per_s + _between(slow_rate, laid.factor)
     pulls = unknowns[seen.tolerances]
-    laws, damped, force = [], [], np.zeros_like(eta)
-    for sign, one, own in zip(law.signs, law.laws, pulls.reshape(-1, len(seen.trusted)), strict=True):
+    *_, damping_s = seen.trusted
+    laws = []
+    for one, own in zip(law.laws, pulls.reshape(-1, len(seen.trusted)), strict=True):
         clearance, stiffness, _ = (own * seen.trusted).tolist()
-        within = changed(
-            one,
-            lower_clearance_m=one.lower_clearance_m * max(0.0, 1 + clearance),
-            upper_clearance_m=one.upper_clearance_m * max(0.0, 1 + clearance),
-            stiffness_n_per_m=one.stiffness_n_per_m * max(0.01, 1 + stiffness),
+        laws.append(
+            changed(
+                one,
+                lower_clearance_m=one.lower_clearance_m * max(0.0, 1 + clearance),
+                upper_clearance_m=one.upper_clearance_m * max(0.0, 1 + clearance),
+                stiffness_n_per_m=one.stiffness_n_per_m * max(0.01, 1 + stiffness),
+            )
         )
-        *_, damping_s = seen.trusted
-        at = sign * eta, sign * rate, laid.time_s
-        damped.append(sign * more_n(within, *at, damping_n_s_per_m=damping_s * one.stiffness_n_per_m))
-        force += sign * within.force_n(*at) + own[-1] * damped[-1]
-        laws.append(within)
-    residual = laid.force_n + added_n - decimated(force, laid.finer) - laid.spring_n_per_m * slow
+    within = JoinedLaw(tuple(laws), law.signs)
+
+    def forces(*at: Signal) -> Results:
+        """Of the law, then what a tolerance of each damping adds."""
+        eta, rate, *time_s = at
+        damped = [
+            sign * more_n(own, sign * eta, sign * rate, *time_s, damping_n_s_per_m=damping_s * one.stiffness_n_per_m)
+            for sign, own, one in zip(law.signs, laws, law.laws, strict=True)
+        ]
+        return np.stack([within.force_n(eta, rate, *time_s), *damped])
+
+    force, *damped = laid.low_passed(forces, eta, rate, *_times(within, laid))
+    force = force + pulls[2::3] @ damped
+    residual = laid.force_n + added_n - force - laid.spring_n_per_m * slow
     held = -seen.firm * (pulls + WALL * _beyond(pulls))
     return ContactResidual(
         seen=seen,
         laid=laid,
         law=law,
-        within=JoinedLaw(tuple(laws), law.signs),
+        within=within,
         unknowns=unknowns,
         eta_m=eta,
-        damped_n=damped,
+        damped_n=np.array(damped),
         residual=np.concatenate([seen.weights * residual, curve.target - curve.curvature @ knots, held]),
     )
 
 
 def more_n(
-    law: ContactLaw, eta_m: Fine, rate_m_per_s: Fine | float, time_s: Fine, **numbers: float
-) -> Float[np.ndarray, " fine"]:
+    law: ContactLaw, eta_m: Signal, rate_m_per_s: Signal | float, time_s: Signal | float = 0.0, **numbers: float
+) -> Signal:
     """What the force gains where numbers that it is proportional to grow by so much."""
     more = changed(law, **{name: getattr(law, name) + by for name, by in numbers.items()})
     return more.force_n(eta_m, rate_m_per_s, time_s) - law.force_n(eta_m, rate_m_per_s, time_s)
+
+
+def _times(law: JoinedLaw, laid: ContactSignals) -> list[Float[np.ndarray, " samples"]]:
+    """The time, where a law wears; else it is left out."""
+    return [laid.time_s] if any(one.wear_m_per_s for one in law.laws) else []
 
 
 def _beside(
@@ -350,7 +393,7 @@ def _beyond(pulls: Float[np.ndarray, " pulls"]) -> Float[np.ndarray, " pulls"]:
     return np.asarray(pulls - np.clip(pulls, -LIMIT, LIMIT))
 
 
-def _finely(values: Float[np.ndarray, " times"], finer: int) -> Float[np.ndarray, " fine"]:
+def _between(values: Float[np.ndarray, " times"], factor: int) -> Float[np.ndarray, " samples"]:
     """Linear between samples, which slow motion is."""
-    between = values[:-1, None] + np.diff(values)[:, None] * (np.arange(finer) / finer)
+    between = values[:-1, None] + np.diff(values)[:, None] * (np.arange(factor) / factor)
     return np.append(between, values[-1])

@@ -4,7 +4,7 @@ At every line the accelerations of all sensors are, by the rig's description,
 
     A = G_F F + G_T T - G_K (k3 w^3 + c v + F_c tanh(v / v0)) - G_C f + G_B a_base + error
 
-with the accelerances G at the sensors of the force F, of tones T, of cubic springs and dampers to the ground (by the
+with the accelerances G at the sensors of the forces F, of tones T, of cubic springs and dampers to the ground (by the
 measured motion w, v at their places), of contact forces f, and of a base that shakes unmeasured. Static loads
 accelerate nothing: the contacts hold them. The f are found by least squares, without a contact
 law; so is a_base, held by its spectrum. What they leave, in standard deviations of the error, is the linear residual:
@@ -34,9 +34,9 @@ class Linear:
     """A rig's linear model laid against a record.
 
     sensor_response is what each sensor makes of an acceleration. by_input are the accelerations, in standard
-    deviations, that each unknown input makes: the contact forces, then a base that shakes, then the noise of the
+    deviations, that each unknown input makes: the contact forces, then a base that shakes, then the noise of each
     measured force. residual is in standard deviations; where the base shakes, a last row holds its acceleration in
-    those of its own spectrum, and log_determinant is what that freedom costs. by_force are the accelerations that the
+    those of its own spectrum, and log_determinant is what that freedom costs. by_force are the accelerations that each
     measured force alone makes at the sensors, pushes all known forces with their places.
     """
 
@@ -48,7 +48,7 @@ class Linear:
     by_input: Complex[np.ndarray, "inputs sensors lines"]
     residual: Complex[np.ndarray, "rows lines"]
     contact_n: Complex[np.ndarray, "contacts lines"]
-    by_force: Complex[np.ndarray, "sensors lines"]
+    by_force: Complex[np.ndarray, "forces sensors lines"]
     pushes: tuple[tuple[Station, Complex[np.ndarray, " lines"]], ...]
     free: tuple[FreeMotion, ...]
     log_determinant: float
@@ -142,19 +142,17 @@ def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray
     pushes = _pushes(record, rig, responses, places, sensor_response)
     contacts = len(rig.contacts)
     made = _accelerations(rig, responses, places, [at for at, _ in pushes], record.omega.size)
-    by_contacts, per_newton = made[len(pushes) :], made[0]
-    by_force = per_newton * pushes[0][1]
-    known = by_force
-    for by_push, (_, force_n) in zip(made[1 : len(pushes)], pushes[1:], strict=True):
-        known = known + by_push * force_n
+    by_contacts, per_newton = made[len(pushes) :], made[: len(rig.forces)]
+    by_push = [one * force_n for one, (_, force_n) in zip(made, pushes, strict=False)]
+    by_force, known = np.stack(by_push[: len(rig.forces)]), sum(by_push[1:], by_push[0])
     deviation = np.sqrt(record.noise + model_error**2 * record.power)
     deviation = np.maximum(deviation, 1e-9 * deviation.max())
     sensed = sensor_response / deviation
     unknown = [-by_contacts]
     if rig.base_motion is not None:
         unknown.append(_base(record, rig, responses, places)[None])
-    if record.force_noise:
-        unknown.append((np.sqrt(record.force_noise) / rig.force_sensor.gain * per_newton)[None])
+    noisy = record.force_noise > 0
+    unknown.append(np.sqrt(record.force_noise[noisy, None, None]) / rig.force_sensor.gain * per_newton[noisy])
     by_input = np.concatenate(unknown) * sensed
     weighted = record.delivered / deviation - known * sensed
     free = free_motions(record, responses, places)
@@ -213,13 +211,13 @@ def _pushes(
     places: list[Station | None],
     sensor_response: Complex[np.ndarray, "sensors lines"],
 ) -> tuple[tuple[Station, Complex[np.ndarray, " lines"]], ...]:
-    """The known forces: the measured one, tones, and springs and dampers to the ground by the measured motion."""
-    lagged = record.force * np.exp(-1j * record.omega * rig.force_sensor.lag_s) / rig.force_sensor.gain
+    """The known forces: the measured ones, tones, and springs and dampers to the ground by the measured motion."""
+    lagged = record.forces * np.exp(-1j * record.omega * rig.force_sensor.lag_s) / rig.force_sensor.gain
     tones = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in rig.tones]
     held = []
     if pushed_by_motion(rig):
         held = ground_forces(record, rig, responses, places, record.displaced / sensor_response)
-    return ((rig.force_at, lagged), *tones, *held)
+    return (*zip(rig.forces, lagged, strict=True), *tones, *held)
 
 
 def _accelerations(

@@ -151,7 +151,8 @@ def with_nuisance(
 ) -> Rig:
     """The rig with mass, frequencies and damping of its bodies, gains and delays of its channels as they were fitted.
 
-    Stations stay, as a contact knows its sensors by them; so does what belongs to one mode or to a high-pass.
+    Stations stay, as a contact knows its sensors by them; so does what belongs to one mode, to a high-pass or to one of
+    several forces.
     """
     fitted = dict(zip(parameters, values.tolist(), strict=True))
 

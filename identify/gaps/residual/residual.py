@@ -3,6 +3,8 @@
 cost = |linear residual|^2 + sum over contacts |contact residual|^2 + sample_ratio |nuisance|^2 + log determinant
 """
 
+import ctypes
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -25,6 +27,7 @@ from identify.gaps.residual.lines import standing_out, without_lines
 from identify.gaps.residual.nuisance import Columns, apply_nuisance, columns_of, counted, with_nuisance
 from identify.gaps.residual.scales import Scales, estimated_scales, prior_scales
 from identify.gaps.residual.spectra import Record
+from identify.structure import response
 from identify.structure.joined import joined_contacts, joined_laws
 from identify.structure.nuisance import Nuisance
 from rig.model.description import Rig
@@ -143,6 +146,14 @@ def linearized(
     model = linear_model(record, there, scales.discrepancy)
     seen = seen or seen_contacts(record, model, joined_laws(there), scales.contacts)
     return Linearization(record, rig, scales, model, seen, put)
+
+
+def forget() -> None:
+    """Frees what is kept of records that are done with, and gives it back to the system where that can be asked for."""
+    _columns.cache_clear()
+    response.forget()
+    with suppress(AttributeError, OSError, TypeError):  # glibc alone can
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 @lru_cache(maxsize=2)

@@ -58,7 +58,7 @@ class Record:
 
     delivered is what each sensor gave, turned into an acceleration by powers of i omega, its believed gain and delay
     still in it; displaced the same as a displacement, high-passed where it had to be integrated. noise is the variance
-    of each of its lines by the sensor's noise alone, power its smoothed size; force_noise the variance of the force's
+    of each of its lines by the sensor's noise alone, power its smoothed size; force_noise the variance of each force's
     lines by its channel's noise. eta_beyond is each relative displacement as measured on the lines from `high_hz` on,
     drifts what is known of its slow part (None where nothing is lost; the linear model has the springs). window is
     what samples were multiplied by, excited_s when the force begins, period_s after what it repeats (None: it does
@@ -74,11 +74,11 @@ class Record:
     factor: int
     window: Float[np.ndarray, " samples"]
     omega: Float[np.ndarray, " lines"]
-    force: Complex[np.ndarray, " lines"]
+    forces: Complex[np.ndarray, "forces lines"]
     delivered: Complex[np.ndarray, "sensors lines"]
     displaced: Complex[np.ndarray, "sensors lines"]
     noise: Float[np.ndarray, "sensors lines"]
-    force_noise: float
+    force_noise: Float[np.ndarray, " forces"]
     power: Float[np.ndarray, "sensors lines"]
     eta_beyond: Complex[np.ndarray, "contacts morelines"]
     drifts: tuple[Drift | None, ...]
@@ -94,7 +94,7 @@ class Record:
     @property
     def forced(self) -> bool:
         """Whether a force was measured; else the record is a free decay."""
-        return bool(np.any(self.force))
+        return bool(np.any(self.forces))
 
     @property
     def rate_hz(self) -> float:
@@ -121,19 +121,18 @@ class Record:
         lines = np.round(self.omega * self.length / (2 * np.pi * self.sample_rate_hz)).astype(int)
         return np.asarray(rfft(signal * self.window, self.length)[lines])
 
-    def finely(
+    def sampled(
         self, eta: Complex[np.ndarray, "contacts lines"], derivative: int = 0, beyond: bool = True
-    ) -> Float[np.ndarray, "contacts fine"]:
-        """Relative displacements, or velocities, at `FINE_HZ` or more, within the samples that count.
+    ) -> Float[np.ndarray, "contacts samples"]:
+        """Relative displacements, or velocities, at the recording's rate, between the first and last that counts.
 
         With what was measured beyond the lines; a change of a model has nothing there.
         """
-        fine = self.factor * self.finer
         whole = np.concatenate([eta[:, :-1], self.eta_beyond if beyond else np.zeros_like(self.eta_beyond)], axis=1)
         if derivative:
-            whole = whole * (2j * np.pi * self.sample_rate_hz / self.length * np.arange(whole.shape[1]))
-        moved = self.finer * irfft(whole, self.length * self.finer)
-        return moved[:, self.taken.start * fine : (self.taken.stop - 1) * fine + 1].copy()
+            whole *= 2j * np.pi * self.sample_rate_hz / self.length * np.arange(whole.shape[1])
+        moved = irfft(whole, self.length)
+        return moved[:, self.taken.start * self.factor : (self.taken.stop - 1) * self.factor + 1].copy()
 
     @cached_property
     def twice_integrated(self) -> Complex[np.ndarray, " lines"]:
@@ -172,8 +171,8 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         raise RigError("the recording has no sensors of motion; the diagnosis needs them, best accelerometers")
     quantity = max(moving, key=lambda s: s.measures.order).quantity
     sensors = sensors_of(rig, quantity)
-    motion = kinematics(recording, quantity)
-    excited_hz = REACH * driven_to_hz(motion) if is_unforced(motion) else _excited_hz(recording.force_n, rate)
+    motion = kinematics(recording, quantity, least_order=2 if np.any(recording.forces_n) else 0)
+    excited_hz = REACH * driven_to_hz(motion) if is_unforced(motion) else _excited_hz(recording.forces_n, rate)
     high_hz = min(excited_hz, motion.trusted_hz[1], tolerances.highest_hz or np.inf)
     if high_hz <= low_hz:
         raise RigError(
@@ -194,17 +193,22 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     elif not quiet:
         shape = shape * shape[::-1]
 
-    def spectrum(signals: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows all"]:
-        return np.asarray(rfft(signals * shape, length))
+    def spectrum(signal: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows all"]:
+        return np.asarray(rfft(signal * shape, length))
 
-    measured = spectrum(np.stack([_row(recording, s) for s in sensors]))
-    beyond_rad = 2 * np.pi * rate / length * np.arange(lines - 1, measured.shape[1])
+    beyond_rad = 2 * np.pi * rate / length * np.arange(lines - 1, length // 2 + 1)
+    eta_beyond = np.zeros((len(joint.contacts), beyond_rad.size), dtype=complex)
+    measured = np.empty((len(sensors), lines), dtype=complex)
+    for row, sensor in zip(measured, sensors, strict=True):
+        whole = spectrum(_row(recording, sensor))
+        row[:] = whole[:lines]
+        _add_beyond(eta_beyond, joint, sensor, whole[lines - 1 :], beyond_rad)
     turned, twice_less = (
         np.stack([integrated(omega, order - s.measures.order, low_hz) for s in sensors]) for order in (2, 0)
     )
-    smooth = uniform_filter1d(np.abs(measured[:, :lines]) ** 2, max(1, round(SMOOTHED_HZ * length / rate)), axis=1)
+    smooth = uniform_filter1d(np.abs(measured) ** 2, max(1, round(SMOOTHED_HZ * length / rate)), axis=1)
     noise = acceleration_noise(motion, rig)
-    period = period_of(recording.force_n[motion.excited_from :])
+    period = _period_of(recording.forces_n[:, motion.excited_from :])
     densities = _densities(sensors, motion)
     size = np.stack([omega ** (2 - s.measures.order) for s in sensors])
     begin_s = 0.0 if quiet else RELEASED_S if free else LEFT_OUT_S
@@ -226,13 +230,13 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         factor=factor,
         window=shape,
         omega=omega,
-        force=spectrum(recording.force_n)[:lines],
-        delivered=measured[:, :lines] * turned,
-        displaced=measured[:, :lines] * twice_less,
-        force_noise=samples * _force_noise_n(recording, motion, tolerances) ** 2,
+        forces=spectrum(recording.forces_n)[:, :lines],
+        delivered=measured * turned,
+        displaced=measured * twice_less,
+        force_noise=samples * _force_noise_n(motion, tolerances) ** 2,
         noise=samples * (densities[:, None] * size) ** 2 * rate / 2,
         power=smooth * np.abs(turned) ** 2,
-        eta_beyond=_eta_beyond(joint, sensors, measured[:, lines - 1 :], beyond_rad),
+        eta_beyond=eta_beyond,
         drifts=drifts,
         excited_s=motion.excited_from / rate,
         period_s=None if period is None else period / rate,
@@ -241,9 +245,19 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     )
 
 
-def _excited_hz(force_n: Float[np.ndarray, " samples"], rate_hz: float) -> float:
+def _excited_hz(forces_n: Float[np.ndarray, "forces samples"], rate_hz: float) -> float:
     """Up to where a force is taken to excite the rig."""
-    return min(REACH * force_band(force_n, rate_hz)[1], OF_MOST * force_band(force_n, rate_hz, 1 - MOST)[1])
+    return max(
+        min(REACH * force_band(row, rate_hz)[1], OF_MOST * force_band(row, rate_hz, 1 - MOST)[1])
+        for row in forces_n
+        if np.any(row)
+    )
+
+
+def _period_of(forces_n: Float[np.ndarray, "forces samples"]) -> int | None:
+    """After how many samples all forces repeat; None where they do not, or not together."""
+    first, *others = {period_of(row) for row in forces_n if np.any(row)} or {None}
+    return None if others else first
 
 
 def _decayed_s(motion: Kinematics) -> float:
@@ -258,21 +272,19 @@ def _decayed_s(motion: Kinematics) -> float:
     return np.inf if last == whole else float(last)
 
 
-def _eta_beyond(
+def _add_beyond(
+    eta_beyond: Complex[np.ndarray, "contacts lines"],
     rig: Rig,
-    sensors: tuple[Sensor, ...],
-    measured: Complex[np.ndarray, "sensors lines"],
+    sensor: Sensor,
+    measured: Complex[np.ndarray, " lines"],
     omega: Float[np.ndarray, " lines"],
-) -> Complex[np.ndarray, "contacts lines"]:
-    """Above the band of the diagnosis: from the sensors at the contacts; zero where there are none."""
-    found = np.zeros((len(rig.contacts), omega.size), dtype=complex)
-    heard = omega <= 2 * np.pi * PASSBAND * rig.sample_rate_hz
+) -> None:
+    """What a sensor at a contact shows of its relative displacement above the band of the diagnosis."""
     for j, contact in enumerate(rig.contacts):
         for station, sign in ((contact.at, 1.0), (contact.against, -1.0)):
-            for i, sensor in enumerate(sensors):
-                if sensor.station == station:
-                    found[j] += sign * heard * measured[i] * integrated(omega, -sensor.measures.order, CORNER_HZ)
-    return found
+            if sensor.station == station:
+                heard = omega <= 2 * np.pi * PASSBAND * rig.sample_rate_hz
+                eta_beyond[j] += sign * heard * measured * integrated(omega, -sensor.measures.order, CORNER_HZ)
 
 
 def _row(recording: Recording, sensor: Sensor) -> Float[np.ndarray, " samples"]:
@@ -280,16 +292,15 @@ def _row(recording: Recording, sensor: Sensor) -> Float[np.ndarray, " samples"]:
     return signals.values[signals.channels.names.index(sensor.name)]
 
 
-def _force_noise_n(recording: Recording, motion: Kinematics, tolerances: Tolerances) -> float:
-    """Standard deviation of the force channel's noise: heard in the quiet start, else as the tolerances state it.
+def _force_noise_n(motion: Kinematics, tolerances: Tolerances) -> Float[np.ndarray, " forces"]:
+    """Standard deviation of each force channel's noise: heard in the quiet start, else as the tolerances state it.
 
     None of a free decay, in which no force acts.
     """
-    if is_unforced(motion):
-        return 0.0
-    if motion.quiet_samples:
-        return float(np.std(recording.force_n[: motion.quiet_samples]))
-    return float(tolerances.force_noise_density * np.sqrt(motion.sample_rate_hz / 2))
+    if motion.quiet_samples and not is_unforced(motion):
+        return np.asarray(np.std(motion.forces_n[:, : motion.quiet_samples], axis=1))
+    stated_n = tolerances.force_noise_density * np.sqrt(motion.sample_rate_hz / 2)
+    return np.full(len(motion.forces_n), 0.0 if is_unforced(motion) else stated_n)
 
 
 def _densities(sensors: tuple[Sensor, ...], motion: Kinematics) -> Float[np.ndarray, " sensors"]:

@@ -108,17 +108,20 @@ def scale_of(record: Record, rig: Rig) -> Scale:
 
     In a free decay the inertial force of a body stands for the force, in the mean of what its sensors show.
     """
-    masses = np.array([rig.body(s.station.body).mass_kg for s in record.sensors])
-    force_n = record.in_time(record.force if record.forced else masses[:, None] * record.delivered)
-    return Scale(rig, float(np.sqrt(np.mean(force_n**2))), record.samples / record.sample_rate_hz)
+    if record.forced:
+        forces_n = record.in_time(record.forces)
+    else:
+        masses = np.array([rig.body(s.station.body).mass_kg for s in record.sensors])
+        forces_n = record.in_time(masses[:, None] * record.delivered) / np.sqrt(masses.size)
+    return Scale(rig, float(np.sqrt(np.mean(np.sum(forces_n**2, axis=0)))), record.samples / record.sample_rate_hz)
 
 
 def candidates(scale: Scale, sensors: Sequence[str], zero_known: bool, forced: bool = True) -> list[Candidate]:
     """Every effect that the rig can have, at every place and sensor that a record sees.
 
     Effects that only the zero of a relative displacement shows are left out where it is not known, those of the force
-    and of channels where no force is measured (the free motion has no scale, and may begin at any time), and those that
-    change nothing, or part contacts between the same places.
+    and of channels where no force is measured (the free motion has no scale, and may begin at any time), those of the
+    force where several act, and those that change nothing, or part contacts between the same places.
     """
     found = []
     for kind in effects().values():
@@ -131,9 +134,11 @@ def candidates(scale: Scale, sensors: Sequence[str], zero_known: bool, forced: b
                 changed = candidate.applied(scale.rig, candidate.default)
             except RigError:
                 continue  # it makes no sense here
+            own = scale.rig
+            if not forced or len(own.forces) > 1:
+                changed = replace(changed, force_sensor=own.force_sensor)
             if not forced:
-                own = scale.rig
-                changed = replace(changed, sensors=own.sensors, force_sensor=own.force_sensor, force_at=own.force_at)
+                changed = replace(changed, sensors=own.sensors, force_at=own.force_at)
             if changed != scale.rig and len(joined_contacts(changed)) == len(joined_contacts(scale.rig)):
                 found.append(candidate)
     return found

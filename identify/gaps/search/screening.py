@@ -168,7 +168,7 @@ def _thinned(record: Record) -> Record:
     return replace(
         record,
         omega=record.omega[some],
-        **{name: getattr(record, name)[..., some] for name in ("force", "delivered", "displaced", "noise", "power")},
+        **{name: getattr(record, name)[..., some] for name in ("forces", "delivered", "displaced", "noise", "power")},
     )
 
 

@@ -25,7 +25,6 @@ def nuisances(
 ) -> tuple[tuple[str, ...], Complex[np.ndarray, "columns lines rows"], Float[np.ndarray, " columns"]]:
     """Names, columns D by one tolerance each, and how much each stretches the data."""
     record, model, tolerances = own.record, own.model, own.record.tolerances
-    by_force = own.accelerance(model.rig.force_at) / model.rig.force_sensor.gain
     omega, deviation = record.omega, own.model.deviation
     names: list[str] = []
     columns: list[Complex[np.ndarray, "lines rows"]] = []
@@ -48,7 +47,10 @@ def nuisances(
             there = own.rowed((model.sensor_response * pattern / deviation)[:, own.lines])
             trace.append(2 * float(np.sum(back.conj() * there).real))
 
-    take("gain of the force", tolerances.force_gain * by_force, record.force, np.zeros(len(record.sensors)))
+    for name, station, force in zip(model.rig.force_names, model.rig.forces, record.forces, strict=True):
+        by_force = own.accelerance(station) / model.rig.force_sensor.gain
+        of = "the force" if name == "force" else name
+        take(f"gain of {of}", tolerances.force_gain * by_force, force, np.zeros(len(record.sensors)))
     singly = np.eye(len(record.sensors))
     for sensor, single, delivered in zip(record.sensors, singly, record.delivered / model.sensor_response, strict=True):
         for kind, factor in chain_sensitivities(sensor, tolerances, omega).items():

@@ -5,7 +5,8 @@ At every line the sensors' accelerations A, in standard deviations sigma, obey
     N^H (A - G_F F) / sigma = r = D theta + g f + e
 
 N spans what the contacts' forces (and a base motion's) cannot reach, so that these stay free. G are accelerances, F the
-measured force, f the unknown one. The noise of the force channel, of variance S_F a line, is whitened:
+measured force, f the unknown one. The noise of the force channel, of variance S_F a line, is whitened (of several
+forces, each):
 cov(e) = s (I + S_F g_F g_F^H), with s free in bands of 2 Hz. The nuisance columns D are frequency and damping of each
 mode, gain and place of each sensor and the gain of the force, each by one tolerance, about the *measured* modal
 accelerations q'' = Phi^+ (A - Phi_high q''_high): about the modelled ones they would lack what the unknown force does.
@@ -40,16 +41,16 @@ class WhitenedRecord:
 
     basis turns standardised accelerations into rows; squares, crossed and gram are |r|^2, Re D^H r and Re D^H D summed
     over each band of 2 Hz, which starts at the line in `starts`. count is how many independent real values a line's
-    complex one stands for. force_mode is the unit direction of the force channel's noise, force_share what whitening
-    takes off it.
+    complex one stands for. force_modes are the principal directions of the force channels' noise, force_shares what
+    whitening takes off each.
     """
 
     record: Record
     model: Linear
     lines: slice
     basis: Complex[np.ndarray, "lines rows sensors"]
-    force_mode: Complex[np.ndarray, "lines rows"]
-    force_share: Float[np.ndarray, " lines"]
+    force_modes: Complex[np.ndarray, "lines rows modes"]
+    force_shares: Float[np.ndarray, "lines modes"]
     residual: Complex[np.ndarray, "lines rows"]
     names: tuple[str, ...]
     columns: Complex[np.ndarray, "columns lines rows"]
@@ -102,8 +103,8 @@ class WhitenedRecord:
         return np.asarray((self.basis @ standard.T[:, :, None])[:, :, 0])
 
     def whitened(self, rows: Complex[np.ndarray, "lines rows"]) -> Complex[np.ndarray, "lines rows"]:
-        along = np.sum(self.force_mode.conj() * rows, axis=1)
-        return np.asarray(rows - (self.force_share * along)[:, None] * self.force_mode)
+        along = np.einsum("lrm,lr->lm", self.force_modes.conj(), rows)
+        return np.asarray(rows - np.einsum("lrm,lm->lr", self.force_modes, self.force_shares * along))
 
     def accelerance(self, station: Station) -> Complex[np.ndarray, "sensors alllines"]:
         """Accelerations at the sensors by a force at a place."""
@@ -128,7 +129,8 @@ def bare_residual(record: Record, rig: Rig) -> WhitenedRecord:
 
     Raises RigError if the contacts' free forces explain all that the sensors give.
     """
-    record = replace(record, noise=plain_noise(record), force_noise=0.0)  # that of the force is whitened below
+    silent = np.zeros_like(record.force_noise)  # that of the forces is whitened below
+    record = replace(record, noise=plain_noise(record), force_noise=silent)
     model = linear_model(record, rig, record.tolerances.unmodelled)
     lines = slice(int(np.searchsorted(record.omega, 2 * np.pi * LOWEST_HZ)), record.omega.size)
     basis = _complement(model.unknown[lines])
@@ -148,8 +150,8 @@ def bare_residual(record: Record, rig: Rig) -> WhitenedRecord:
         model=model,
         lines=lines,
         basis=basis,
-        force_mode=np.zeros((count, rows), dtype=complex),
-        force_share=np.zeros(count),
+        force_modes=np.zeros((count, rows, 0), dtype=complex),
+        force_shares=np.zeros((count, 0)),
         residual=np.zeros((count, rows), dtype=complex),
         names=(),
         columns=np.zeros((0, count, rows), dtype=complex),
@@ -160,15 +162,9 @@ def bare_residual(record: Record, rig: Rig) -> WhitenedRecord:
         gram=np.zeros((starts.size, 0, 0)),
         trace=np.zeros(0),
     )
-    by_force = bare.accelerance(rig.force_at) / rig.force_sensor.gain
-    pushed = bare.seen(by_force)
-    size = np.linalg.norm(pushed, axis=1)
-    noise = force_noise(record)
-    whole = replace(
-        bare,
-        force_mode=pushed / np.maximum(size, 1e-300)[:, None],
-        force_share=1 - 1 / np.sqrt(1 + noise * size**2),
-    )
+    pushed = np.stack([bare.seen(bare.accelerance(at) / rig.force_sensor.gain) for at in rig.forces], axis=2)
+    modes, sizes, _ = np.linalg.svd(pushed * np.sqrt(force_noise(record)), full_matrices=False)
+    whole = replace(bare, force_modes=modes, force_shares=1 - 1 / np.sqrt(1 + sizes**2))
     return replace(whole, residual=whole.gated(model.residual[: len(record.sensors)]))
 
 
@@ -224,16 +220,16 @@ def plain_noise(record: Record) -> Float[np.ndarray, "sensors lines"]:
     return found
 
 
-def force_noise(record: Record) -> float:
-    """Variance of each line of the measured force by its channel's noise: what the quiet start or the lines above the
-    force's band show, whichever is less."""
-    upper = np.abs(record.force[record.omega.size // 2 :]) ** 2
-    found = float(np.median(upper)) / np.log(2)
+def force_noise(record: Record) -> Float[np.ndarray, " forces"]:
+    """Variance of each line of the measured forces by their channels' noise: what the quiet start or the lines above
+    the force's band show, whichever is less."""
+    upper = np.abs(record.forces[:, record.omega.size // 2 :]) ** 2
+    found = np.median(upper, axis=1) / np.log(2)
     quiet = record.time_s < record.excited_s - 0.05
     if np.count_nonzero(quiet) > 0.2 * record.rate_hz:
-        size_n = NORMAL_BY_MEDIAN * float(np.median(np.abs(record.in_time(record.force)[quiet])))
-        found = min(found, record.samples * size_n**2 * record.sample_rate_hz / record.rate_hz)
-    return found
+        size_n = NORMAL_BY_MEDIAN * np.median(np.abs(record.in_time(record.forces)[:, quiet]), axis=1)
+        found = np.minimum(found, record.samples * size_n**2 * record.sample_rate_hz / record.rate_hz)
+    return np.asarray(found)
 
 
 def _complement(unknown: Complex[np.ndarray, "lines sensors inputs"]) -> Complex[np.ndarray, "lines rows sensors"]:

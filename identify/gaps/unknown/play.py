@@ -12,7 +12,6 @@ from scipy.fft import next_fast_len, rfft
 from identify.gaps.residual.law import ContactResidual
 from identify.gaps.residual.residual import Residual
 from identify.gaps.residual.spectra import Record
-from identify.signals.spectra import decimated
 
 LOWEST_HZ = 0.2
 STEEP = 0.5
@@ -48,9 +47,7 @@ def breathing(record: Record, at: Residual) -> Breathing | None:
 def _of(record: Record, name: str, contact: ContactResidual) -> Breathing | None:
     """By the periodogram of the samples at which the contact presses, refined about its peak."""
     weights = contact.seen.weights
-    tangent, side = decimated(
-        np.stack([contact.tangent_n_per_m, contact.tangent_n_per_m * np.sign(contact.eta_m)]), contact.laid.finer
-    )
+    tangent, side, _ = contact.slopes.sum(axis=1)
     pressed = (weights > 0) & (tangent > STEEP * max(float(tangent.max()), 1e-300))
     if np.count_nonzero(pressed) < FEW:
         return None

@@ -1,6 +1,6 @@
 """The reference plant: Exudyn, beams of ANCF cable elements. It, `connectors` and `basis` alone import exudyn."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -15,7 +15,7 @@ from rig.model.beam import Beam
 from rig.model.description import Body, PointSpring, Rig, Station, stations_of
 from rig.model.modes import held_coordinates, with_attachments
 from rig.model.oscillator import Oscillator
-from rig.simulation.motion import ForceSignal, Motion, Progress
+from rig.simulation.motion import ForceSignal, Motion, Progress, forces_of
 from rig.simulation.plants.connectors import (
     ChangingModulus,
     Extra,
@@ -70,14 +70,14 @@ def simulate(
     base = base_motion(rig, len(force_n), step_s)
     if (base or rig.loads) and any(isinstance(e, Section) for e in extra):
         raise RigError("the ancf plant takes static loads and base motion on uniform beams only; leave them out")
-    applied_n = true_force(rig, force_n[:], step_s)
+    forces_n, limits_m = forces_of(rig, force_n), softening_limits_m(rig)
+    applied_n = [true_force(rig, one[:], step_s) for one in forces_n.signals]
     container = exu.SystemContainer()
     try:
         mbs = container.AddSystem()
-        meshes, connectors, loads = build(exu, mbs, rig, float(applied_n[0]), elements, extra)
+        meshes, connectors, loads = build(exu, mbs, rig, [float(one[0]) for one in applied_n], elements, extra)
         time_s = np.arange(len(force_n)) * step_s
-        histories_n = [applied_n, *(tone.force_n(time_s) for tone in rig.tones)]
-        limits_m = softening_limits_m(rig)
+        histories_n = [*applied_n, *(tone.force_n(time_s) for tone in rig.tones)]
         readers = {
             order: _read_nodes(exu, mbs, meshes, order) for order in {0, *(s.measures.order for s in rig.sensors)}
         }
@@ -127,7 +127,7 @@ def simulate(
             yield Motion(
                 start_s=(first + (0 if first == 0 else 1)) * step_s,
                 step_s=step_s,
-                force_n=force_n[now],
+                forces_n=forces_n[now],
                 sensed=_stack(sensed, count),
                 displacement_m=_stack([displaced[s] + carried[0] for s in stations_of(rig)], count),
                 eta_m=_stack(between[: len(rig.contacts)], count),
@@ -139,12 +139,12 @@ def simulate(
 
 
 def build(
-    exu: Any, mbs: Any, rig: Rig, first_force_n: float, elements: int, extra: tuple[Extra, ...] = ()
+    exu: Any, mbs: Any, rig: Rig, first_n: Sequence[float], elements: int, extra: tuple[Extra, ...] = ()
 ) -> tuple[list[Mesh], list[int], list[int]]:
     """Bodies, damping, contacts and loads; returns the meshes, the connectors and the loads' numbers.
 
     The connectors are those of the contacts, then those of cubic springs, dampers and the extra forces. The loads are
-    the exciting force and the tones.
+    the exciting forces, with their first values, and the tones.
     """
     grounded = [e for e in extra if isinstance(e, GroundedForce)]
     sections = [e for e in extra if isinstance(e, Section)]
@@ -172,7 +172,7 @@ def build(
 
     connectors = [add_contact(exu, mbs, marker(c.against), marker(c.at), c.law) for c in connections(rig)]
     connectors += [add_grounded(exu, mbs, ground, marker(g.station), g) for g in grounded]
-    pushed = [(rig.force_at, first_force_n), *((tone.station, 0.0) for tone in rig.tones)]
+    pushed = [*zip(rig.forces, first_n, strict=True), *((tone.station, 0.0) for tone in rig.tones)]
     loads = [int(mbs.AddLoad(_item("LoadCoordinate")(markerNumber=marker(at), load=n))) for at, n in pushed]
     return meshes, connectors, loads
 

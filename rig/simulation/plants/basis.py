@@ -55,7 +55,7 @@ def _bending_modes(
     )
     try:
         mbs = container.AddSystem()
-        (mesh,), _, _ = build(exu, mbs, alone, 0.0, elements, sections)
+        (mesh,), _, _ = build(exu, mbs, alone, [0.0], elements, sections)
         mbs.Assemble()
         mass, stiffness, _ = mbs.ComputeLinearizedSystem()
     finally:

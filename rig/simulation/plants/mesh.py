@@ -42,7 +42,7 @@ class Mesh:
 def mesh_positions(rig: Rig, beam: Beam, elements: int) -> Float[np.ndarray, " nodes"]:
     """About `elements` elements a beam, with a node wherever something acts on it or is attached to it."""
     acted_on = [s for c in rig.contacts for s in contact_stations(c)]
-    acted_on += [rig.force_at, *(m.station for m in rig.masses), *(s.station for s in rig.springs)]
+    acted_on += [*rig.forces, *(m.station for m in rig.masses), *(s.station for s in rig.springs)]
     acted_on += [*(x.station for x in rig.loads), *(x.station for x in rig.dampers), *(x.station for x in rig.tones)]
     corners = np.unique([0.0, beam.length_m, *(s.position_m for s in acted_on if s.body == beam.name)])
     largest = beam.length_m / elements * (1 + 1e-9)
@@ -68,7 +68,7 @@ def sensor_row(rig: Rig, meshes: list[Mesh], sensor: Sensor) -> Float[np.ndarray
 
 def static_load(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
     """The static loads on every transverse coordinate, N and N m."""
-    nothing = np.zeros(station_row(meshes, rig.force_at).size)
+    nothing = np.zeros(station_row(meshes, rig.forces[0]).size)
     return nothing + sum(load.force_n * station_row(meshes, load.station) for load in rig.loads)
 
 

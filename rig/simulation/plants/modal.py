@@ -13,7 +13,7 @@ from rig.errors import RigError
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Body, Rig, Sensor, Station, contact_stations, stations_of
 from rig.model.modes import Modes, modes_of, modes_wanted, participation
-from rig.simulation.motion import ForceSignal, Motion, Progress, Projected
+from rig.simulation.motion import Forces, ForceSignal, Motion, Progress, Projected, forces_of
 from rig.simulation.plants.loading import (
     base_motion,
     check_softening,
@@ -33,7 +33,7 @@ class Model:
     """Modes of all bodies, the shapes at every station, what acts on them, and where they rest.
 
     sensed are the sensors' measurement operators over the modal coordinates, gains the modal forces per unit of each
-    known force: the exciting force, static loads, the base, tones.
+    known force: the exciting forces, static loads, the base, tones.
     """
 
     omega: Float[np.ndarray, " modes"]
@@ -70,7 +70,7 @@ def simulate(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress, 
     """
     from rig.simulation.plants.stepping import advance  # numba only where something is simulated
 
-    limits_m = softening_limits_m(rig)
+    limits_m, forces_n = softening_limits_m(rig), forces_of(rig, force_n)
     base = base_motion(rig, len(force_n), step_s)
     model, measured = model_of(rig, bool(base), modes), [s.measures for s in rig.sensors]
     constants = constants_of(model, step_s)
@@ -79,7 +79,7 @@ def simulate(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress, 
     history_n, history_bent_n = np.tile(model.holding_n[:, None], 4), np.zeros((len(model.across), 1))
     for first in range(0, len(force_n), BLOCK):
         now = slice(first, min(first + BLOCK, len(force_n)))
-        applied, bends = _applied(rig, force_n, base, step_s, now)
+        applied, bends = _applied(rig, forces_n, base, step_s, now)
         contact_n, bent_n = np.empty((2, len(model.across), now.stop - first))
         states = np.empty((now.stop - first + 1, last.size))  # a new array a block: Motion computes from it on demand
         states[0] = last
@@ -101,7 +101,7 @@ def simulate(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress, 
         yield Motion(
             start_s=first * step_s,
             step_s=step_s,
-            force_n=force_n[now],
+            forces_n=forces_n[now],
             sensed=sensed,
             displacement_m=Projected(shapes, coordinates, base[0][now] if base else None),
             eta_m=Projected(model.across[: len(rig.contacts)], coordinates),
@@ -154,7 +154,7 @@ def model_of(rig: Rig, moving_base: bool, modes: int) -> Model:
     omega = 2 * np.pi * np.concatenate([shapes.frequencies_hz(n) for _, shapes, n in bodies])
     zeta = np.concatenate([shapes.damping_ratios(n) for _, shapes, n in bodies])
     contacts, laws = connections(rig), tuple(c.law for c in connections(rig))
-    wanted = {*stations_of(rig), rig.force_at, *(load.station for load in rig.loads)}
+    wanted = {*stations_of(rig), *rig.forces, *(load.station for load in rig.loads)}
     wanted |= {tone.station for tone in rig.tones}
     wanted |= {station for c in contacts for station in contact_stations(c)}
     rows = {station: _shape_row(bodies, station) for station in wanted}
@@ -163,7 +163,7 @@ def model_of(rig: Rig, moving_base: bool, modes: int) -> Model:
     static = np.zeros(omega.size) + sum(load.force_n * rows[load.station] for load in rig.loads)
     at_rest = equilibrium(omega**2, across, laws, static)
     holding = [float(law.force_n(eta)) for law, eta in zip(laws, across @ at_rest, strict=True)]
-    gains = [rows[rig.force_at]]
+    gains = [rows[station] for station in rig.forces]
     if rig.loads:
         gains.append(static)
     if moving_base:
@@ -183,15 +183,15 @@ def model_of(rig: Rig, moving_base: bool, modes: int) -> Model:
 
 
 def _applied(
-    rig: Rig, force_n: ForceSignal, base: tuple[Float[np.ndarray, " samples"], ...], step_s: float, now: slice
+    rig: Rig, forces_n: Forces, base: tuple[Float[np.ndarray, " samples"], ...], step_s: float, now: slice
 ) -> tuple[Float[np.ndarray, "inputs more"], Float[np.ndarray, "inputs more"]]:
     """The known forces at the samples `now` and at the one before, and how they bend in between.
 
     Before the first sample is the state of rest: no force, all static loads, no motion of the base.
     """
-    around = slice(max(0, now.start - BENT), min(len(force_n), now.stop + BENT))
+    around = slice(max(0, now.start - BENT), min(len(forces_n), now.stop + BENT))
     rest = int(around.start == 0)
-    rows = [np.append(np.zeros(rest), true_force(rig, force_n, step_s, around))]
+    rows = [np.append(np.zeros(rest), true_force(rig, one, step_s, around)) for one in forces_n.signals]
     if rig.loads:
         rows.append(np.ones(rows[0].size))
     if base:

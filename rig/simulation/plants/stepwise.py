@@ -13,10 +13,15 @@ class Stepwise:
     """A rig from rest on, as `modal.simulate` moves it, but the force is only known step by step.
 
     Over every step of step_s the force goes in a straight line from the last value to the one given. Raises RigError if
-    the base shakes, or a contact is too stiff for the step.
+    several forces act, the base shakes, or a contact is too stiff for the step.
     """
 
     def __init__(self, rig: Rig, step_s: float, modes: int = 16) -> None:
+        if len(rig.forces) > 1:
+            raise RigError(
+                f"rig {rig.name!r}: {len(rig.forces)} forces act on it, and one is given step by step; leave one in "
+                "force_at"
+            )
         if rig.base_motion:
             raise RigError(
                 f"rig {rig.name!r}: its base shakes, and the force alone is given step by step; leave it out"

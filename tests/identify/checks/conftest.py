@@ -13,7 +13,10 @@ from rig.simulation.reference import BarrelCradle
 from scenarios.jitter import jittered
 from scenarios.topologies import RIGS, Topology, one_mass
 
+FRAME = RIGS["frame, free"].rig
+FLOORS = [s.station for s in FRAME.sensors]
 CASES = {
+    "two shakers": Topology(replace(FRAME, force_at=(FLOORS[0], FLOORS[2])), 60.0, ""),
     "frame": RIGS["frame, free"],
     "cantilever": RIGS["cantilever with a stop at its tip"],
     "mass": Topology(one_mass(5e-4, quantity="acceleration"), 6.0, ""),

@@ -36,7 +36,9 @@ NAMED = (
 )
 
 
-@pytest.mark.parametrize("rig", ["frame", "cantilever", "mass", "progressive stop", "two stops at one place"])
+@pytest.mark.parametrize(
+    "rig", ["frame", "two shakers", "cantilever", "mass", "progressive stop", "two stops at one place"]
+)
 def test_a_sound_recording_has_no_finding(sound, rig):
     assert check_recording(sound(rig)) == ()
 
@@ -48,6 +50,23 @@ def test_an_alteration_is_named(sound, name):
     found = check_recording(alteration.change(recording))
     assert found
     assert names_it(found[0], alteration), found[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "cause", "channels"),
+    [
+        (lambda forces: forces[::-1], "swapped", ("force_1", "force_2")),
+        (lambda forces: forces * [[1.0], [-1.0]], "polarity", ("force_2",)),
+        (lambda forces: forces * [[1.0], [1e-3]], "units", ("force_2",)),
+        (lambda forces: forces * [[1.1], [1.0]], "gain", ("force_1",)),
+        (lambda forces: forces * [[1.0], [0.0]], "dead", ("force_2",)),
+    ],
+)
+def test_of_two_forces_the_wrong_one_is_named(sound, change, cause, channels):
+    recording = sound("two shakers")
+    rows = dict(zip(recording.force_names, change(recording.forces_n), strict=True))
+    (found,) = check_recording(with_rows(recording, rows))
+    assert (found.cause, found.channels) == (cause, channels)
 
 
 def test_a_gain_is_told_with_its_size(sound):

@@ -140,8 +140,9 @@ def test_wrong_words_are_exit_status_2(identify, recording, words, said):
     assert said in " ".join(err.replace("│", " ").split())
 
 
-def test_tolerances_that_are_neither_a_name_nor_a_file_are_refused_in_a_sentence(identify, recording):
-    status, out, err = identify("contact", recording, "--tolerances", "none")
+@pytest.mark.parametrize("command", ["check", "contact", "law", "gap", "compare"])
+def test_tolerances_that_are_neither_a_name_nor_a_file_are_refused_in_a_sentence(identify, recording, command):
+    status, out, err = identify(command, recording, "--tolerances", "none")
     assert (status, out) == (1, "")
     assert "none: no tolerances can be read there" in err
     assert err.count("\n") == 1

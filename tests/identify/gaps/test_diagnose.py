@@ -59,6 +59,8 @@ def test_the_believed_rig_has_no_gap(null_reference):
     assert corrected == RIG
     assert gap.before.p_value > 0.01
     assert gap.probability_nothing > 0.5
+    histogram = np.array(gap.curves[2].measured)
+    assert histogram.max() < 2.5 * histogram.mean()  # the second before the force would stand out
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ RIG = replace(SETTINGS.rig(), sensors=tuple(replace(s, noise_density=1e-7) for s
 @pytest.fixture(scope="module")
 def believed():
     force_n = force_history(SETTINGS.force(), SETTINGS.duration_s, 1 / RIG.sample_rate_hz)
-    return record_of(modal(RIG, RIG, force_n, 1)), force_n
+    return record_of(modal(RIG, RIG, force_n, 1)), force_n[None]
 
 
 @pytest.fixture(scope="module")
@@ -49,14 +49,14 @@ def test_experiments_keep_the_silence_and_the_level_that_they_name(believed):
     record, force_n = believed
     tried = list(experiments(record, force_n))
     start = round(record.excited_s * record.sample_rate_hz)
-    same = np.std(tried[0].force_n[start:])
+    same = np.std(tried[0].forces_n[:, start:])
     assert tried[0].words == AGAIN
     assert len({t.words for t in tried}) == len(tried)
     for one in tried:
-        assert not np.any(one.force_n[: round(0.9 * record.sample_rate_hz)])
+        assert not np.any(one.forces_n[:, : round(0.9 * record.sample_rate_hz)])
         named = [w for w in one.words.split() if w.replace(".", "").isdigit()] if "times" in one.words else ["1"]
-        assert np.std(one.force_n[start:]) == pytest.approx(float(named[-1]) * same, rel=0.01)
-    lengths_s = {round(t.force_n.size / record.sample_rate_hz, 2) for t in tried}
+        assert np.std(one.forces_n[:, start:]) == pytest.approx(float(named[-1]) * same, rel=0.01)
+    lengths_s = {round(t.forces_n.shape[1] / record.sample_rate_hz, 2) for t in tried}
     assert lengths_s == {15.0, 45.0}
     assert sum(t.changed(RIG).masses != RIG.masses for t in tried) == 1
 
@@ -64,7 +64,7 @@ def test_experiments_keep_the_silence_and_the_level_that_they_name(believed):
 def test_of_beams_the_force_moves_and_displacements_are_measured():
     rig = BarrelCradle(sensors="acceleration", duration_s=12.0).rig()
     force_n = force_history(BarrelCradle().force(), 12.0, 1 / rig.sample_rate_hz)
-    changed = [e.changed(rig) for e in experiments(record_of(modal(rig, rig, force_n, 1)), force_n)]
+    changed = [e.changed(rig) for e in experiments(record_of(modal(rig, rig, force_n, 1)), force_n[None])]
     places = {r.force_at for r in changed}
     assert {(p.body, p.position_m) for p in places} == {
         *((body, x) for body in ("barrel", "cradle") for x in (0.5, 1.0)),

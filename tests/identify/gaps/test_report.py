@@ -270,6 +270,7 @@ def test_an_interval_has_two_digits_of_its_half_width():
         (1.83e-4, 7.8e-6, "s", "(1.830 ± 0.078)e-4 s"),
         (2.96e10, 8e8, "N/m^3", "(2.960 ± 0.080)e10 N/m^3"),
         (0.0, 0.25, "N", "0.00 ± 0.25 N"),
+        (-0.001, 0.25, "N", "0.00 ± 0.25 N"),
     ):
         assert interval(Value(value, half / COVERED, unit)) == said
 

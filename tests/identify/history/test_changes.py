@@ -1,6 +1,7 @@
 """Histories drawn at random, of machines that change and of machines that do not; and real ones of one mass."""
 
 import csv
+import hashlib
 import io
 from datetime import UTC, datetime, timedelta
 
@@ -184,6 +185,7 @@ def test_wear_of_a_mass_is_found_in_its_recordings_in_the_order_of_their_names(r
     page = (tmp_path / "history.html").read_text()
     assert "left out: " in page
     assert "run11.mcap" in page
+    assert all(hashlib.sha256(path.read_bytes()).hexdigest()[:12] in page for path in sources[:4])
     assert sentence(found.report) in page
     again = identify.compare(
         [write(tmp_path / path.stem, o) for path, o in zip(sources, found.report.used, strict=False)]

@@ -59,6 +59,18 @@ def test_curves_can_be_switched_and_panels_move_together():
     assert {"BoxZoomTool", "HoverTool", "ResetTool"} <= set(found)
 
 
+def logarithmic(figure):
+    for axes, least in zip(figure.subplots(1, 3), (1e-9, 1e-2, 0.5), strict=True):
+        axes.semilogy([least, 1.0])
+        axes.set_title("histogram of the relative displacement of contact_1")
+
+
+def test_titles_fit_a_phone():
+    found = models(interactive(picture(logarithmic).figure))
+    titles = {one["text"]["attributes"]["text"] for one in found["Title"]}
+    assert titles == {"histogram of the relative\ndisplacement of contact_1"}
+
+
 def test_long_curves_keep_their_peaks():
     def draw(figure):
         values = np.zeros(50_000)
@@ -96,9 +108,10 @@ def test_what_it_cannot_draw_stays_a_picture(draw):
 def test_a_browser_draws_them(opened, tmp_path):
     odd = "</script><b>$$x$$ <!--<script>"
     html = page.figure("a", picture(lambda figure: curves(figure, odd)), odd) + page.figure("b", picture(everything))
+    html += page.figure("c", picture(logarithmic))
     page.write(tmp_path / "p.html", title=odd, colour="red", verdict="", sentence="", sections=[("A", html)], foot="")
     seen = opened(tmp_path / "p.html", PHONE_PX)
     assert seen.console == ()
     assert seen.scroll_px == PHONE_PX
-    assert len(seen.plots_px) == 2
+    assert len(seen.plots_px) == 3
     assert min(seen.plots_px) > 500  # panels one below the other

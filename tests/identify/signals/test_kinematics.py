@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import rig
+from identify.signals.beginning import force_begins
 from identify.signals.kinematics import CORNER_HZ, TAPER_S, kinematics
 from identify.signals.noise import acceleration_noise
 from rig.errors import RigError
@@ -176,12 +177,18 @@ def test_the_force_begins_where_it_begins():
     assert kinematics(recorded(sensor("displacement"), quiet_s=1.5)).excited_from == round(1.5 * RATE_HZ)
 
 
+def test_forces_begin_with_the_first_that_acts():
+    forces_n = np.random.default_rng(1).standard_normal((3, 3000))
+    forces_n[0, :1500], forces_n[1, :1200], forces_n[2] = 0.0, 0.0, 0.0
+    assert force_begins(forces_n, RATE_HZ) == 1200
+
+
 @pytest.mark.parametrize(("quiet_s", "noise_n"), [(1.5, 0.0), (1.5, 2e-3), (1.5, 0.05), (0.2, 0.05), (0.0, 0.05)])
 def test_noise_of_the_force_channel_is_no_force(quiet_s, noise_n):
     rng = np.random.default_rng(3)
     motion = kinematics(recorded(sensor("displacement"), quiet_s=quiet_s))
-    noisy = replace(motion, force_n=motion.force_n * rng.standard_normal(motion.force_n.size))
-    noisy = replace(noisy, force_n=noisy.force_n + noise_n * rng.standard_normal(noisy.force_n.size))
+    noisy = replace(motion, forces_n=motion.forces_n * rng.standard_normal(motion.samples))
+    noisy = replace(noisy, forces_n=noisy.forces_n + noise_n * rng.standard_normal(noisy.samples))
     assert round(quiet_s * RATE_HZ) <= noisy.excited_from <= round(quiet_s * RATE_HZ) + 8 * (quiet_s > 0)
 
 

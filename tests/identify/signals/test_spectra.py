@@ -146,6 +146,11 @@ def test_the_band_of_a_force_holds_all_but_the_share_at_either_end():
     assert found[1] == pytest.approx(high - lines_out / duration_s, abs=1 / duration_s)
 
 
+def test_the_band_of_several_forces_holds_that_of_each_that_acts():
+    tones = [np.sin(2 * np.pi * hz * np.arange(2000) / RATE_HZ) for hz in (40.0, 5.0)]
+    assert force_band(np.stack([tones[0], 1e-3 * tones[1], 0 * tones[0]]), RATE_HZ) == pytest.approx((5.0, 40.0))
+
+
 @pytest.mark.parametrize(("value", "said"), [(0.0, "zero throughout"), (2.0, "constant")])
 def test_no_force_has_no_band(value, said):
     with pytest.raises(RigError, match=f"the exciting force is {said}"):

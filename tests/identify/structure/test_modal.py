@@ -9,6 +9,7 @@ from identify.structure.modal import (
     NEARLY_INVISIBLE,
     contact_shapes,
     modal_equations,
+    pushing_force,
     relative_displacements,
     relative_velocities,
     transformation,
@@ -52,7 +53,7 @@ def motion_at_sensors(rig, responses, force_n=None):
         sample_rate_hz=rig.sample_rate_hz,
         trusted_hz=(0.0, 1638.4),
         zero_known=True,
-        force_n=np.zeros(SAMPLES) if force_n is None else force_n,
+        forces_n=np.zeros((1, SAMPLES)) if force_n is None else force_n[None],
         displacement_m=rows[0],
         velocity_m_per_s=rows[1],
         acceleration_m_per_s2=rows[2],
@@ -95,6 +96,20 @@ def test_a_modal_equation_carries_its_mode():
     assert barrel.shape_at_force == pytest.approx(1 / np.sqrt(rig.body("barrel").mass_kg))  # rigid translation
     np.testing.assert_allclose(barrel.shape_at_contacts, barrel.shape_at_force)
     assert (cradle.shape_at_contacts < 0).all()  # eta is barrel less cradle, and a first mode has one sign
+
+
+def test_forces_push_a_mode_as_much_as_the_one_that_does_the_same_work():
+    """The barrel's rigid modes: phi is constant, and proportional to the distance from its middle."""
+    rig = rig_of()
+    at_end, third = rig.force_at, Station("barrel", 0.25)
+    forces_n = np.random.default_rng(4).standard_normal((2, SAMPLES))
+    several = msgspec.structs.replace(rig, force_at=(third, at_end))
+    motion = motion_at_sensors(rig, lambda _: tones(6, 1))
+    translation, rotation = modal_equations(several, motion, rig.body("barrel"))[:2]
+    one = modal_equations(rig, motion, rig.body("barrel"))[1]
+    assert rotation.shape_at_force == one.shape_at_force
+    np.testing.assert_allclose(pushing_force(several, translation, forces_n), forces_n.sum(axis=0))
+    np.testing.assert_allclose(pushing_force(several, rotation, forces_n), forces_n[1] - 0.5 * forces_n[0])
 
 
 def test_a_contact_near_a_node_is_seen_little_and_on_it_not_at_all():

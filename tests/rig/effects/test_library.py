@@ -71,6 +71,7 @@ def test_an_effect_is_read_from_its_text(name):
     ("text", "sentence"),
     [
         ("wind", "no effect 'wind'; there are added_mass, asymmetric"),
+        ("added_maas", "no effect 'added_maas' (did you mean 'added_mass'?); there are"),
         ("preload:weight=1", "effect preload has no parameter 'weight'; it has force_n, relative_position, body"),
         ("preload:force_n", "effect preload: 'force_n' is not PARAMETER=VALUE"),
         ("preload:force_n=much", "effect preload: Expected `float`, got `str` - at `$.force_n`"),

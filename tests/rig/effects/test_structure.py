@@ -143,7 +143,7 @@ def test_the_finite_elements_of_exudyn_have_the_same_frequencies(text):
     machine = effect_named(text).applied_to(MACHINE)
     container = exu.SystemContainer()
     system = container.AddSystem()
-    ancf.build(exu, system, machine, 0.0, ancf.ELEMENTS)
+    ancf.build(exu, system, machine, [0.0], ancf.ELEMENTS)
     system.Assemble()
     found_hz, _ = system.ComputeODE2Eigenvalues(convert2Frequencies=True)
     container.Reset()

@@ -12,9 +12,12 @@ from rig.recording import channel_groups, read, writing
 from rig.simulation.reference import BarrelCradle
 
 
+@pytest.mark.parametrize("several", [False, True])
 @pytest.mark.parametrize("form", [form for form in WRITERS if f".{form}" in READERS])
-def test_an_exported_recording_comes_back_by_the_map_beside_it(tmp_path, form):
+def test_an_exported_recording_comes_back_by_the_map_beside_it(tmp_path, form, several):
     rig, rng = BarrelCradle(stations=4).rig(), np.random.default_rng(2)
+    if several:
+        rig = replace(rig, force_at=(rig.force_at, Station("cradle", 0.6), rig.force_at))
     gauge = Sensor(name="root", station=Station("cradle", 0.0), quantity="strain")
     rig = replace(rig, sensors=(*rig.sensors, gauge))
     groups = channel_groups(rig)

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 import pyuff
+from msgspec.structs import replace
 from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
@@ -101,6 +102,22 @@ def test_the_map_of_the_readme_works(folder):
 def test_a_free_decay_has_no_force(folder):
     recording = imported(folder, mapped(force="none"), text=csv_text())
     check(recording, VALUES | {"force": np.zeros(SAMPLES)})
+
+
+def test_several_forces_are_columns_of_their_own_units(folder):
+    rig = replace(RIG, force_at=(RIG.force_at, RIG.force_at))
+    (folder / "rig.json").write_bytes(to_json(rig))
+    lines = ['time = { column = "t" }', f"sensors = {toml(mapped()['sensors'])}"]
+    entries = ['[[force]]\ncolumn = "F"\nunit = "kN"', '[[force]]\ncolumn = "G"\nunit = "N"\nscale = -2.0']
+    (folder / "map.toml").write_text("\n".join([*lines, *entries]))
+    second = np.sin(TIME_S)
+    (folder / "lab.csv").write_text(csv_text(values=VALUES | {"G": second}, names="t,F,x,a,G"))
+    import_file(folder / "lab.csv", folder / "map.toml", folder / "r.mcap")
+    np.testing.assert_array_equal(read(folder / "r.mcap").forces_n, [1e3 * VALUES["force"], -2.0 * second])
+    for count, given in ((1, entries[0]), (0, "force = []")):
+        (folder / "map.toml").write_text("\n".join([*lines, given]))
+        with pytest.raises(RigError, match=rf"force has {count} columns, and its rig\.json 2 forces"):
+            import_file(folder / "lab.csv", folder / "map.toml", folder / "other.mcap")
 
 
 def test_csv_from_another_country(folder):

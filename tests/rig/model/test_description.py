@@ -85,6 +85,15 @@ def test_a_rig_survives_json(**changes):
         ({"force_at": Station("nose")}, "rig 'small' has no body 'nose'; it has beam, mass"),
         ({"force_at": Station("beam", 2.5)}, "the force stands at 2.5 m, off 'beam'; give 0 to 2.0 m"),
         ({"force_at": Station("beam", float("nan"))}, "the force stands at nan m"),
+        ({"force_at": (Station("mass"),)}, "force_at is a list of 1; give the place of one force by itself"),
+        ({"force_at": (Station("mass"), Station("beam", 2.5))}, "the force_2 stands at 2.5 m, off 'beam'"),
+        (
+            {
+                "force_at": (Station("mass"), Station("mass")),
+                "sensors": (Sensor(name="force_2", station=Station("mass"), quantity="velocity"),),
+            },
+            "more than one channel is named 'force_2'",
+        ),
         ({"sensors": (Sensor(name="s", station=Station("beam", -0.1), quantity="velocity"),)}, "sensor 's' stands at"),
         (
             {"contacts": (Contact(name="c", at=Station("mass"), against=Station("beam", 3.0), law=LAW),)},
@@ -171,6 +180,15 @@ def test_a_body_and_a_contact_are_found_by_name():
     assert rig.contact("stop") is rig.contacts[0]
     with pytest.raises(RigError, match="has no body 'nose'; it has beam, mass"):
         rig.body("nose")
+
+
+def test_several_forces_come_back_from_json_and_one_stands_there_as_ever():
+    one = small_rig()
+    assert (one.forces, one.force_names) == ((Station("mass"),), ("force",))
+    assert b'"force_at": {\n' in to_json(one)
+    two = small_rig(force_at=(Station("beam", 2.0), Station("mass")))
+    assert (two.forces, two.force_names) == (two.force_at, ("force_1", "force_2"))
+    assert from_json(to_json(two), "rig.json of x") == two
 
 
 def test_a_rig_cannot_be_changed():

@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from rig.errors import RigError
-from rig.model.description import UNITS, to_json
+from rig.model.description import UNITS, Station, to_json
 from rig.recording import RECORDED, channel_groups, read, read_truth, truth_groups, truth_path, writing
 from rig.recording.file import AT_ONCE, BLOCK, CHUNK_S, began_ns
 from rig.recording.messages import decode_block
@@ -82,6 +82,24 @@ def test_a_recording_survives_exactly_however_it_is_appended(tmp_path, total, cu
     assert back.samples == total
     assert back.duration_s == total / RIG.sample_rate_hz
     assert [p.name for p in tmp_path.iterdir()] == ["r.mcap"]
+
+
+def test_a_recording_has_as_many_force_channels_as_its_rig_has_forces(tmp_path):
+    rig = BarrelCradle(stations=4).rig()
+    several = msgspec.structs.replace(rig, force_at=(rig.force_at, Station("cradle", 0.6)))
+    values = samples_of(several, 1500)
+    write(tmp_path / "r.mcap", values, several)
+    back = read(tmp_path / "r.mcap")
+    assert back.signals["force"].channels.names == ("force_1", "force_2")
+    assert back.signals["force"].channels.stations == several.force_at
+    np.testing.assert_array_equal(back.forces_n, values["force"])
+    assert back.samples == 1500
+    with pytest.raises(RigError, match="2 forces at once"):
+        _ = back.force_n
+    for believed in (rig, msgspec.structs.replace(several, force_at=several.force_at[::-1])):
+        rewrite(tmp_path / "r.mcap", attachment=lambda _, believed=believed: to_json(believed))
+        with pytest.raises(RigError, match="group force has the channels"):
+            read(tmp_path / "r.mcap")
 
 
 def test_the_truth_survives_beside_the_recording(tmp_path):

@@ -24,6 +24,13 @@ def test_the_papers_forces_are_near(start):
     assert 0.5 < rattling_n(start.rig(), start.low_hz, start.high_hz) / start.rms_n < 2
 
 
+def test_two_equal_forces_at_one_place_may_be_weaker_by_root_two():
+    rig = Sdof().rig()
+    rig = replace(rig, contacts=tuple(replace(c, law=equal_sides(1e-3, 1e4)) for c in rig.contacts))
+    one, two = (rattling_n(replace(rig, force_at=at), 0.5, 15.0) for at in (rig.force_at, (rig.force_at,) * 2))
+    assert two == pytest.approx(one / np.sqrt(2), rel=0.15)  # to one significant digit
+
+
 def test_a_force_where_no_contact_has_a_clearance():
     rig = Sdof().rig()
     (contact,) = rig.contacts

@@ -1,10 +1,13 @@
 """Recording in one go: rig, force, plant, sensors, files."""
 
+import importlib.metadata
+
 import msgspec
 import numpy as np
 import pytest
 
 from rig.errors import RigError
+from rig.model.description import Station
 from rig.recording import read, read_truth, truth_path
 from rig.simulation.excitation import QUIET_S, BandLimitedGaussian
 from rig.simulation.plants import modal
@@ -32,6 +35,18 @@ def test_recording_and_truth_have_the_samples_asked_for(pair):
     assert recording.provenance["plant"] == "modal"
     assert float(recording.provenance["step_s"]) == 2.0**-14
     assert recording.provenance["seed"] == "1"
+
+
+def test_a_plant_needs_no_package_of_another(tmp_path, monkeypatch):
+    def version(name):
+        if name == "exudyn":
+            raise importlib.metadata.PackageNotFoundError(name)
+        return "1.0"
+
+    monkeypatch.setattr(importlib.metadata, "version", version)
+    told = recorded(tmp_path / "r.mcap")[0].provenance
+    assert told["version of numpy"] == "1.0"
+    assert "version of exudyn" not in told
 
 
 def test_nothing_moves_in_the_quiet_second(pair):
@@ -91,6 +106,18 @@ def test_the_seed_decides_the_whole_recording(tmp_path):
     quiet = slice(0, round(0.9 * rig.sample_rate_hz))
     noise = one.signals["acceleration"].values[0, quiet]
     assert np.std(noise) == pytest.approx(1e-3 * np.sqrt(rig.sample_rate_hz / 2), rel=4 / np.sqrt(2 * noise.size))
+
+
+def test_several_forces_are_alike_and_independent(tmp_path):
+    rig = msgspec.structs.replace(RIG, force_at=(RIG.force_at, Station("cradle", 0.6)))
+    recording, truth = recorded(tmp_path / "r.mcap", rig, duration_s=9.0)
+    one, _ = recorded(tmp_path / "one.mcap", duration_s=9.0)
+    np.testing.assert_array_equal(truth.forces_n, recording.forces_n)
+    np.testing.assert_array_equal(recording.forces_n[0], one.force_n)
+    begun = recording.forces_n[:, round(QUIET_S * rig.sample_rate_hz) :]
+    np.testing.assert_allclose(begun.std(axis=1), FORCE.rms_n, rtol=0.01)
+    assert abs(np.corrcoef(begun)[0, 1]) < 4 / np.sqrt(2 * 100.0 * 8.0)  # of 2 B T independent values
+    assert not np.allclose(recording.signals["acceleration"].values, one.signals["acceleration"].values)
 
 
 @pytest.mark.parametrize("duration_s", [1.5, 1.7301])

@@ -39,7 +39,7 @@ def rig_with(*sensors):
 def motion_of(signal, rows, step_s=STEP_S):
     """A motion whose every row, force and truth included, is the same signal."""
     one = signal[None, :]
-    return Motion(0.0, step_s, signal, np.repeat(one, rows, axis=0), one, one, one)
+    return Motion(0.0, step_s, one, np.repeat(one, rows, axis=0), one, one, one)
 
 
 def deliver(signal, *sensors, seed=1):

@@ -102,6 +102,14 @@ def test_nothing_lies_outside_the_picture(tmp_path, make):
         assert top < y < top + height, text
 
 
+def test_each_of_several_forces_has_its_number(tmp_path):
+    rig = BarrelCradle().rig()
+    rig = replace(rig, force_at=(rig.force_at, Station("cradle", 0.6), rig.force_at))
+    x_of = {text: x - 10 for text, x, _ in texts(drawn(rig, tmp_path)) if text in ("F1, F3", "F2")}
+    scale = 800.0 / (rig.contacts[0].against.position_m + 1.0)
+    assert x_of == {"F1, F3": pytest.approx(800.0, abs=0.1), "F2": pytest.approx(scale * 0.6, abs=0.1)}
+
+
 def test_things_on_a_mass_stand_apart(tmp_path):
     rig = replace(Sdof().rig(), **attached("mass", 0.0, 0.0))
     places = [x for text, x, _ in texts(drawn(rig, tmp_path)) if text in ("stop", "force F", "x, a", *SAID)]

@@ -284,18 +284,18 @@ def test_the_figures_of_every_wall_stand_beyond_it_in_a_column_of_their_own(mass
     assert np.diff(sorted(columns)).min() > reach
 
 
-def test_the_bars_of_the_histogram_span_their_bins(mass, tmp_path):
+def test_the_bars_of_the_histogram_span_their_bins_and_leave_the_quiet_second_out(mass, tmp_path):
     recording, truth = mass
     write_rrd(recording, truth, tmp_path / "r.rrd")
     drawn = [static(tmp_path / "r.rrd", entity("histogram", "stop"), f"BarChart:{n}") for n in ("abscissa", "values")]
     left, share = (np.array(one[0]["buffer"]) for one in drawn)
     width = np.array(static(tmp_path / "r.rrd", entity("histogram", "stop"), "BarChart:widths"))
     np.testing.assert_allclose(left[1:], (left + width)[:-1], atol=1e-6)
-    eta_mm = 1e3 * relative(truth)
+    eta_mm = 1e3 * relative(truth)[round(truth.rig.sample_rate_hz) :]
     assert share.sum() == pytest.approx(100)
-    for k in np.flatnonzero(share)[::7]:
+    for k in np.flatnonzero(share):
         least, most = ((eta_mm > left[k] - e) & (eta_mm < left[k] + width[k] + e) for e in (-1e-6, 1e-6))
-        assert 100 * least.mean() - 1e-9 <= share[k] <= 100 * most.mean() + 1e-9
+        assert 100 * least.mean() - 1 <= share[k] <= 100 * most.mean() + 1  # the first motion is slow
 
 
 CURVES = "time_s,stop relative displacement m,stop contact force N\n"

@@ -44,7 +44,7 @@ def simulated(rig, force_n, step_s):
 def test_first_four_elastic_frequencies_are_within_a_thousandth(system, ends):
     rig = one_beam(ends)
     beam = rig.bodies[0]
-    ancf.build(exu, system, rig, 0.0, ancf.ELEMENTS)
+    ancf.build(exu, system, rig, [0.0], ancf.ELEMENTS)
     system.Assemble()
     found_hz, _ = system.ComputeODE2Eigenvalues(convert2Frequencies=True)
     assert np.count_nonzero(np.asarray(found_hz) < 1) == (3 if ends == "free-free" else 0)  # rigid in the plane
@@ -56,7 +56,7 @@ def test_first_four_elastic_frequencies_are_within_a_thousandth(system, ends):
 def test_static_tip_deflection_is_within_a_thousandth(system):
     rig = one_beam("clamped-free")
     force_n = 1.0
-    meshes, _, _ = ancf.build(exu, system, rig, force_n, ancf.ELEMENTS)
+    meshes, _, _ = ancf.build(exu, system, rig, [force_n], ancf.ELEMENTS)
     system.Assemble()
     settings = exu.SimulationSettings()
     settings.solutionSettings.writeSolutionToFile = False
@@ -121,7 +121,7 @@ def test_nodes_stand_at_contacts_and_force():
 
 def meshes_of(rig):
     container = exu.SystemContainer()
-    meshes, _, _ = ancf.build(exu, container.AddSystem(), rig, 0.0, ancf.ELEMENTS)
+    meshes, _, _ = ancf.build(exu, container.AddSystem(), rig, [0.0], ancf.ELEMENTS)
     container.Reset()
     return meshes
 

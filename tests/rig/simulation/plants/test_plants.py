@@ -13,7 +13,7 @@ from rig.model.contact_laws import LAWS, DeadZone
 from rig.model.description import Contact, Rig, Sensor, Station, contact_stations
 from rig.model.oscillator import Oscillator
 from rig.simulation.excitation import QUIET_S, BandLimitedGaussian, force_history
-from rig.simulation.motion import joined
+from rig.simulation.motion import Forces, joined
 from rig.simulation.plants import PLANTS, ancf, modal, plant_named
 from rig.simulation.reference import BarrelCradle, Sdof
 from scenarios.engines import tip_difference, young_motion
@@ -202,6 +202,43 @@ def test_both_plants_move_alike_while_contact_is_young(young, modes):
     assert motion.contact_force_n.any()
     for body, difference in tip_difference(young, motion).items():
         assert difference < 0.03, body
+
+
+def test_both_plants_move_alike_under_two_forces(young):
+    beside = Station("cradle", 0.6)
+    two, motion = (young_motion(p.simulate, young.step_s, beside=beside) for p in (ancf, modal))
+    for body, difference in tip_difference(two, motion).items():
+        assert difference < 0.03, body
+    assert max(tip_difference(two, young).values()) > 0.3  # the second force matters
+
+
+def driven(plant, rig, forces):
+    """The sensors under forces by the places where they act."""
+    rig = msgspec.structs.replace(rig, force_at=tuple(at for at, _ in forces) if len(forces) > 1 else forces[0][0])
+    return simulated(plant, rig, Forces(tuple(force_n for _, force_n in forces)), 2.0**-13).sensed
+
+
+def test_two_forces_at_one_place_are_their_sum(plant):
+    time_s = np.arange(1600) * 2.0**-13
+    rig, force_n = BarrelCradle(stations=4).rig(), 40.0 * (1 - np.cos(2 * np.pi * np.outer([20.0, 33.0], time_s)))
+    both = driven(plant, rig, [(rig.force_at, row) for row in force_n])
+    together = driven(plant, rig, [(rig.force_at, force_n.sum(axis=0))])
+    size = np.abs(together).max(axis=1)
+    assert size.min() > 0  # the barrel has met its cradle
+    assert np.all(np.abs(both - together).max(axis=1) < 1e-6 * size)
+
+
+def test_without_contacts_the_motion_under_two_forces_is_the_sum_of_those_under_each(plant):
+    rig = msgspec.structs.replace(BarrelCradle(stations=4).rig(), contacts=())
+    force_n = 1e-3 * np.random.default_rng(1).standard_normal((2, 800))  # so small that ancf is linear
+    forces = list(zip((rig.force_at, Station("cradle", 0.6)), force_n, strict=True))
+    both, one, other = driven(plant, rig, forces), *(driven(plant, rig, [force]) for force in forces)
+    assert np.all(np.abs(both - one - other).max(axis=1) < 1e-5 * np.abs(both).max(axis=1))
+
+
+def test_as_many_forces_as_the_rig_has_are_asked_for(plant):
+    with pytest.raises(RigError, match="rig 'sdof' is driven by 1 of force, not 2"):
+        simulated(plant, Sdof().rig(), Forces((np.zeros(9), np.zeros(9))), 2.0**-13)
 
 
 def test_six_modes_are_too_few_for_that(young):

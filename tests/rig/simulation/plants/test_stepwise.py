@@ -83,3 +83,9 @@ def test_a_shaking_base_is_refused():
     rig = replace(BARREL, base_motion=BaseMotion(acceleration_rms_m_per_s2=1.0, low_hz=5.0, high_hz=9.0))
     with pytest.raises(RigError, match="its base shakes"):
         Stepwise(rig, STEP_S)
+
+
+def test_several_forces_are_refused():
+    rig = Sdof().rig()
+    with pytest.raises(RigError, match="2 forces act on it, and one is given step by step; leave one in force_at"):
+        Stepwise(replace(rig, force_at=(rig.force_at, rig.force_at)), STEP_S)

@@ -1,12 +1,18 @@
-"""The option --export of all that draw curves."""
+"""The options that several commands have."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, get_args
 
 import typer
 
 from identify.pages.tables import WRITERS
+from identify.signals.kinematics import Use
 
+Used = Annotated[str, typer.Option(help=f"Which sensors: {', '.join(get_args(Use))}.")]
+Believed = Annotated[
+    str | None,
+    typer.Option(help="How exactly rig.json is believed: laboratory, exact, or a TOML file; else as it says itself."),
+]
 Export = Annotated[
     str | None, typer.Option(help=f"Write the curves of the figures to the folder too, as {', '.join(WRITERS)}.")
 ]
