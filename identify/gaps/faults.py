@@ -19,6 +19,11 @@ WITHOUT_FORCE = (
     "the exciting force is zero throughout: identify gap reads free decays of one mass or of elastic bodies, not of "
     "masses beside other bodies; measure the force of a shaker or a hammer, or take identify contact, which reads them"
 )
+UNSEEN = (
+    "the exciting force is zero throughout: in a free decay of elastic bodies identify gap reads displacement sensors, "
+    "as accelerometers do not show the slow motion well enough; measure displacements or the force, or take identify "
+    "contact, which reads accelerometers"
+)
 NO_DECAY = (
     "the exciting force is zero throughout, and this is no free decay, whose motion only falls; measure the force (of "
     "one mass on a shaking base: minus its mass times the base's acceleration), or let the record begin when the rig "
@@ -58,17 +63,21 @@ def sound_channels(recording: Recording, without: tuple[str, ...] = ()) -> tuple
 def check_decay(recording: Recording) -> None:
     """Raises RigError if a record without a force is no free decay, by the level of all sensors of a quantity.
 
-    Likewise if it is one of masses beside other bodies.
+    Likewise if it is one of masses beside other bodies, or of elastic bodies without displacement sensors.
     """
-    if len(recording.rig.bodies) > 1 and any(b.is_mass for b in recording.rig.bodies):
+    bodies = recording.rig.bodies
+    masses = any(b.is_mass for b in bodies)
+    if len(bodies) > 1 and masses:
         raise RigError(WITHOUT_FORCE)
     second = round(recording.rig.sample_rate_hz)
     for name, signals in recording.signals.items():
         rows = signals.values[:, : signals.values.shape[1] // second * second]
         level = np.linalg.norm(rows.reshape(len(rows), -1, second).std(axis=2), axis=0)
-        earlier = np.maximum(np.minimum.accumulate(level), LITTLE * level.max())
+        earlier = np.maximum(np.minimum.accumulate(level), (not masses) * LITTLE * level.max())
         if name != "force" and (np.any(level > LOUDER * earlier) or level.min() > FALLEN * level.max()):
             raise RigError(NO_DECAY)
+    if not masses and "displacement" not in recording.signals:
+        raise RigError(UNSEEN)
 
 
 def fault_of(row: Float[np.ndarray, " samples"]) -> str | None:

@@ -1,12 +1,11 @@
 """The free motion of elastic bodies in a record without a force, which begins in motion: unknowns of the linear model.
 
-Such a record does not fade in. What a mode of displacement q_0 and velocity q_0' at its first sample adds to the
-accelerations that forces cause from rest is, with its accelerance A_m = -omega^2 / D_m,
+Such a record does not fade in. What a mode of displacement q_0 and velocity q_0' at its first sample adds to the second
+derivative of the displacements, the jump at the first sample included, is, with its accelerance A_m = -omega^2 / D_m,
 
-    q_0 [(i omega + 2 zeta_m omega_m) A_m - i omega] + q_0' [A_m - 1]
+    q_0 (i omega + 2 zeta_m omega_m) A_m + q_0' A_m
 
-where the last terms are the jump at the first sample, of which displacement sensors see all and sensors of velocity
-that of the displacement. All q_0 and q_0' are found by least squares, for every rig that is laid against the record.
+All q_0 and q_0' are found by least squares, for every rig that is laid against the record.
 """
 
 from collections.abc import Sequence
@@ -45,7 +44,7 @@ def free_motions(record: Record, responses: Sequence[Response], places: list[Sta
     """
     if record.forced:
         return ()
-    turning, order = 1j * record.omega, record.sensors[0].measures.order
+    turning = 1j * record.omega
     found = []
     for k, response in enumerate(responses):
         if response.body.is_mass:
@@ -54,9 +53,7 @@ def free_motions(record: Record, responses: Sequence[Response], places: list[Sta
         damped = 4 * np.pi * response.dynamics.natural_hz * response.dynamics.damping_ratios
         shapes = response.shapes(places)
         for m in np.flatnonzero(believed_hz < record.highest_hz):
-            by_velocity = response.accelerance[m]
-            by_displacement = (turning + damped[m]) * by_velocity
-            units = np.stack([by_displacement - (order > 0) * turning, by_velocity - (order > 1)])
+            units = np.stack([(turning + damped[m]) * response.accelerance[m], response.accelerance[m]])
             found.append(FreeMotion(k, int(m), shapes[:, m], units, np.zeros(2)))
     return tuple(found)
 

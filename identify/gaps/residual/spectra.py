@@ -1,6 +1,6 @@
 """A recording as the diagnosis reads it: the spectra of force and accelerations, and how far noise explains them."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -157,6 +157,8 @@ class Record:
 def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Tolerances | None = None) -> Record:
     """The spectra of a recording's accelerometers; without any, of its velocity or else its displacement sensors.
 
+    In a free decay of elastic bodies its displacement sensors come first.
+
     Raises RigError if it is too short or has no sensors.
     """
     rig, rate = recording.rig, recording.rig.sample_rate_hz
@@ -169,7 +171,8 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     moving = [s for s in rig.sensors if s.measures.translates]
     if not moving:
         raise RigError("the recording has no sensors of motion; the diagnosis needs them, best accelerometers")
-    quantity = max(moving, key=lambda s: s.measures.order).quantity
+    free = not np.any(recording.forces_n) and not any(b.is_mass for b in rig.bodies)
+    quantity = (min if free else max)(moving, key=lambda s: s.measures.order).quantity
     sensors = sensors_of(rig, quantity)
     motion = kinematics(recording, quantity, least_order=2 if np.any(recording.forces_n) else 0)
     excited_hz = REACH * driven_to_hz(motion) if is_unforced(motion) else _excited_hz(recording.forces_n, rate)
@@ -186,7 +189,6 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     omega = 2 * np.pi * np.arange(lines) * rate / length
     omega[0] = 0.01 * omega[1]  # stands for the mean, which powers of omega would lose
     quiet = motion.excited_from > QUIET_S * rate
-    free = is_unforced(motion) and not any(b.is_mass for b in rig.bodies)
     shape = taper(samples, round(TAPER_S * rate))
     if free:
         shape[0] = 0.5  # half a sample: what begins there has no value before
@@ -213,13 +215,6 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     size = np.stack([omega ** (2 - s.measures.order) for s in sensors])
     begin_s = 0.0 if quiet else RELEASED_S if free else LEFT_OUT_S
     end_s = min(samples / rate - LEFT_OUT_S, max(_decayed_s(motion), begin_s + LEAST_S))
-    drifts = tuple(drift_of(joint, motion, j, noise, tolerances, samples) for j in range(len(joint.contacts)))
-    if free and not motion.zero_known:  # its first moments are far louder than what counts
-        part = motion.part(slice(round(begin_s * rate), round(end_s * rate)))
-        counted = [drift_of(joint, part, j, noise, tolerances, samples) for j in range(len(drifts))]
-        drifts = tuple(
-            replace(d, noise_density=c.noise_density) for d, c in zip(drifts, counted, strict=True) if d and c
-        )
     return Record(
         rig=rig,
         sensors=sensors,
@@ -237,7 +232,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         noise=samples * (densities[:, None] * size) ** 2 * rate / 2,
         power=smooth * np.abs(turned) ** 2,
         eta_beyond=eta_beyond,
-        drifts=drifts,
+        drifts=tuple(drift_of(joint, motion, j, noise, tolerances, samples) for j in range(len(joint.contacts))),
         excited_s=motion.excited_from / rate,
         period_s=None if period is None else period / rate,
         tolerances=tolerances,
