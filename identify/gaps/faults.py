@@ -10,9 +10,9 @@ from rig.recording import Recording, Signals, channel_groups
 STUCK = 1e-3
 """A channel that stands at its largest or smallest value for more than this share of the record is clipped."""
 LOUDER = 1.2
-LITTLE = 0.1
-"""In a free decay no second is louder by this factor than an earlier one, as the energy only falls, or than little: a
-tenth of the loudest."""
+LITTLE = 0.03
+"""In a free decay no second is louder by this factor than an earlier one, as the energy only falls; of elastic bodies,
+or than little: this share of the loudest, below which no second counts."""
 FALLEN = 0.5
 """And the quietest second has no more than this share of the loudest."""
 WITHOUT_FORCE = (
@@ -63,21 +63,26 @@ def sound_channels(recording: Recording, without: tuple[str, ...] = ()) -> tuple
 def check_decay(recording: Recording) -> None:
     """Raises RigError if a record without a force is no free decay, by the level of all sensors of a quantity.
 
-    Likewise if it is one of masses beside other bodies, or of elastic bodies without displacement sensors.
+    Likewise if it is one of masses beside other bodies, or of elastic bodies without displacement sensors. Of elastic
+    bodies the velocity must fall, as slow swings between their stops may grow while the energy falls.
     """
     bodies = recording.rig.bodies
-    masses = any(b.is_mass for b in bodies)
-    if len(bodies) > 1 and masses:
+    elastic = not any(b.is_mass for b in bodies)
+    if len(bodies) > 1 and not elastic:
         raise RigError(WITHOUT_FORCE)
-    second = round(recording.rig.sample_rate_hz)
-    for name, signals in recording.signals.items():
-        rows = signals.values[:, : signals.values.shape[1] // second * second]
-        level = np.linalg.norm(rows.reshape(len(rows), -1, second).std(axis=2), axis=0)
-        earlier = np.maximum(np.minimum.accumulate(level), (not masses) * LITTLE * level.max())
-        if name != "force" and (np.any(level > LOUDER * earlier) or level.min() > FALLEN * level.max()):
-            raise RigError(NO_DECAY)
-    if not masses and "displacement" not in recording.signals:
+    if elastic and "displacement" not in recording.signals:
         raise RigError(UNSEEN)
+    if elastic:
+        motions = [np.diff(recording.signals["displacement"].values)]
+    else:
+        motions = [signals.values for name, signals in recording.signals.items() if name != "force"]
+    second = round(recording.rig.sample_rate_hz)
+    for rows in motions:
+        seconds = rows[:, : rows.shape[1] // second * second].reshape(len(rows), -1, second)
+        level = np.linalg.norm(seconds.std(axis=2), axis=0)
+        earlier = np.maximum(np.minimum.accumulate(level), LITTLE * level.max() if elastic else 0.0)
+        if np.any(level > LOUDER * earlier) or level.min() > FALLEN * level.max():
+            raise RigError(NO_DECAY)
 
 
 def fault_of(row: Float[np.ndarray, " samples"]) -> str | None:

@@ -53,7 +53,7 @@ def test_a_null_simulation_begins_in_motion_as_the_record_does(name, tmp_path):
 
 
 def test_null_simulations_of_beams_move_as_much_as_the_record(tmp_path):
-    measured = decay("two beams, free decay, no force measured", tmp_path)
+    measured = decay("two beams, free decay, displacements", tmp_path)
     made = released(measured, modal)(measured.rig, measured.rig, measured.forces_n, 1)
     second = round(measured.rig.sample_rate_hz)
     levels = [row(one)[: FIRST_S * second].reshape(FIRST_S, second).std(axis=1) for one in (measured, made)]
