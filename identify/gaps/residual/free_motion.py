@@ -85,7 +85,7 @@ def fitted_motions(
         )
     )
     size = np.sqrt(np.diag(normal))
-    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)  # no accelerometer shows a rigid mode's
+    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
     states = scale * (np.linalg.pinv(scale[:, None] * normal * scale, hermitian=True) @ (scale * gradient[:, 0]))
     return tuple(replace(m, state=state) for m, state in zip(motions, states.reshape(-1, 2), strict=True))
 
