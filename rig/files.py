@@ -141,11 +141,12 @@ def atomic_write(path: Path) -> Iterator[Path]:
         try:
             yield part
             settle(part, path)
-        except OSError as error:
-            raise RigError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from error
-        finally:
+        except BaseException as error:  # once settled it stays: what stands there then is the next writer's
             with suppress(OSError):
                 part.unlink()
+            if not isinstance(error, OSError):
+                raise
+            raise RigError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from error
 
 
 def write_bytes(data: bytes, path: Path) -> None:

@@ -18,6 +18,7 @@ from identify.checks.relations import usual_factor
 from identify.signals.kinematics import Kinematics
 from identify.signals.spectra import decimated, force_band
 from identify.structure.joined import joined_contacts
+from rig.errors import RigError
 from rig.model.description import Body, Rig
 from rig.model.tolerances import Tolerances
 
@@ -118,7 +119,10 @@ def _fit_below(share: float, rig: Rig, motion: Kinematics, row: int) -> MassFit 
         centred = [p - p.mean(axis=1, keepdims=True) for p in parts]
         every = np.concatenate(centred, axis=1)
         sizes = every[1:].std(axis=1)
-        inverse = np.linalg.pinv((every[1:] / sizes[:, None]).T)
+        scaled = every[1:] / sizes[:, None]
+        if not np.isfinite(scaled).all():
+            raise RigError("while contacts are open nothing moves, or by more than any machine")
+        inverse = np.linalg.pinv(scaled.T)
         values = inverse @ every[0] / sizes
         left = every[0] - values @ every[1:]
         ends = np.cumsum([p.shape[1] for p in centred])[:-1]

@@ -30,7 +30,10 @@ def read_hdf5(path: Path, most_bytes: int) -> Iterator[Column]:
     if not h5py.is_hdf5(path):
         raise RigError(f"{path}: cannot be read as HDF5 (its beginning is another); export it again")
     with h5py.File(path, "r", locking=False) as file:
-        file.visititems(lambda _, item: found.append(item) if isinstance(item, h5py.Dataset) else None)
+        try:
+            file.visititems(lambda _, item: found.append(item) if isinstance(item, h5py.Dataset) else None)
+        except RuntimeError:  # of HDF5, in words that tell of anything
+            raise RigError(f"{path}: cannot be read as HDF5 (damaged); export it again") from None
         left = most_bytes
         for item in found:
             if item.dtype.kind not in "iuf" or item.ndim not in (1, 2) or item.size < 2:

@@ -241,17 +241,15 @@ def writing(
     An interruption (Ctrl-C) completes the file with what was written so far. A full disk leaves what was written under
     the name FILE.part, as a kill does, for rig.recovery. Any other error removes it.
     """
+    interruption = None
     with reserved(path) as part:
         try:
             with part.open("wb") as stream:
                 writer = RecordingWriter(stream, rig, groups, provenance, foreign)
                 try:
                     yield writer
-                except KeyboardInterrupt:
-                    writer.finish()
-                    stream.flush()
-                    settle(part, path)
-                    raise
+                except KeyboardInterrupt as error:
+                    interruption = error
                 writer.finish()
             settle(part, path)
         except (OSError, CutOffError) as error:  # CutOffError: the disk failed another file of the same recording
@@ -263,6 +261,8 @@ def writing(
         except BaseException:
             part.unlink(missing_ok=True)
             raise
+        if interruption is not None:
+            raise interruption
 
 
 def _forces(rig: Rig) -> Channels:

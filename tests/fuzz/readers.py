@@ -197,9 +197,9 @@ def viewed_contact_json(rng: np.random.Generator, folder: Path) -> str:
     return refused_or_right(folder, work)
 
 
-def _simulated(_believed: Rig, _actual: Rig, force_n: np.ndarray, _seed: int) -> Recording:
+def _simulated(_believed: Rig, _actual: Rig, forces_n: np.ndarray, _seed: int) -> Recording:
     """The sound recording, whatever is asked for: what is tried is the file that keeps the outcome."""
-    assert len(force_n) == sound_recording().samples
+    assert forces_n.shape == sound_recording().forces_n.shape
     return sound_recording()
 
 

@@ -87,7 +87,7 @@ def test_a_rig_with_other_sensors_is_refused(file, tmp_path):
         rig.RigError, match=r"other\.json: its forces, sensors or their sampling rate are not those of .*mass\.mcap"
     ):
         identify.gap(file, rig=path)
-    with pytest.raises(rig.RigError, match="rig 'sdof': its sensors"):
+    with pytest.raises(rig.RigError, match="rig 'sdof': its forces, sensors"):
         identify.gap(rig.read(file), rig=rig.Sdof(sensors="velocity").rig())
 
 

@@ -2,13 +2,18 @@
 
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from threading import Event
 
 import pytest
 
 from rig.errors import RigError
-from rig.files import atomic_write, check_target, reserved, write_bytes, write_json
+from rig.files import atomic_write, check_target, reserved, settle, write_bytes, write_json
+from rig.recording import channel_groups, writing
+from rig.simulation.reference import Sdof
+
+RIG = Sdof().rig()
 
 
 def test_a_file_appears_when_it_is_whole(tmp_path):
@@ -44,6 +49,25 @@ def test_two_writers_wait_for_each_other(tmp_path):
         assert first.done()
     assert path.read_text() == "the second"
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("end", [None, KeyboardInterrupt])
+def test_the_next_writers_place_is_left_alone(tmp_path, monkeypatch, end):
+    """A writer that has renamed its file owns nothing beside it any more, not even when it is interrupted."""
+    began = tmp_path / "value.part"
+
+    def settle_as_the_next_begins(part, path):
+        settle(part, path)
+        began.write_text("the next")
+
+    monkeypatch.setattr("rig.files.settle", settle_as_the_next_begins)
+    monkeypatch.setattr("rig.recording.file.settle", settle_as_the_next_begins)
+    write_bytes(b"whole", tmp_path / "value")
+    assert began.read_text() == "the next"
+    with suppress(KeyboardInterrupt), writing(tmp_path / "value", RIG, channel_groups(RIG), {}):
+        if end is not None:
+            raise end
+    assert began.read_text() == "the next"
 
 
 def test_a_place_that_another_writer_keeps_is_refused(tmp_path):

@@ -86,8 +86,8 @@ def _observed(run: Recording, linearization: Linearization) -> _Observed:
 
 def _spectrum(measured: Recording, observed: list[_Observed]) -> Curve:
     """Of the last sensor."""
-    last, keep = measured.rig.sensors[-1], slice(1, CURVE_POINTS)
-    hz = np.arange(len(observed[0].density)) / SEGMENT_S
+    last, keep, rate = measured.rig.sensors[-1], slice(1, CURVE_POINTS), measured.rig.sample_rate_hz
+    hz = np.fft.rfftfreq(int(SEGMENT_S * rate), 1 / rate)
     return Curve(
         f"power spectral density, {last.name}",
         "frequency, Hz",

@@ -19,8 +19,9 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int
 
-from identify.gaps.residual.law import ContactObservation, ContactResidual
+from identify.gaps.residual.law import ContactResidual
 from identify.gaps.residual.lines import cost_of_lines
+from identify.gaps.residual.observation import ContactObservation
 from identify.gaps.residual.residual import Linearization, Residual
 from identify.gaps.residual.scales import band_of_lines, by_band, posterior_level, second_levels
 from identify.gaps.residual.spectra import Record

@@ -14,17 +14,16 @@ from msgspec.structs import replace
 
 from identify.gaps.residual.grounded import pushed_by_motion
 from identify.gaps.residual.law import (
-    ContactObservation,
     ContactResidual,
     ContactSignals,
     contact_residual,
     laid_out,
-    seen_contacts,
     start_of,
 )
 from identify.gaps.residual.linear import Linear, linear_model
 from identify.gaps.residual.lines import standing_out, without_lines
 from identify.gaps.residual.nuisance import Columns, apply_nuisance, columns_of, counted, with_nuisance
+from identify.gaps.residual.observation import ContactObservation, seen_contacts
 from identify.gaps.residual.scales import Scales, estimated_scales, prior_scales
 from identify.gaps.residual.spectra import Record
 from identify.structure import response
