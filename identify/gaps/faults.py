@@ -10,12 +10,19 @@ from rig.recording import Recording, Signals, channel_groups
 STUCK = 1e-3
 """A channel that stands at its largest or smallest value for more than this share of the record is clipped."""
 LOUDER = 1.2
-"""In a free decay no second is that much louder than an earlier one, as the energy only falls."""
+LITTLE = 0.03
+"""In a free decay no second is louder by this factor than an earlier one, as the energy only falls; of elastic bodies,
+or than little: this share of the loudest, below which no second counts."""
 FALLEN = 0.5
 """And the quietest second has no more than this share of the loudest."""
 WITHOUT_FORCE = (
-    "the exciting force is zero throughout: of beams identify gap compares the motion with what rig.json makes of a "
-    "measured force; measure the force of a shaker or a hammer, or take identify contact, which reads free decays"
+    "the exciting force is zero throughout: identify gap reads free decays of one mass or of elastic bodies, not of "
+    "masses beside other bodies; measure the force of a shaker or a hammer, or take identify contact, which reads them"
+)
+UNSEEN = (
+    "the exciting force is zero throughout: in a free decay of elastic bodies identify gap reads displacement sensors, "
+    "as accelerometers do not show the slow motion well enough; measure displacements or the force, or take identify "
+    "contact, which reads accelerometers"
 )
 NO_DECAY = (
     "the exciting force is zero throughout, and this is no free decay, whose motion only falls; measure the force (of "
@@ -54,16 +61,27 @@ def sound_channels(recording: Recording, without: tuple[str, ...] = ()) -> tuple
 
 
 def check_decay(recording: Recording) -> None:
-    """Raises RigError if a record without a force is not the free decay of a single mass."""
-    rig = recording.rig
-    if len(rig.bodies) > 1 or not rig.bodies[0].is_mass:
+    """Raises RigError if a record without a force is no free decay, by the level of all sensors of a quantity.
+
+    Likewise if it is one of masses beside other bodies, or of elastic bodies without displacement sensors. Of elastic
+    bodies the velocity must fall, as slow swings between their stops may grow while the energy falls.
+    """
+    bodies = recording.rig.bodies
+    elastic = not any(b.is_mass for b in bodies)
+    if len(bodies) > 1 and not elastic:
         raise RigError(WITHOUT_FORCE)
-    second = round(rig.sample_rate_hz)
-    for sensor in rig.sensors:
-        signals = recording.signals[sensor.quantity]
-        row = signals.values[signals.channels.names.index(sensor.name)]
-        level = row[: row.size // second * second].reshape(-1, second).std(axis=1)
-        if np.any(level > LOUDER * np.minimum.accumulate(level)) or level.min() > FALLEN * level.max():
+    if elastic and "displacement" not in recording.signals:
+        raise RigError(UNSEEN)
+    if elastic:
+        motions = [np.diff(recording.signals["displacement"].values)]
+    else:
+        motions = [signals.values for name, signals in recording.signals.items() if name != "force"]
+    second = round(recording.rig.sample_rate_hz)
+    for rows in motions:
+        seconds = rows[:, : rows.shape[1] // second * second].reshape(len(rows), -1, second)
+        level = np.linalg.norm(seconds.std(axis=2), axis=0)
+        earlier = np.maximum(np.minimum.accumulate(level), LITTLE * level.max() if elastic else 0.0)
+        if np.any(level > LOUDER * earlier) or level.min() > FALLEN * level.max():
             raise RigError(NO_DECAY)
 
 

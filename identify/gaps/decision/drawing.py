@@ -17,14 +17,15 @@ PLACES = 41
 """Of a beam's shapes, beside those where something stands."""
 
 
-def drawn(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draws"]) -> tuple[Rig, list[float]]:
+def drawn(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draws"]) -> Rig:
     """The rig with every value off by its tolerance times the next of the standard normal draws.
 
-    A beam becomes a structure, each of whose modes has a frequency and a damping of its own. Also returns the corner of
-    each sensor's high-pass (Hz), which no rig describes; no more does it the gain of one of several forces.
+    A beam becomes a structure, each of whose modes has a frequency and a damping of its own. An AC-coupled sensor has a
+    high-pass more than its description says, as one whose corner is the sum. The gain of one of several forces is in no
+    rig.
     """
     draw = iter(normals.tolist())
-    sensors, corners_hz = [], []
+    sensors = []
     moved: dict[Station, Station] = {}
     for sensor in rig.sensors:
         own = tolerances.of_sensor(sensor.name)
@@ -33,27 +34,24 @@ def drawn(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draws"]
             place = float(np.clip(sensor.station.position_m + own.position_m * next(draw), 0.0, length))
             moved[sensor.station] = Station(sensor.station.body, place)
         gain, delay_s = 1 + own.gain * next(draw), own.delay_s * next(draw)
-        corner_hz = abs(own.high_pass_hz * next(draw))
+        corner_hz = abs(own.high_pass_hz * next(draw)) * sensor.measures.ac_coupled
         chain = {"gain": sensor.gain * gain, "delay_s": sensor.delay_s + delay_s}
+        chain["high_pass_hz"] = sensor.high_pass_hz + corner_hz
         fibre_m = rig.fibre_m(sensor) or None  # a structure does not know how thick it is
         sensors.append(replace(sensor, station=moved[sensor.station], fibre_m=fibre_m, **chain))
-        corners_hz.append(corner_hz if sensor.measures.ac_coupled else 0.0)
     gain = rig.force_sensor.gain * (1 + tolerances.force_gain * next(draw) * (len(rig.forces) == 1))
     contacts = tuple(_contact(contact, tolerances, draw) for contact in rig.contacts)
     bodies = tuple(_body(rig, body, sensors, tolerances, draw) for body in rig.bodies)
     taken_up = {b.name for b in bodies if not b.is_mass} & {b.name for b in rig.bodies}
-    return (
-        replace(
-            rig,
-            bodies=bodies,
-            sensors=tuple(sensors),
-            contacts=contacts,
-            force_sensor=replace(rig.force_sensor, gain=gain),
-            masses=tuple(m for m in rig.masses if m.station.body not in taken_up),
-            springs=tuple(_nonlinear(rig, taken_up)),
-            clamps=(),
-        ),
-        corners_hz,
+    return replace(
+        rig,
+        bodies=bodies,
+        sensors=tuple(sensors),
+        contacts=contacts,
+        force_sensor=replace(rig.force_sensor, gain=gain),
+        masses=tuple(m for m in rig.masses if m.station.body not in taken_up),
+        springs=tuple(_nonlinear(rig, taken_up)),
+        clamps=(),
     )
 
 

@@ -6,7 +6,7 @@ rig, its tolerances, a simulator and a level of force, it is kept.
 
 import hashlib
 import importlib.metadata
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace as with_fields
 from pathlib import Path
 
@@ -14,7 +14,6 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 from msgspec.structs import replace
-from scipy.signal import bilinear, lfilter
 from scipy.stats import norm, qmc
 from scipy.stats import t as student
 
@@ -119,7 +118,7 @@ def null_reference_of(
     rows = []
     for seed, normals in enumerate(_normals(measured.rig, simulations)):
         rng = np.random.default_rng([seed, 77])
-        actual, corners_hz = drawn(measured.rig, tolerances, normals)
+        actual = drawn(measured.rig, tolerances, normals)
         forces_n = np.array(
             [
                 row if of_blows(row) else phase_randomized(row, start, measured.rig.sample_rate_hz, rng)
@@ -127,7 +126,7 @@ def null_reference_of(
             ]
         )
         made = simulate(measured.rig, actual, forces_n, seed)
-        rows.append(_left(_instrumented(made, corners_hz, densities, gain, rng), tolerances))
+        rows.append(_left(_instrumented(made, densities, gain, rng), tolerances))
         forget()
         progress((seed + 1) / simulations)
     reference = NullReference(key, tuple(rows))
@@ -163,32 +162,15 @@ def _normals(rig: Rig, simulations: int) -> Float[np.ndarray, "simulations draws
 
 def _instrumented(
     made: Recording,
-    corners_hz: Sequence[float],
     force_noise_n: Float[np.ndarray, " forces"],
     force_gain: float,
     rng: np.random.Generator,
 ) -> Recording:
-    """With each sensor's high-pass, and noise and gains of the force channels, which the simulator does not know."""
-    rate = made.rig.sample_rate_hz
-    corner = dict(zip([s.name for s in made.rig.sensors], corners_hz, strict=True))
-    signals = {}
-    for name, group in made.signals.items():
-        if name == "force":
-            values = group.values + force_noise_n[:, None] * rng.standard_normal(group.values.shape)
-            values = values * (1 + force_gain * rng.standard_normal((len(values), 1)))
-        else:
-            values = np.array(
-                [_high_passed(row, corner[n], rate) for n, row in zip(group.channels.names, group.values, strict=True)]
-            )
-        signals[name] = with_fields(group, values=values)
-    return with_fields(made, signals=signals)
-
-
-def _high_passed(row: Float[np.ndarray, " samples"], corner_hz: float, rate_hz: float) -> Float[np.ndarray, " samples"]:
-    if corner_hz <= 0:
-        return row
-    omega = 2 * np.pi * corner_hz
-    return np.asarray(lfilter(*bilinear([1.0, 0.0], [1.0, omega], rate_hz), row))
+    """With noise and gains of the force channels, which the simulator does not know."""
+    group = made.signals["force"]
+    values = group.values + force_noise_n[:, None] * rng.standard_normal(group.values.shape)
+    values = values * (1 + force_gain * rng.standard_normal((len(values), 1)))
+    return with_fields(made, signals={**made.signals, "force": with_fields(group, values=values)})
 
 
 def _left(recording: Recording, tolerances: Tolerances) -> NullSimulation:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identify.gaps.faults import sound_channels
+from identify.gaps.faults import check_decay, sound_channels
 from rig.errors import RigError
 from rig.model.description import Rig, to_json
 from rig.recording import Recording, Signals
@@ -14,11 +14,18 @@ FIT_SHARE = 0.55
 
 
 def sound(*recordings: Recording) -> tuple[list[Recording], dict[str, str]]:
-    """All recordings without the channels that are dead or clipped in any."""
+    """All recordings without the channels that are dead or clipped in any.
+
+    Raises RigError if one that has no force is no free decay.
+    """
     faults: dict[str, str] = {}
     for one in recordings:
         faults |= sound_channels(one, without=tuple(faults))[1]
-    return [sound_channels(one, without=tuple(faults))[0] for one in recordings], faults
+    found = [sound_channels(one, without=tuple(faults))[0] for one in recordings]
+    for one in found:
+        if not np.any(one.forces_n):
+            check_decay(one)
+    return found, faults
 
 
 def parts_of(recordings: Recording | Sequence[Recording], validation: Recording | None) -> tuple[list[Recording], int]:

@@ -9,44 +9,54 @@ from rig.model.description import Rig
 from rig.model.modes import modes_of
 from rig.recording import Recording, Signals
 
-SCALINGS = 6
-"""Short simulations that scale the blow."""
-FIRST_S = 1.0
-"""The record's beginning, whose motion the blow is scaled to."""
+HALF_SINES = tuple(2.0**-k for k in (1, 2, 3, 4, 5))
+"""Durations of the blow that are tried, in the rig's longest period: a short one moves higher modes, which decay
+sooner."""
+SCALINGS = 4
+"""Short simulations that scale each of them."""
+FIRST_S = 8
+"""Whole seconds of the record's beginning, whose motion the blow is to make."""
 
 
 def released(measured: Recording, simulate: Simulate) -> Simulate:
-    """A simulator of free decays as long as the measured one, of a single mass, which take no notice of the force.
+    """A simulator of free decays as long as the measured one, which take no notice of the force.
 
-    The blow is a half-sine of half the mass's period. It is scaled to the standard deviation that the believed rig's
-    sensor has in the first second of the record; a decay begins up to one period behind the blow, by the seed.
+    The blow, at the place of the first force, is the half-sine after which the believed rig's sensors move most like
+    the measured ones, second by second. A decay begins up to one period behind the blow, by the seed.
     """
-    rate = measured.rig.sample_rate_hz
-    (body,) = measured.rig.bodies
-    period = round(rate / max(float(modes_of(measured.rig, body).frequencies_hz(1)[0]), 1 / FIRST_S))
-    blow = np.sin(np.pi * np.arange(period // 2) / (period // 2))
-    first = round(FIRST_S * rate)
-    level = _level(measured, first)
+    rate, wanted = measured.rig.sample_rate_hz, _levels(measured)
+    natural_hz = np.concatenate([modes_of(measured.rig, b).frequencies_hz(b.max_modes) for b in measured.rig.bodies])
+    period = round(rate / max(float(np.min(natural_hz[natural_hz > 0], initial=np.inf)), 1.0))
 
-    def decay(rig: Rig, actual: Rig, peak_n: float, samples: int, seed: int) -> Recording:
-        begin = blow.size + round(period * np.random.default_rng([seed, 78]).uniform())
-        force_n = np.zeros(begin + samples)
-        force_n[: blow.size] = peak_n * blow
-        return _unforced(part_of(simulate(rig, actual, force_n, seed), slice(begin, begin + samples)))
+    def decay(rig: Rig, actual: Rig, blow_n: Float[np.ndarray, " blow"], samples: int, seed: int) -> Recording:
+        begin = blow_n.size + round(period * np.random.default_rng([seed, 78]).uniform())
+        forces_n = np.zeros((len(rig.forces), begin + samples))
+        forces_n[0, : blow_n.size] = blow_n
+        return _unforced(part_of(simulate(rig, actual, forces_n, seed), slice(begin, begin + samples)))
 
-    peak_n = body.mass_kg
-    for _ in range(SCALINGS):
-        peak_n *= level / _level(decay(measured.rig, measured.rig, peak_n, first, 0), first)
+    def scaled(half_sine: int) -> tuple[float, Float[np.ndarray, " blow"]]:
+        """How far the seconds' levels lie apart, and the blow."""
+        blow_n = measured.rig.body(measured.rig.forces[0].body).mass_kg * np.sin(
+            np.pi * np.arange(half_sine) / half_sine
+        )
+        for _ in range(SCALINGS):
+            off = wanted - _levels(decay(measured.rig, measured.rig, blow_n, FIRST_S * round(rate), 0))
+            blow_n = blow_n * np.exp(np.mean(off))
+        return float(np.std(off)), blow_n
 
-    def simulated(rig: Rig, actual: Rig, force_n: Float[np.ndarray, "*forces samples"], seed: int) -> Recording:
-        return decay(rig, actual, peak_n, force_n.shape[-1], seed)
+    _, blow_n = min((scaled(max(2, round(share * period))) for share in HALF_SINES), key=lambda found: found[0])
+
+    def simulated(rig: Rig, actual: Rig, forces_n: Float[np.ndarray, "forces samples"], seed: int) -> Recording:
+        return decay(rig, actual, blow_n, forces_n.shape[1], seed)
 
     return simulated
 
 
-def _level(recording: Recording, samples: int) -> float:
-    """Standard deviation of the last sensor at the beginning, in its unit."""
-    return float(np.std(recording.signals[recording.rig.sensors[-1].quantity].values[-1, :samples]))
+def _levels(recording: Recording) -> Float[np.ndarray, " seconds"]:
+    """Logarithm of the standard deviation in each of the first seconds, of all sensors of the last one's quantity."""
+    second = round(recording.rig.sample_rate_hz)
+    rows = recording.signals[recording.rig.sensors[-1].quantity].values[:, : FIRST_S * second]
+    return np.asarray(np.log(np.linalg.norm(rows.reshape(len(rows), FIRST_S, second).std(axis=2), axis=0)))
 
 
 def _unforced(recording: Recording) -> Recording:

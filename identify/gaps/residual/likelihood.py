@@ -156,6 +156,10 @@ def misfit(record: Record, reference: Reference, at: Residual) -> Misfit:
     drift = sum(float(np.sum(c.residual[c.seen.weights.size : -c.pulls.size] ** 2)) for c in at.contacts)
     lines = at.model.deviation.shape[1]
     inputs = float(np.sum(at.linear[len(record.sensors) :] ** 2))
+    sharp = 0.0  # a free decay rings as sharply as tones
+    if record.forced:
+        directions = len(record.sensors) - len(at.contacts)
+        sharp = cost_of_lines(at.linear[: len(record.sensors)], directions, record.repeats)
     return Misfit(
         reference=reference,
         left=levels * by_band(record, at.model.deviation**2, bands),
@@ -165,7 +169,7 @@ def misfit(record: Record, reference: Reference, at: Residual) -> Misfit:
         pulls=at.pulls,
         drift=drift / record.sample_ratio,
         freedom=(inputs + at.model.log_determinant * at.linear.shape[1] / lines) / record.sample_ratio,
-        sharp=cost_of_lines(at.linear[: len(record.sensors)], len(record.sensors) - len(at.contacts), record.repeats),
+        sharp=sharp,
         samples=at.linear.shape[1] / record.sample_ratio,
     )
 

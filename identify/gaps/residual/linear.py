@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Complex, Float
 
+from identify.gaps.residual.free_motion import FreeMotion, fitted_motions, free_motions
 from identify.gaps.residual.grounded import ground_force_changes, ground_forces, pushed_by_motion
 from identify.gaps.residual.projection import Projection, least_squares, left_by
 from identify.gaps.residual.spectra import Record
@@ -49,6 +50,7 @@ class Linear:
     contact_n: Complex[np.ndarray, "contacts lines"]
     by_force: Complex[np.ndarray, "forces sensors lines"]
     pushes: tuple[tuple[Station, Complex[np.ndarray, " lines"]], ...]
+    free: tuple[FreeMotion, ...]
     log_determinant: float
 
     @property
@@ -73,7 +75,10 @@ class Linear:
         """The accelerations of each body's modes."""
         forces = np.stack([*(force_n for _, force_n in self.pushes), *self.contact_n])
         pushed = [station for station, _ in self.pushes]
-        return tuple(r.accelerance * times(self._into(r, pushed).T, forces) for r in self.responses)
+        found = tuple(r.accelerance * times(self._into(r, pushed).T, forces) for r in self.responses)
+        for motion in self.free:
+            found[motion.body][motion.mode] += motion.acceleration
+        return found
 
     @cached_property
     def eta_m(self) -> Complex[np.ndarray, "contacts lines"]:
@@ -83,6 +88,9 @@ class Linear:
         eta = self.unseen_m(self.pushes, self.contact_n)
         for response in self.responses:
             eta += times(_across_weights(self.rig, response, places), displacements)
+        for motion in self.free:
+            missed = self._missed(self.responses[motion.body], places)[:, motion.mode]
+            eta += np.outer(missed, motion.acceleration * self.record.twice_integrated)
         return eta
 
     def unseen_m(
@@ -94,10 +102,13 @@ class Linear:
         places, forces = places_of(self.record, self.rig), np.stack([*(force_n for _, force_n in pushes), *contact_n])
         moved = np.zeros((len(self.rig.contacts), forces.shape[1]), dtype=complex)
         for response in self.responses:
-            into, over = self._into(response, [station for station, _ in pushes]), across(self.rig, response)
-            missed = over - _across_weights(self.rig, response, places) @ response.shapes(places)
+            into, missed = self._into(response, [station for station, _ in pushes]), self._missed(response, places)
             moved += np.einsum("icl,il->cl", response.transfer(missed, into), forces)
         return moved * self.record.twice_integrated
+
+    def _missed(self, response: Response, places: list[Station | None]) -> Float[np.ndarray, "contacts modes"]:
+        """How the modes enter the relative displacements beyond what the sensors tell of them."""
+        return across(self.rig, response) - _across_weights(self.rig, response, places) @ response.shapes(places)
 
     @cached_property
     def holding_n(self) -> Float[np.ndarray, " contacts"]:
@@ -144,6 +155,13 @@ def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray
     unknown.append(np.sqrt(record.force_noise[noisy, None, None]) / rig.force_sensor.gain * per_newton[noisy])
     by_input = np.concatenate(unknown) * sensed
     weighted = record.delivered / deviation - known * sensed
+    free = free_motions(record, responses, places)
+    if free:
+        to_inputs = least_squares(by_input, by_input.conj(), contacts)[0]
+        projection = Projection(by_input, to_inputs, deviation, contacts)
+        left = projection.of(weighted * deviation)[0][: len(places)]
+        free = fitted_motions(free, projection, sensed, left)
+        weighted = weighted - sensed * sum(np.outer(one.shape, one.acceleration) for one in free)
     adjoint = np.einsum("isl,sl->il", by_input.conj(), weighted)
     inputs, log_determinant = least_squares(by_input, adjoint[:, None], contacts)
     left = left_by(by_input, inputs[:, 0], weighted)
@@ -158,6 +176,7 @@ def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray
         contact_n=inputs[:contacts, 0],
         by_force=by_force,
         pushes=pushes,
+        free=free,
         log_determinant=log_determinant,
     )
 

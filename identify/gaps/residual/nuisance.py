@@ -1,5 +1,6 @@
 """Nuisance parameters: what a laboratory never knows exactly, as columns of the residual with a prior of one."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,7 +49,7 @@ class Columns:
 
 def columns_of(record: Record, model: Linear) -> Columns:
     """The columns of all tolerances above zero."""
-    changes = list(changes_of(_observed(record, model)))
+    changes = [*changes_of(_observed(record, model)), *_of_free_motion(record, model)]
     count, contacts, samples = len(changes), len(model.rig.contacts), record.taken.stop - record.taken.start
     residual = np.empty((count, len(model.residual), samples), np.float32)
     forces, eta = (np.zeros((count, contacts, samples), np.float32) for _ in range(2))
@@ -61,6 +62,16 @@ def columns_of(record: Record, model: Linear) -> Columns:
             moved = at_contacts(record, model, change.displaced, change.sensors)
             eta[i] = record.in_time(moved.astype(np.complex64))
     return Columns(tuple(c.parameter for c in changes), residual, forces, eta)
+
+
+def _of_free_motion(record: Record, model: Linear) -> Iterator[Change]:
+    """Of each mode's initial displacement and velocity, as much as moves the sensors like the whole record."""
+    whole, everywhere = np.linalg.norm(record.delivered), list(range(len(record.sensors)))
+    for motion in model.free:
+        parameter = Nuisance("initial state", model.responses[motion.body].body.name, motion.mode + 1)
+        for unit in motion.units:
+            change = model.sensor_response * np.outer(motion.shape, unit)
+            yield Change(parameter, everywhere, change * (whole / max(float(np.linalg.norm(change)), 1e-300)))
 
 
 def _projected(

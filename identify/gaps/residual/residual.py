@@ -58,7 +58,10 @@ class Linearization:
 
     @cached_property
     def lines(self) -> tuple[float, ...]:
-        """The frequencies, per sample, of the lines that stand out of its own rig's residual."""
+        """The frequencies, per sample, of the lines that stand out of its own rig's residual; none of a free decay,
+        which rings as sharply."""
+        if not self.record.forced:
+            return ()
         sensors = len(self.record.sensors)
         return standing_out(counted(self.record, self.model.residual[:sensors]), self.record.repeats)
 

@@ -81,8 +81,15 @@ def estimated_scales(
     """From the residuals that a fit under the scales `used` leaves.
 
     With n the noise and P the power of a band, its residual has the variance n + d^2 P; d is that for which it is what
-    is seen. Not below the share that the tolerances state.
+    is seen. Not below the share that the tolerances state. In a free decay d stays: its power stands in sharp lines, so
+    that what is left between them would make d as large as the motion.
     """
+    contacts = tuple(
+        float(factor * posterior_level(np.array(level)))
+        for factor, level in zip(used.contacts, contact_levels, strict=True)
+    )
+    if not record.forced:
+        return Scales(used.discrepancy, contacts)
     levels = band_levels(record, linear)
     bands = len(levels)
     variance = record.noise + used.discrepancy**2 * record.power
@@ -90,8 +97,4 @@ def estimated_scales(
     share = by_band(record, used.discrepancy, bands)
     explained = np.maximum(levels - noisy, 0.0) / np.maximum(1.0 - noisy, 1e-6)
     found = np.maximum(share * np.sqrt(explained), record.tolerances.unmodelled)
-    contacts = tuple(
-        float(factor * posterior_level(np.array(level)))
-        for factor, level in zip(used.contacts, contact_levels, strict=True)
-    )
     return Scales(np.ascontiguousarray(found[band_of_lines(record, bands)].T), contacts)

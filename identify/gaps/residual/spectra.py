@@ -11,7 +11,6 @@ from scipy.signal import periodogram
 
 from identify.contacts.estimates import drift_of
 from identify.contacts.unforced import driven_to_hz, is_unforced
-from identify.gaps.faults import check_decay
 from identify.signals.beginning import QUIET_S
 from identify.signals.drift import Drift
 from identify.signals.kinematics import (
@@ -37,6 +36,8 @@ RING_S = 12.0
 """Silence behind the record in which the beams ring down before the transform wraps round."""
 LEFT_OUT_S = 4.5
 """At the record's end, where the taper, and integration, falsify every residual."""
+RELEASED_S = 2.0
+"""At the start of a free decay of elastic bodies, whose free motion is estimated: a period of `CORNER_HZ`."""
 REACH = 1.6
 """The diagnosis looks up to this multiple of the force's highest frequency."""
 OF_MOST, MOST = 2.0, 0.9
@@ -156,7 +157,9 @@ class Record:
 def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Tolerances | None = None) -> Record:
     """The spectra of a recording's accelerometers; without any, of its velocity or else its displacement sensors.
 
-    Raises RigError if it is too short, has no sensors, or no force and is not the free decay of a single mass.
+    In a free decay of elastic bodies its displacement sensors come first.
+
+    Raises RigError if it is too short or has no sensors.
     """
     rig, rate = recording.rig, recording.rig.sample_rate_hz
     joint = joined(rig)
@@ -165,12 +168,11 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         raise RigError(
             f"the record lasts {recording.duration_s:.3g} s; the diagnosis needs {SHORTEST_S:g} s, better 30 s or more"
         )
-    if not np.any(recording.forces_n):
-        check_decay(recording)
     moving = [s for s in rig.sensors if s.measures.translates]
     if not moving:
         raise RigError("the recording has no sensors of motion; the diagnosis needs them, best accelerometers")
-    quantity = max(moving, key=lambda s: s.measures.order).quantity
+    free = not np.any(recording.forces_n) and not any(b.is_mass for b in rig.bodies)
+    quantity = (min if free else max)(moving, key=lambda s: s.measures.order).quantity
     sensors = sensors_of(rig, quantity)
     motion = kinematics(recording, quantity, least_order=2 if np.any(recording.forces_n) else 0)
     excited_hz = REACH * driven_to_hz(motion) if is_unforced(motion) else _excited_hz(recording.forces_n, rate)
@@ -188,7 +190,9 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     omega[0] = 0.01 * omega[1]  # stands for the mean, which powers of omega would lose
     quiet = motion.excited_from > QUIET_S * rate
     shape = taper(samples, round(TAPER_S * rate))
-    if not quiet:
+    if free:
+        shape[0] = 0.5  # half a sample: what begins there has no value before
+    elif not quiet:
         shape = shape * shape[::-1]
 
     def spectrum(signal: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows all"]:
@@ -209,7 +213,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     period = _period_of(recording.forces_n[:, motion.excited_from :])
     densities = _densities(sensors, motion)
     size = np.stack([omega ** (2 - s.measures.order) for s in sensors])
-    begin_s = 0.0 if quiet else LEFT_OUT_S
+    begin_s = 0.0 if quiet else RELEASED_S if free else LEFT_OUT_S
     end_s = min(samples / rate - LEFT_OUT_S, max(_decayed_s(motion), begin_s + LEAST_S))
     return Record(
         rig=rig,

@@ -106,9 +106,13 @@ class Candidate:
 def scale_of(record: Record, rig: Rig) -> Scale:
     """What the ranges of effects are stated in: the rig, and the record's force (root mean square) and duration.
 
-    In a free decay the inertial force of the mass stands for the force.
+    In a free decay the inertial force of a body stands for the force, in the mean of what its sensors show.
     """
-    forces_n = record.in_time(record.forces if record.forced else rig.bodies[0].mass_kg * record.delivered[:1])
+    if record.forced:
+        forces_n = record.in_time(record.forces)
+    else:
+        masses = np.array([rig.body(s.station.body).mass_kg for s in record.sensors])
+        forces_n = record.in_time(masses[:, None] * record.delivered) / np.sqrt(masses.size)
     return Scale(rig, float(np.sqrt(np.mean(np.sum(forces_n**2, axis=0)))), record.samples / record.sample_rate_hz)
 
 

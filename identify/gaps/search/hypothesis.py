@@ -11,6 +11,7 @@ from identify.gaps.residual.fit import fit
 from identify.gaps.residual.likelihood import Misfit, Reference, misfit
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.residual import Linearization, Residual, linearized, rescaled, scales_at
+from identify.gaps.residual.scales import prior_scales
 from identify.gaps.search.base_excitation import fit_base_excitation
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.nominal import fitted, singly_bent
@@ -137,6 +138,19 @@ def fit_briefly(
     if start is None:
         linearization = linearized(linearization.record, build(values), None, linearization.scales, linearization.seen)
     done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds, start, SHORT)
+    return _tried(begun, parts, done.values, done.covariance, linearization, done.residual)
+
+
+def fit_afresh(begun: Search, parts: tuple[Candidate, ...], values: Float[np.ndarray, " parameters"]) -> Tried:
+    """Gauss-Newton from the contact scales that the tolerances state, and a slow motion that followed no other law.
+
+    A decay counts for few seconds: scales that the believed law made would not come down with the rounds of `refined`.
+    """
+    record, rig = begun.linearization.record, begun.linearization.rig
+    build = partial(applied, rig, parts)
+    scales = replace(begun.linearization.scales, contacts=prior_scales(record).contacts)
+    linearization = linearized(record, build(values), None, scales)
+    done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds)
     return _tried(begun, parts, done.values, done.covariance, linearization, done.residual)
 
 

@@ -15,6 +15,7 @@ from identify.gaps.search.hypothesis import (
     Hypothesis,
     Search,
     Tried,
+    fit_afresh,
     fit_briefly,
     fit_effects,
     fit_spectrum,
@@ -101,6 +102,8 @@ def _singles(begun: Search, nothing: Tried) -> list[Tried]:
     ):  # far from where the believed law's scales hold
         with suppress(RigError):
             take(one.candidate.name, fit_effects(begun, (one.candidate,), one.values, fresh))
+            if not linearization.record.forced:
+                take(one.candidate.name, fit_afresh(begun, (one.candidate,), one.values))
     for candidate in begun.known:
         if candidate.kind.stochastic and (shaken := fit_spectrum(begun, nothing, candidate)):
             take(candidate.name, shaken)

@@ -86,7 +86,7 @@ def linearised(record: Record, reference: Reference, rig: Rig) -> Linearised:
     linearization, at = fit_nuisance(record, rig, rounds=1)
     nuisances, weight = len(linearization.columns.parameters), record.sample_ratio
     names = (
-        *linearization.columns.parameters,
+        *((id(record), k) if p.kind == "initial state" else p for k, p in enumerate(linearization.columns.parameters)),
         *(
             (c.name, k)
             for c, own in zip(at.model.rig.contacts, at.contacts, strict=True)

@@ -74,6 +74,11 @@ def nuisances(
             exact, shape = tolerances.of_mode(body.name, int(m) + 1), shapes[:, m : m + 1]
             take(f"frequency of {body.name} {m + 1}", shape * exact.frequency * stiffer[m], motion[m], inverse[m])
             take(f"damping of {body.name} {m + 1}", shape * exact.damping * damped[m], motion[m], inverse[m])
+    size = np.linalg.norm(record.delivered)
+    for one in model.free:
+        for unit in one.units:
+            pattern = one.shape[:, None] * size / max(np.linalg.norm(np.outer(one.shape, unit)), 1e-300)
+            take(f"initial state of {model.responses[one.body].body.name} {one.mode + 1}", pattern, unit, 0 * one.shape)
     return tuple(names), np.array(columns).reshape(len(columns), *own.residual.shape), np.array(trace)
 
 

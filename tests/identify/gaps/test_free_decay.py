@@ -1,4 +1,4 @@
-"""Free decays of one mass, whose force channel is zero: null simulations that are released, and the diagnosis."""
+"""Free decays, whose force channel is zero: null simulations that are released, and the diagnosis of one mass."""
 
 import numpy as np
 import pytest
@@ -41,15 +41,24 @@ def test_a_free_decay_is_diagnosed(effect, verdict, tmp_path):
 def test_a_null_simulation_begins_in_motion_as_the_record_does(name, tmp_path):
     measured = decay(name, tmp_path)
     simulate = released(measured, modal)
-    one, other = (simulate(measured.rig, measured.rig, measured.force_n, seed) for seed in (1, 2))
+    one, other = (simulate(measured.rig, measured.rig, measured.forces_n, seed) for seed in (1, 2))
     first = round(FIRST_S * measured.rig.sample_rate_hz)
     for made in (one, other):
         assert made.samples == measured.samples
-        assert not np.any(made.force_n)
+        assert not np.any(made.forces_n)
         assert np.std(row(made)[:first]) == pytest.approx(np.std(row(measured)[:first]), rel=0.1)
         check_decay(made)
         assert record_of(made).time_s[0] == pytest.approx(LEFT_OUT_S, abs=0.1)
     assert np.std(row(one)[:first] - row(other)[:first]) > 0.1 * np.std(row(one)[:first])
+
+
+def test_null_simulations_of_beams_move_as_much_as_the_record(tmp_path):
+    measured = decay("two beams, free decay, displacements", tmp_path)
+    made = released(measured, modal)(measured.rig, measured.rig, measured.forces_n, 1)
+    second = round(measured.rig.sample_rate_hz)
+    levels = [row(one)[: FIRST_S * second].reshape(FIRST_S, second).std(axis=1) for one in (measured, made)]
+    assert np.log(levels[1] / levels[0]).mean() == pytest.approx(0.0, abs=0.2)
+    check_decay(measured)
 
 
 def test_effects_of_the_force_and_its_channel_need_a_force(tmp_path):

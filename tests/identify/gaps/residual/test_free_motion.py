@@ -1,0 +1,68 @@
+"""Free decays of two beams: the free motion of their modes as unknowns of the linear model, beside effects."""
+
+import numpy as np
+import pytest
+
+from identify.gaps.residual.likelihood import reference_of
+from identify.gaps.residual.nuisance import counted
+from identify.gaps.residual.residual import linearized
+from identify.gaps.residual.spectra import RELEASED_S, record_of
+from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.hypothesis import Search, fit_effects
+from identify.gaps.search.nominal import fit_nuisance
+from identify.structure.initial_state import free_motion
+from rig.effects import effect_named
+from scenarios.laboratory_tests import TESTS, recorded
+
+DECAY = TESTS["two beams, free decay, displacements"]
+
+
+def decay(folder, effect="", jitter=None):
+    return record_of(recorded(DECAY, folder / "r.mcap", 14.0, jitter, effect=effect))
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory):
+    return decay(tmp_path_factory.mktemp("decay"))
+
+
+def test_each_column_is_the_free_motion_of_a_mode(record):
+    model = linearized(record, record.rig).model
+    assert record.time_s[0] == pytest.approx(RELEASED_S, abs=0.01)
+    assert len(model.free) > 5
+    for motion in model.free:
+        dynamics = model.responses[motion.body].dynamics
+        hz, zeta = dynamics.natural_hz[motion.mode], dynamics.damping_ratios[motion.mode]
+        if not hz:  # rests or drifts
+            continue
+        rows = [free_motion(hz, zeta, first, record.sample_times_s)[0] for first in (0, 1)]
+        sampled = np.array([record.spectrum(row) * (1j * record.omega) ** 2 for row in rows])
+        left = np.linalg.norm(record.sample_rate_hz * motion.units - sampled, axis=1)
+        assert np.all(left < 0.02 * np.linalg.norm(sampled, axis=1))
+
+
+def test_the_linear_residual_of_a_free_decay_is_noise_for_the_rig_that_made_it_alone(record):
+    softer = effect_named("youngs_modulus:factor=0.95").applied_to(record.rig)
+    levels = [np.mean(counted(record, linearized(record, rig).model.residual) ** 2) for rig in (record.rig, softer)]
+    assert levels[0] < 3
+    assert levels[1] > 100 * levels[0]
+
+
+@pytest.mark.parametrize(
+    ("effect", "strength", "true"),
+    [
+        ("contact_clearance:all", "factor", 1.2),
+        ("added_mass:barrel", "mass_kg", 0.1),
+        ("contact_stiffness:all", "factor", 1.3),
+    ],
+)
+def test_an_effect_is_fitted_beside_the_free_motion(effect, strength, true, tmp_path):
+    """Of a rig as a laboratory builds it."""
+    record = decay(tmp_path, f"{effect.split(':')[0]}:{strength}={true}", jitter=1)
+    known = candidates(scale_of(record, record.rig), (), record.zero_known, forced=False)
+    (candidate,) = [one for one in known if one.name == effect]
+    linearization, at = fit_nuisance(record, record.rig, rounds=1)
+    begun = Search(reference_of(linearized(record, record.rig)), linearization, at, (candidate,))
+    found = fit_effects(begun, (candidate,), candidate.default, at).hypothesis
+    deviation = np.sqrt(found.covariance[0, 0])
+    assert abs(found.values[0] - true) < 3 * deviation < 0.2 * true
