@@ -17,6 +17,8 @@ from rig.model.description import Rig
 
 LEAST_S = 0.1
 """What the curves have to cover."""
+LEAST_STEP_S, ABSURD = 1e-9, 1e100
+"""Closer rows and larger values, in SI units, are none of a recording; splines through them would overflow."""
 
 
 class _Value(msgspec.Struct, frozen=True):
@@ -88,8 +90,8 @@ def _curves(path: Path, rig: Rig, duration_s: float) -> Curves:
         raise RigError(f"{path}: has no column {error}; identify this recording with --export") from error
     except (ValueError, StopIteration, csv.Error) as error:
         raise RigError(f"{path}: is no table of `identify contact --export` ({error}); make it anew") from error
-    grows = bool(time_s.size) and (np.diff(time_s) > 0).all() and time_s[-1] - time_s[0] > LEAST_S
-    if not (grows and np.isfinite([*relative_m, *force_n, time_s]).all()):
+    grows = bool(time_s.size) and (np.diff(time_s) > LEAST_STEP_S).all() and time_s[-1] - time_s[0] > LEAST_S
+    if not (grows and (np.abs([*relative_m, *force_n, time_s]) < ABSURD).all()):
         raise RigError(f"{path}: has too few rows, a time that does not grow, or no number somewhere; make it anew")
     if not (time_s[0] >= 0 and time_s[-1] <= duration_s):
         raise RigError(f"{path}: goes to {time_s[-1]:g} s, the recording to {duration_s:g} s; identify this recording")

@@ -44,6 +44,7 @@ from tests.fuzz.readers import (
     names_of_all_kinds,
     tolerances_file,
     viewed_contact_json,
+    viewed_gap_json,
 )
 from tests.fuzz.records import records_changed, rewritten
 from tests.fuzz.tables import csv_table, hdf5_table, import_map, mat_table, tdms_table, uff_table
@@ -213,6 +214,7 @@ KINDS: dict[str, Callable[[np.random.Generator, Path], str]] = {
         answer_of_another_rig,
         answer_of_absurd_samples,
         viewed_contact_json,
+        viewed_gap_json,
         kept_null_reference,
         tolerances_file,
         names_of_all_kinds,

@@ -28,12 +28,14 @@ from rig.recording import Recording, channel_groups, read, writing
 from rig.simulation.plants import modal
 from rig.simulation.record import record
 from rig.simulation.reference import Sdof
-from rig.viewer.identified import Identified, identified_laws
+from rig.viewer.gap import read_gap
+from rig.viewer.identified import read_identified
 from rig.viewer.schematic import draw
 from rig.viewer.viewing import write_rrd
 from tests.fuzz.judging import refused_or_right
 from tests.fuzz.mutate import bytes_changed, text_changed
 from tests.fuzz.records import rewritten
+from tests.identify.gaps.conftest import GAPS, RIGS
 
 MASS = Sdof(frequency_hz=2.0, high_hz=6.0, duration_s=25.0)
 ABSURD = (0.0, 1e-300, 1e-12, -1.0, 1e6, 1e150, 1e300)
@@ -178,21 +180,49 @@ def contact_json() -> bytes:
     return msgspec.json.format(msgspec.json.encode(_contact(sound_recording())), indent=2)
 
 
+@cache
+def motion_csv() -> bytes:
+    """As `identify contact --export csv` writes it."""
+    (contact,) = MASS.rig().contacts
+    time_s = np.arange(0.0, 5.0, 0.02)
+    rows = np.stack([time_s, 1e-3 * np.sin(time_s), 3.0 * np.cos(time_s)], axis=1)
+    head = f"time_s,{contact.name} relative displacement m,{contact.name} contact force N"
+    return "\n".join([head, *(",".join(map(repr, row)) for row in rows.tolist()), ""]).encode()
+
+
 def viewed_contact_json(rng: np.random.Generator, folder: Path) -> str:
-    """Laws are those that the text says; now and then they are drawn."""
-    path, drawn = folder / "contact.json", rng.random() < 0.05
-    path.write_bytes(text_changed(rng, contact_json()))
+    """Laws are those that the text says, beside curves of finite numbers; now and then they are drawn."""
+    path, drawn, damaged = folder / "contact.json", rng.random() < 0.05, rng.random() < 0.5
+    path.write_bytes(contact_json() if damaged else text_changed(rng, contact_json()))
+    if damaged:
+        (folder / "motion.csv").write_bytes(text_changed(rng, motion_csv()))
 
     def work() -> None:
-        laws = identified_laws(path, MASS.rig())
+        found = read_identified(folder, MASS.rig(), MASS.duration_s)
         said = {c["name"]: c for c in json.loads(path.read_text(errors="replace"))["contacts"]}
-        for name, law in laws.items():
+        for name, law in found.laws.items():
             assert isinstance(law, DeadZone)
             assert law.stiffness_n_per_m == said[name]["stiffness_n_per_m"]["value"]
+        if found.curves is not None:
+            assert np.isfinite(found.curves.at(found.curves.time_s)).all()
         if drawn:
-            write_rrd(
-                sound_recording(), None, folder / "r.rrd", None, identified=Identified(laws), progress=lambda _: None
-            )
+            write_rrd(sound_recording(), None, folder / "r.rrd", identified=found)
+
+    return refused_or_right(folder, work)
+
+
+def viewed_gap_json(rng: np.random.Generator, folder: Path) -> str:
+    """Shares are those that the text says; now and then the diagnosis is drawn."""
+    path, drawn = folder / "gap.json", rng.random() < 0.05
+    name = str(rng.choice(["one_mass"] if drawn else list(GAPS)))
+    path.write_bytes(text_changed(rng, msgspec.json.format(msgspec.json.encode(GAPS[name]), indent=2)))
+
+    def work() -> None:
+        found = read_gap(folder, RIGS[name], 61.0)
+        said = json.loads(path.read_text(errors="replace"))
+        assert [share for *_, share in found.spans] == [part["share"] for part in said["attribution"]["time_s"]]
+        if drawn:
+            write_rrd(sound_recording(), None, folder / "r.rrd", gap=found)
 
     return refused_or_right(folder, work)
 
