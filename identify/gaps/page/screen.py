@@ -37,7 +37,7 @@ def shown(gap: Gap) -> RenderableType:
 def in_short(unknown: Unknown) -> str:
     """Its size, its band, when it acts, and how much it explains."""
     low, high = unknown.band_hz
-    unit = "m/s^2" if unknown.kind == "sensor" else "N"
+    unit = "m/s²" if unknown.kind == "sensor" else "N"
     when = "" if unknown.when == "always" else f", {WHEN[unknown.when]}"
     return (
         f"{number(unknown.rms_n, 3)} {unit} rms, mostly from {low:.3g} to {high:.3g} Hz{when}; it explains "

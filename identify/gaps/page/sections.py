@@ -20,7 +20,7 @@ from identify.gaps.results import (
 )
 from identify.gaps.wording import WHEN, cause_name, closes, closes_some, interval, joined, others, probability
 from identify.pages import page
-from identify.pages.wording import number, percent
+from identify.pages.wording import number, percent, shown
 
 MOST = 5
 """Causes that are shown at once; the others are folded away."""
@@ -122,7 +122,7 @@ def unknown_force(unknown: Unknown) -> str:
         rows.append(("from the left end", interval(Value(unknown.position_m, unknown.position_error_m, "m"))))
         rows.append(("second record alone", "the same place" if unknown.same_place else "another place: doubt it"))
     rows += [(f"stiffness of the {body}, change", _change(growth)) for body, growth in unknown.growth.items()]
-    unit = "m/s^2" if unknown.kind == "sensor" else "N"
+    unit = "m/s²" if unknown.kind == "sensor" else "N"
     if unknown.frequency_hz is not None:
         rows.append(("frequency", f"{number(unknown.frequency_hz)} Hz"))
     low, high = unknown.band_hz
@@ -180,7 +180,7 @@ def response_comparison(gap: Gap) -> str:
     )
     rows = [
         (
-            f"{f.name}, {f.unit}",
+            f"{f.name}, {shown(f.unit)}",
             number(f.measured),
             _off(f.believed, f),
             _off(f.corrected, f),

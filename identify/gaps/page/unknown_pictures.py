@@ -129,7 +129,7 @@ def _arrow(axes: Any, tail: tuple[float, float], head: tuple[float, float], colo
 
 def _spectrum(figure: Any, unknown: Unknown) -> None:
     axes = figure.subplots()
-    unit = "(m/s^2)^2/Hz" if unknown.kind == "sensor" else "N^2/Hz"
+    unit = "(m/s²)²/Hz" if unknown.kind == "sensor" else "N²/Hz"
     density = np.array(unknown.spectrum)
     middle = np.array(unknown.spectrum_hz)
     axes.semilogy(middle, np.where(density > 0, density, np.nan), color=BLUE, drawstyle="steps-mid")

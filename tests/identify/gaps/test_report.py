@@ -92,7 +92,7 @@ def test_every_number_is_on_the_page(written):
     for figure in gap.figures:
         said |= {number(figure.measured), f"± {number(figure.by_chance, 2)}"}
         said |= {f"{number(x)} ({100 * (x / figure.measured - 1):+.1f} %)" for x in (figure.believed, figure.corrected)}
-        said.add(f"{figure.name}, {figure.unit}")
+        said.add(f"{figure.name}, {figure.unit.replace('^2', '²')}")
     where = gap.attribution
     for shares in (
         where.channels,
@@ -268,7 +268,7 @@ def test_an_interval_has_two_digits_of_its_half_width():
         (123456.0, 1200.0, "N/m", "123500 ± 1200 N/m"),
         (-0.5, 0.0999, "m", "-0.50 ± 0.10 m"),
         (1.83e-4, 7.8e-6, "s", "(1.830 ± 0.078)e-4 s"),
-        (2.96e10, 8e8, "N/m^3", "(2.960 ± 0.080)e10 N/m^3"),
+        (2.96e10, 8e8, "N/m^3", "(2.960 ± 0.080)e10 N/m³"),
         (0.0, 0.25, "N", "0.00 ± 0.25 N"),
         (-0.001, 0.25, "N", "0.00 ± 0.25 N"),
     ):
