@@ -14,19 +14,9 @@ but `check` also with `figure(name)` and `save(folder)`.
 
 from importlib.metadata import version
 
-from identify.api import (
-    CheckResult,
-    ContactResult,
-    GapResult,
-    HistoryResult,
-    LawResult,
-    check,
-    compare,
-    contact,
-    gap,
-    law,
-)
+from identify.api import check, compare, contact, gap, law
 from identify.pages.picture import Picture
+from identify.results import CheckResult, ContactResult, GapResult, HistoryResult, LawResult
 
 __all__ = [
     "CheckResult",

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 import identify
-from identify.api import ContactResult
 from identify.commands import cli as identify_cli
+from identify.results import ContactResult
 from rig.commands import cli as rig_cli
 
 MAINS = {"rig": rig_cli.main, "identify": identify_cli.main}

@@ -22,7 +22,7 @@ from rig.model.modes import modes_of
 
 
 @dataclass(frozen=True, eq=False)
-class FreeMotion:
+class FreeMode:
     """Of one mode (from 0) of a body: its shape at the sensors, and its accelerations by a unit of its displacement and
     of its velocity at the beginning; state is how large these were, times the sample rate, as spectra are sums."""
 
@@ -37,7 +37,7 @@ class FreeMotion:
         return np.asarray(self.state @ self.units)
 
 
-def free_motions(record: Record, responses: Sequence[Response], places: list[Station | None]) -> tuple[FreeMotion, ...]:
+def free_motions(record: Record, responses: Sequence[Response], places: list[Station | None]) -> tuple[FreeMode, ...]:
     """Those of the modes of elastic bodies, with nothing in them; none of a record with a force.
 
     The modes are those in the band by the believed rig, so that all rigs have the same unknowns.
@@ -54,16 +54,16 @@ def free_motions(record: Record, responses: Sequence[Response], places: list[Sta
         shapes = response.shapes(places)
         for m in np.flatnonzero(believed_hz < record.highest_hz):
             units = np.stack([(turning + damped[m]) * response.accelerance[m], response.accelerance[m]])
-            found.append(FreeMotion(k, int(m), shapes[:, m], units, np.zeros(2)))
+            found.append(FreeMode(k, int(m), shapes[:, m], units, np.zeros(2)))
     return tuple(found)
 
 
 def fitted_motions(
-    motions: Sequence[FreeMotion],
+    motions: Sequence[FreeMode],
     projection: Projection,
     sensed: Complex[np.ndarray, "sensors lines"],
     left: Complex[np.ndarray, "sensors lines"],
-) -> tuple[FreeMotion, ...]:
+) -> tuple[FreeMode, ...]:
     """The states at the beginning that leave least of a linear residual.
 
     sensed is what accelerations are in standard deviations. With the shapes Phi at the sensors and the projection B T,

@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Complex, Float
 
-from identify.gaps.residual.free_motion import FreeMotion, fitted_motions, free_motions
+from identify.gaps.residual.free_motion import FreeMode, fitted_motions, free_motions
 from identify.gaps.residual.grounded import ground_force_changes, ground_forces, pushed_by_motion
 from identify.gaps.residual.projection import Projection, least_squares, left_by
 from identify.gaps.residual.spectra import Record
@@ -50,7 +50,7 @@ class Linear:
     contact_n: Complex[np.ndarray, "contacts lines"]
     by_force: Complex[np.ndarray, "forces sensors lines"]
     pushes: tuple[tuple[Station, Complex[np.ndarray, " lines"]], ...]
-    free: tuple[FreeMotion, ...]
+    free: tuple[FreeMode, ...]
     log_determinant: float
 
     @property
