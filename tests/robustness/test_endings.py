@@ -30,7 +30,8 @@ def test_a_command_that_is_ended_says_so_and_leaves_nothing_half(sound, tmp_path
         out = tmp_path / str(after_s)
         out.mkdir()
         name, *words = map(str, COMMANDS[command_name](sound, out))
-        program = [sys.executable, "-c", f"from rig_start import {name}; {name}()", *words]
+        begun = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"  # as a terminal has it
+        program = [sys.executable, "-c", f"{begun}; from rig_start import {name}; {name}()", *words]
         with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
             time.sleep(after_s)
             running.send_signal(ending)
