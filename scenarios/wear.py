@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 import identify
+from identify.history.changes import QuantityHistory
 from identify.pages.wording import interval
 from rig.commands.command_line import run
 from rig.effects.contact_clearance import ContactClearance
@@ -46,6 +47,8 @@ class Outcome(msgspec.Struct, frozen=True):
     p_trend: float
     drift_percent: float
     error_percent: float
+    scatter: tuple[float, ...]
+    """Of each clearance about its trend, in own errors."""
 
 
 @app.command()
@@ -73,6 +76,11 @@ def wear(
             Path(machine.folder).name, f"{100 * one.wear:g}", drift, f"{one.p_trend:.2g}", "\n".join(one.changed)
         )
     Console().print(table)
+    scatter = np.array([one.scatter for one in found])
+    print(
+        "clearances scatter about their trends, in own errors: "
+        f"{np.sqrt(np.mean(scatter**2)):.2f} (root mean square), at most {scatter.max():.2f}"
+    )
 
 
 def outcome_of(machine: Machine) -> Outcome:
@@ -109,7 +117,15 @@ def outcome_of(machine: Machine) -> Outcome:
         p_trend=may_wear.p_trend,
         drift_percent=share * may_wear.drift.value,
         error_percent=share * may_wear.drift.standard_error,
+        scatter=tuple(_scatter(q) for q in quantities if q.quantity == "clearance_m"),
     )
+
+
+def _scatter(clearance: QuantityHistory) -> float:
+    values, errors = np.array([clearance.values, clearance.own_errors], float)
+    at = np.arange(values.size)
+    trend = np.polynomial.Polynomial.fit(at, values, 1, w=1 / errors)
+    return float(np.sqrt(np.sum(((values - trend(at)) / errors) ** 2) / (values.size - 2)))
 
 
 if __name__ == "__main__":
