@@ -4,7 +4,6 @@ from rig.recording.file import (
     RECORDED,
     Channel,
     Recording,
-    RecordingWriter,
     Signals,
     channel_groups,
     read,
@@ -14,9 +13,9 @@ from rig.recording.file import (
     truth_groups,
     truth_path,
     with_history,
-    writing,
 )
 from rig.recording.foreign import RIG_NAME
+from rig.recording.writer import RecordingWriter, writing
 
 __all__ = [
     "RECORDED",

@@ -20,10 +20,10 @@ from rig.recording.file import (
     rig_of,
     truth_groups,
     with_history,
-    writing,
 )
 from rig.recording.foreign import Foreign
 from rig.recording.messages import Block
+from rig.recording.writer import writing
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from mcap.writer import Writer
 from zlib_ng.zlib_ng import crc32
 
 from rig.recording import channel_groups, read, writing
-from rig.recording.file import BLOCK
+from rig.recording.writer import BLOCK
 from rig.simulation.reference import BarrelCradle
 from tests.benchmarks.measuring import Figure, least_cpu_s
 

@@ -61,7 +61,7 @@ def test_the_next_writers_place_is_left_alone(tmp_path, monkeypatch, end):
         began.write_text("the next")
 
     monkeypatch.setattr("rig.files.settle", settle_as_the_next_begins)
-    monkeypatch.setattr("rig.recording.file.settle", settle_as_the_next_begins)
+    monkeypatch.setattr("rig.recording.writer.settle", settle_as_the_next_begins)
     write_bytes(b"whole", tmp_path / "value")
     assert began.read_text() == "the next"
     with suppress(KeyboardInterrupt), writing(tmp_path / "value", RIG, channel_groups(RIG), {}):

@@ -14,8 +14,8 @@ from mcap.writer import CompressionType, Writer
 from rig.errors import RigError
 from rig.model.description import UNITS, Station, to_json
 from rig.recording import RECORDED, channel_groups, read, read_truth, truth_groups, truth_path, writing
-from rig.recording.file import AT_ONCE, BLOCK, CHUNK_S, began_ns
 from rig.recording.messages import decode_block
+from rig.recording.writer import AT_ONCE, BLOCK, CHUNK_S, began_ns
 from rig.simulation.reference import BarrelCradle, Sdof
 from tests.blocks import encode_block
 
