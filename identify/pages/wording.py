@@ -2,6 +2,8 @@
 
 import math
 
+from rig.model.quantities import printed_unit
+
 COVERED = 1.96
 """Standard errors on either side of a value that hold 95 % of a normal distribution."""
 
@@ -26,15 +28,10 @@ def percent(share: float) -> str:
     return f"{100 * share:.1f} %"
 
 
-def shown(unit: str) -> str:
-    """A unit as it is printed: m/s² for m/s^2."""
-    return unit.replace("^2", "²").replace("^3", "³")
-
-
 def interval(value: float, standard_error: float, unit: str) -> str:
     """value ± 1.96 standard errors, to two digits of the latter; the unit "1" is not written."""
     half = COVERED * standard_error
-    named = "" if unit == "1" else f" {shown(unit)}"
+    named = "" if unit == "1" else f" {printed_unit(unit)}"
     if not math.isfinite(half) or half <= 0:
         return f"{number(value)}{named} (no interval)"
     half = float(f"{half:.1e}")

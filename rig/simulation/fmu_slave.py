@@ -33,7 +33,9 @@ class RigFmu(Fmi3Slave):  # type: ignore[misc]
             self._output(f"contacts.{contact.name}.force", "contact force, N", "contact_force_n", number)
 
     def _output(self, name: str, about: str, what: str, number: int) -> None:
-        value = lambda: float(getattr(self._stepwise, what)[number])  # noqa: E731
+        def value() -> float:
+            return float(getattr(self._stepwise, what)[number])
+
         self._register(name, Fmi3Causality.output, about, value)
 
     def _register(

@@ -8,7 +8,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from rig.model.description import UNITS, Contact, Rig
-from rig.model.quantities import QUANTITIES, QuantityName
+from rig.model.quantities import QUANTITIES, QuantityName, printed_unit
 from rig.model.sensing import quantities_of, sensors_of
 from rig.viewer.axes import axes_view
 from rig.viewer.drawing import DIAGNOSIS, GAP_OVER_TIME, LEGEND_ROWS, TIMELINE, entity, legend_of
@@ -111,7 +111,7 @@ def _plots(layout: Layout) -> list[rrb.View | rrb.Container]:
     near = ", all near contacts"
     identified = "identified " if layout.contact_force == "separated" else ""
     measured = [
-        _plot(layout, entity(quantity, body.name), f"{body.name}: {quantity}, {UNITS[quantity].replace('^2', '²')}")
+        _plot(layout, entity(quantity, body.name), f"{body.name}: {quantity}, {printed_unit(UNITS[quantity])}")
         for quantity in plotted(layout.rig)
         for body in layout.rig.bodies
         if any(s.station.body == body.name for s in sensors_of(layout.rig, quantity))

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from scipy.signal import welch
 
 from rig.model.description import UNITS
+from rig.model.quantities import printed_unit
 from rig.model.sensing import quantities_of
 from rig.recording import Recording
 from rig.viewer.axes import Axes
@@ -42,7 +43,7 @@ def spectra_of(recording: Recording, forces_n: Mapping[str, Float[np.ndarray, " 
         for body in recording.rig.bodies:
             rows = zip(measured.channels.stations, measured.values, strict=True)
             signals = {f"{s.position_m:g} m": row for s, row in rows if s is not None and s.body == body.name}
-            origin, unit = entity("spectra", quantity, body.name), UNITS[quantity].replace("^2", "²")
+            origin, unit = entity("spectra", quantity, body.name), printed_unit(UNITS[quantity])
             found.append(ShownSpectra(origin, f"{body.name}: {quantity}", unit, signals))
     return [one for one in found if one.signals]
 

@@ -12,8 +12,8 @@ from identify.gaps.results import AGAIN, Curve, Gap
 from identify.gaps.wording import cause_name, closes, closes_some, others, probability
 from identify.pages.picture import Picture
 from identify.pages.style import BLUE, GREEN, GREY, INK, RED, picture
-from identify.pages.wording import shown
 from rig.model.description import Rig
+from rig.model.quantities import printed_unit
 
 Draw = Callable[[Any], None]
 
@@ -123,5 +123,5 @@ def _curve(figure: Any, curve: Curve) -> None:
     if curve.logarithmic:
         axes.set_yscale("log", nonpositive="mask")
     figure.legend(loc="outside lower center", ncols=3, columnspacing=1.0, handlelength=1.6)
-    axes.set(xlabel=curve.x_label, ylabel=shown(curve.y_label))
+    axes.set(xlabel=curve.x_label, ylabel=printed_unit(curve.y_label))
     axes.set_title(curve.name, wrap=True)

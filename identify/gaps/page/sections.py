@@ -20,7 +20,8 @@ from identify.gaps.results import (
 )
 from identify.gaps.wording import WHEN, cause_name, closes, closes_some, interval, joined, others, probability
 from identify.pages import page
-from identify.pages.wording import number, percent, shown
+from identify.pages.wording import number, percent
+from rig.model.quantities import printed_unit
 
 MOST = 5
 """Causes that are shown at once; the others are folded away."""
@@ -180,7 +181,7 @@ def response_comparison(gap: Gap) -> str:
     )
     rows = [
         (
-            f"{f.name}, {shown(f.unit)}",
+            f"{f.name}, {printed_unit(f.unit)}",
             number(f.measured),
             _off(f.believed, f),
             _off(f.corrected, f),

@@ -37,7 +37,7 @@ class FreeMode:
         return np.asarray(self.state @ self.units)
 
 
-def free_motions(record: Record, responses: Sequence[Response], places: list[Station | None]) -> tuple[FreeMode, ...]:
+def free_modes(record: Record, responses: Sequence[Response], places: list[Station | None]) -> tuple[FreeMode, ...]:
     """Those of the modes of elastic bodies, with nothing in them; none of a record with a force.
 
     The modes are those in the band by the believed rig, so that all rigs have the same unknowns.
@@ -58,7 +58,7 @@ def free_motions(record: Record, responses: Sequence[Response], places: list[Sta
     return tuple(found)
 
 
-def fitted_motions(
+def fitted_modes(
     motions: Sequence[FreeMode],
     projection: Projection,
     sensed: Complex[np.ndarray, "sensors lines"],

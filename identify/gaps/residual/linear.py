@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Complex, Float
 
-from identify.gaps.residual.free_motion import FreeMode, fitted_motions, free_motions
+from identify.gaps.residual.free_motion import FreeMode, fitted_modes, free_modes
 from identify.gaps.residual.grounded import ground_force_changes, ground_forces, pushed_by_motion
 from identify.gaps.residual.projection import Projection, least_squares, left_by
 from identify.gaps.residual.spectra import Record
@@ -155,12 +155,12 @@ def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray
     unknown.append(np.sqrt(record.force_noise[noisy, None, None]) / rig.force_sensor.gain * per_newton[noisy])
     by_input = np.concatenate(unknown) * sensed
     weighted = record.delivered / deviation - known * sensed
-    free = free_motions(record, responses, places)
+    free = free_modes(record, responses, places)
     if free:
         to_inputs = least_squares(by_input, by_input.conj(), contacts)[0]
         projection = Projection(by_input, to_inputs, deviation, contacts)
         left = projection.of(weighted * deviation)[0][: len(places)]
-        free = fitted_motions(free, projection, sensed, left)
+        free = fitted_modes(free, projection, sensed, left)
         weighted = weighted - sensed * sum(np.outer(one.shape, one.acceleration) for one in free)
     adjoint = np.einsum("isl,sl->il", by_input.conj(), weighted)
     inputs, log_determinant = least_squares(by_input, adjoint[:, None], contacts)

@@ -2,10 +2,10 @@
 
 from typing import TYPE_CHECKING, Literal
 
-from rig.model.quantities.base import Quantity
+from rig.model.quantities.base import Quantity, printed_unit
 from rig.registry import instances
 
-__all__ = ["QUANTITIES", "Quantity", "QuantityName"]
+__all__ = ["QUANTITIES", "Quantity", "QuantityName", "printed_unit"]
 
 QUANTITIES: dict[str, Quantity] = {one.name: one for one in instances(__path__, __name__, Quantity)}
 """Every quantity by the name that rig.json calls it."""

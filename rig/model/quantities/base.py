@@ -17,6 +17,11 @@ def value(along: Along, _: float) -> Row:
     return along[0]
 
 
+def printed_unit(unit: str) -> str:
+    """As figures, pages and views write it: m/s² for m/s^2."""
+    return unit.replace("^2", "²").replace("^3", "³")
+
+
 @dataclass(frozen=True)
 class Quantity:
     """d^order/dt^order of a linear operator on w(x): with w = sum shapes(x) q, one row over the coordinates q.
