@@ -14,13 +14,13 @@ from identify.contacts.quality import widened
 from identify.contacts.start import ContactRecord
 from identify.contacts.told import ContactFit, told_contacts
 from identify.contacts.unforced import driven_to_hz, free_fits, is_unforced
+from identify.linear.joined import Joined, joined, joined_contacts
+from identify.linear.modal import relative_displacements, relative_velocities
 from identify.signals.drift import KNOT_S, Drift
 from identify.signals.kinematics import Kinematics, Use, kinematics
 from identify.signals.noise import acceleration_noise
 from identify.signals.refit import refit_until_settled
 from identify.signals.spectra import decimated, oversampled
-from identify.structure.joined import Joined, joined, joined_contacts
-from identify.structure.modal import relative_displacements, relative_velocities
 from rig.errors import RigError
 from rig.model.description import ForceSensor, Rig, Station, contact_stations
 from rig.model.tolerances import Tolerances
