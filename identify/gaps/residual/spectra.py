@@ -11,6 +11,7 @@ from scipy.signal import periodogram
 
 from identify.contacts.estimates import drift_of
 from identify.contacts.unforced import driven_to_hz, is_unforced
+from identify.linear.joined import joined
 from identify.signals.beginning import QUIET_S
 from identify.signals.drift import Drift
 from identify.signals.kinematics import (
@@ -23,7 +24,6 @@ from identify.signals.kinematics import (
 from identify.signals.noise import acceleration_noise
 from identify.signals.scores import COUNTED_HZ
 from identify.signals.spectra import force_band
-from identify.structure.joined import joined
 from rig.errors import RigError
 from rig.model.description import Rig, Sensor
 from rig.model.sensing import PASSBAND, sensors_of
@@ -202,7 +202,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     eta_beyond = np.zeros((len(joint.contacts), beyond_rad.size), dtype=complex)
     measured = np.empty((len(sensors), lines), dtype=complex)
     for row, sensor in zip(measured, sensors, strict=True):
-        whole = spectrum(_row(recording, sensor))
+        whole = spectrum(recording.values_of(sensor))
         row[:] = whole[:lines]
         _add_beyond(eta_beyond, joint, sensor, whole[lines - 1 :], beyond_rad)
     turned, twice_less = (
@@ -280,11 +280,6 @@ def _add_beyond(
             if sensor.station == station:
                 heard = omega <= 2 * np.pi * PASSBAND * rig.sample_rate_hz
                 eta_beyond[j] += sign * heard * measured * integrated(omega, -sensor.measures.order, CORNER_HZ)
-
-
-def _row(recording: Recording, sensor: Sensor) -> Float[np.ndarray, " samples"]:
-    signals = recording.signals[sensor.quantity]
-    return signals.values[signals.channels.names.index(sensor.name)]
 
 
 def _force_noise_n(motion: Kinematics, tolerances: Tolerances) -> Float[np.ndarray, " forces"]:
