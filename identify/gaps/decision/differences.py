@@ -26,6 +26,7 @@ from identify.gaps.results import USUAL, Between, Compared, Trend, Value
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.hypothesis import applied, parameters_of, steps_of
 from identify.gaps.search.pooled import Information, Linearised, Pooled, linearised, pooled
+from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
 from rig.model.description import Rig
 
@@ -156,10 +157,12 @@ class _Compared:
 
     def fitted(self, one: Varied) -> tuple[Varied, Pooled]:
         """Each record's own values, linearised about themselves."""
-        for _ in range(ROUNDS):
-            together = self.pooled(one)
-            one = one.moved(together)
-        return one, together
+
+        def refit(varied: Varied) -> tuple[Varied, Pooled]:
+            together = self.pooled(varied)
+            return varied.moved(together), together
+
+        return refit_until_settled(refit(one), lambda estimate: refit(estimate[0]), rounds=ROUNDS - 1)
 
     def pooled(self, one: Varied) -> Pooled:
         """What all records say of these values, each linearised about its own."""
