@@ -22,13 +22,14 @@ from identify.gaps.decision.comparison import TEMPERATURE, Judged, of_this_recor
 from identify.gaps.residual.fit import Values
 from identify.gaps.residual.likelihood import Reference
 from identify.gaps.residual.spectra import Record
-from identify.gaps.results import USUAL, Between, Compared, Trend, Value
+from identify.gaps.results import USUAL, Between, Compared, Trend
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.hypothesis import applied, parameters_of, steps_of
 from identify.gaps.search.pooled import Information, Linearised, Pooled, linearised, pooled
 from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
 from rig.model.description import Rig
+from rig.model.unmeasured_force import Value
 
 LOOKED_AT = 3
 """Effects that promise most are fitted to every record."""
