@@ -27,8 +27,8 @@ from identify.gaps.search.hypothesis import Hypothesis, Search
 from identify.gaps.search.joint import search
 from identify.gaps.search.nominal import fit_nuisance
 from identify.gaps.search.pooled import fitted_together
-from identify.gaps.unknown import UnmeasuredForceFit, described, likeliest_force
-from identify.gaps.unknown.clearance_modulation import ClearanceModulation, clearance_modulation
+from identify.gaps.unmeasured_force import UnmeasuredForceFit, described, likeliest_force
+from identify.gaps.unmeasured_force.clearance_modulation import ClearanceModulation, clearance_modulation
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.tolerances import LABORATORY, Tolerances

@@ -6,8 +6,8 @@ from identify.gaps.residual.likelihood import Misfit, Reference, misfit
 from identify.gaps.residual.spectra import Record
 from identify.gaps.results import Matters
 from identify.gaps.search.nominal import fit_nuisance
-from identify.gaps.unknown import UnmeasuredForceFit
-from identify.gaps.unknown.clearance_modulation import ClearanceModulation
+from identify.gaps.unmeasured_force import UnmeasuredForceFit
+from identify.gaps.unmeasured_force.clearance_modulation import ClearanceModulation
 from identify.linear.joined import joined
 from rig.model.description import Rig
 from rig.model.unmeasured_force import UnmeasuredForce

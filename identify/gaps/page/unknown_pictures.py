@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from identify.gaps.unknown.location import offset_m
+from identify.gaps.unmeasured_force.location import offset_m
 from identify.pages.style import BLUE, GREY, INK, RED
 from identify.pages.wording import COVERED
 from rig.model.description import Rig, Station

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace as changed
 
-from identify.gaps.unknown import described, likeliest_force
-from identify.gaps.unknown.evidence import explained, without
-from identify.gaps.unknown.location import ForcePlace, candidates, located, response_of
-from identify.gaps.unknown.nuisance import observed
-from identify.gaps.unknown.observed import force_noise
-from identify.gaps.unknown.time_history import explained_share
+from identify.gaps.unmeasured_force import described, likeliest_force
+from identify.gaps.unmeasured_force.evidence import explained, without
+from identify.gaps.unmeasured_force.location import ForcePlace, candidates, located, response_of
+from identify.gaps.unmeasured_force.nuisance import observed
+from identify.gaps.unmeasured_force.observed import force_noise
+from identify.gaps.unmeasured_force.time_history import explained_share
 from rig.errors import RigError
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Contact, Sensor, Station

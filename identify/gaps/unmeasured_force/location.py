@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Complex
 
-from identify.gaps.unknown.evidence import Explained, cleared_of, explained, normal, without
-from identify.gaps.unknown.nuisance import drifting
-from identify.gaps.unknown.observed import WhitenedRecord, with_columns
+from identify.gaps.unmeasured_force.evidence import Explained, cleared_of, explained, normal, without
+from identify.gaps.unmeasured_force.nuisance import drifting
+from identify.gaps.unmeasured_force.observed import WhitenedRecord, with_columns
 from rig.model.description import Rig, Sensor, Station
 
 Kind = Literal["force", "pair", "sensor", "distributed"]

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from identify.gaps.unknown.force_laws import FORMS, Fine, ForceLaw, Form, fitted, solved, tone_of
-from identify.gaps.unknown.time_history import KNOTS_S, ForceHistory, softened
+from identify.gaps.unmeasured_force.force_laws import FORMS, Fine, ForceLaw, Form, fitted, solved, tone_of
+from identify.gaps.unmeasured_force.time_history import KNOTS_S, ForceHistory, softened
 from identify.signals.descent import Step, descended
 from identify.signals.kinematics import CORNER_HZ
 

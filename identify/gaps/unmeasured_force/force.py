@@ -6,11 +6,11 @@ import numpy as np
 from jaxtyping import Complex
 
 from identify.gaps.residual.spectra import Record
-from identify.gaps.unknown.evidence import explained
-from identify.gaps.unknown.location import Located, located, response_of
-from identify.gaps.unknown.nuisance import drift_accelerations, observed
-from identify.gaps.unknown.observed import WhitenedRecord
-from identify.gaps.unknown.time_history import force_of
+from identify.gaps.unmeasured_force.evidence import explained
+from identify.gaps.unmeasured_force.location import Located, located, response_of
+from identify.gaps.unmeasured_force.nuisance import drift_accelerations, observed
+from identify.gaps.unmeasured_force.observed import WhitenedRecord
+from identify.gaps.unmeasured_force.time_history import force_of
 from rig.model.description import Rig
 
 SAME_M = 0.05

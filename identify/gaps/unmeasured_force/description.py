@@ -7,12 +7,12 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.gaps.residual.observation import is_closed
-from identify.gaps.unknown.force import UnmeasuredForceFit
-from identify.gaps.unknown.force_laws import ForceLaw
-from identify.gaps.unknown.law_fit import laws, shortest
-from identify.gaps.unknown.location import Located
-from identify.gaps.unknown.observed import BAND_HZ, WhitenedRecord
-from identify.gaps.unknown.time_history import FINER, ForceHistory, explained_share, history_of
+from identify.gaps.unmeasured_force.force import UnmeasuredForceFit
+from identify.gaps.unmeasured_force.force_laws import ForceLaw
+from identify.gaps.unmeasured_force.law_fit import laws, shortest
+from identify.gaps.unmeasured_force.location import Located
+from identify.gaps.unmeasured_force.observed import BAND_HZ, WhitenedRecord
+from identify.gaps.unmeasured_force.time_history import FINER, ForceHistory, explained_share, history_of
 from identify.signals.beginning import QUIET_S
 from rig.model.unmeasured_force import MeanForce, UnmeasuredForce, Value, When
 

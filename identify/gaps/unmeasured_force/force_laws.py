@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize_scalar
 
-from identify.gaps.unknown.time_history import ForceHistory
+from identify.gaps.unmeasured_force.time_history import ForceHistory
 from rig.model.contact_laws import penetration_m
 from rig.model.unmeasured_force import Against, Value
 
