@@ -123,10 +123,10 @@ def _forces(check: LinearCheck, usable: list[int]) -> Iterator[Trial]:
 
 
 def _of_force(check: LinearCheck, usable: list[int], number: int, found: Predicted) -> tuple[Finding, ...]:
-    shown = (check.accelerance[number] / check.scale)[usable]
+    by_force = check.accelerance[number][usable]
+    shown = by_force / check.scale[usable]
     if len(check.spectra.forces) > 1:  # what no contact force does too
-        basis = np.linalg.qr((check.of_contacts / check.scale)[:, usable].transpose(2, 1, 0))[0]
-        shown = shown - np.einsum("lsi,lti,tl->sl", basis, basis.conj(), shown, optimize=True)
+        shown = check.projection(usable).of(by_force)[0]
     weight = np.sqrt(np.mean(np.abs(shown) ** 2, axis=0))
     return (force_finding(check.spectra, number, found.forces[number], weight),)
 
@@ -168,15 +168,10 @@ def _gains(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]:
     rows, gains = spectra.acceleration, np.ones(len(spectra.sensors))
     for _ in range(3):
         check = linear_check(rig, spectra.with_rows(rows), usable)
-        by_force = (check.by_force / check.scale)[usable]
-        basis = np.linalg.qr((check.of_contacts[:, usable] / check.scale[usable]).transpose(2, 1, 0))[0]
-        columns = np.zeros((spectra.omega.size, len(usable), len(usable)), dtype=complex)
-        index = np.arange(len(usable))
-        columns[:, index, index] = (rows / check.scale)[usable].T
-        columns -= basis @ (basis.conj().transpose(0, 2, 1) @ columns)
-        target = by_force.T - np.einsum("lsi,lti,lt->ls", basis, basis.conj(), by_force.T)
-        normal = np.einsum("lsi,lsk->ik", columns.conj(), columns).real
-        wanted = np.einsum("lsi,ls->i", columns.conj(), target).real
+        projection = check.projection(usable)
+        columns = np.array([projection.of(rows[[i]], [k])[0].ravel() for k, i in enumerate(usable)])
+        target = projection.of(check.by_force[usable])[0].ravel()
+        normal, wanted = (columns.conj() @ columns.T).real, (columns.conj() @ target).real
         factors = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(len(usable)), wanted)
         if not np.all(np.isfinite(factors)) or np.any(np.abs(factors) < 1e-9):
             return

@@ -152,12 +152,12 @@ def refitted(begun: Search, one: Hypothesis, held: bool = False) -> Hypothesis:
     rig = record.rig if free else one.applied_to(record.rig)
     steps, bounds = steps_of(parts), parameters_of(parts).bounds
     build = partial(applied, rig, parts)
-    linearization = linearized(record, build(start), None, begun.linearization.scales)
+    linearization = begun.linearization.about(build(start), None, begun.linearization.scales)
     found = fit(linearization, build, start, steps, bounds, straightened(begun.at))
     left = misfit(record, begun.reference, found.residual)
     for _ in range(ROUNDS):
-        linearization = linearized(
-            record, build(found.values), found.residual, scales_at(linearization, found.residual)
+        linearization = linearization.about(
+            build(found.values), found.residual, scales_at(linearization, found.residual)
         )
         further = fit(linearization, build, found.values, steps, bounds, found.residual)
         now = misfit(record, begun.reference, further.residual)

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from identify.gaps.residual.fit import fit
 from identify.gaps.residual.likelihood import Misfit, Reference, misfit
 from identify.gaps.residual.nuisance import LIMIT
-from identify.gaps.residual.residual import Linearization, Residual, linearized, rescaled, scales_at
+from identify.gaps.residual.residual import Linearization, Residual, rescaled, scales_at
 from identify.gaps.residual.scales import prior_scales
 from identify.gaps.search.base_excitation import fit_base_excitation
 from identify.gaps.search.candidates import Candidate
@@ -136,7 +136,7 @@ def fit_briefly(
     """
     linearization, build = linearization or begun.linearization, partial(applied, begun.linearization.rig, parts)
     if start is None:
-        linearization = linearized(linearization.record, build(values), None, linearization.scales, linearization.seen)
+        linearization = linearization.about(build(values), None, linearization.scales, linearization.seen)
     done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds, start, SHORT)
     return _tried(begun, parts, done.values, done.covariance, linearization, done.residual)
 
@@ -149,7 +149,7 @@ def fit_afresh(begun: Search, parts: tuple[Candidate, ...], values: Float[np.nda
     record, rig = begun.linearization.record, begun.linearization.rig
     build = partial(applied, rig, parts)
     scales = replace(begun.linearization.scales, contacts=prior_scales(record).contacts)
-    linearization = linearized(record, build(values), None, scales)
+    linearization = begun.linearization.about(build(values), None, scales)
     done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds)
     return _tried(begun, parts, done.values, done.covariance, linearization, done.residual)
 
@@ -165,9 +165,7 @@ def refined(begun: Search, one: Tried, least: float = np.inf) -> Tried:
     build = partial(applied, begun.linearization.rig, parts)
     for _ in range(ROUNDS + singly_bent(begun.linearization.rig)):
         values = one.hypothesis.values
-        linearization = linearized(
-            one.linearization.record, build(values), one.residual, scales_at(one.linearization, one.residual)
-        )
+        linearization = one.linearization.about(build(values), one.residual, scales_at(one.linearization, one.residual))
         done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds, one.residual)
         better = _tried(begun, parts, done.values, done.covariance, linearization, done.residual)
         gained = one.cost - better.cost
@@ -210,7 +208,7 @@ def fit_spectrum(begun: Search, nothing: Tried, candidate: Candidate) -> Tried |
         rig = candidate.applied(begun.linearization.rig, values)
     except RigError:
         return None
-    linearization = linearized(begun.linearization.record, rig, nothing.residual, nothing.linearization.scales)
+    linearization = begun.linearization.about(rig, nothing.residual, nothing.linearization.scales)
     linearization = rescaled(linearization, fitted(linearization, nothing.residual).residual)
     at = fitted(linearization, nothing.residual).residual
     return _tried(begun, (candidate,), values, np.diag(deviations**2), linearization, at)

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Complex, Float
 
+from identify.gaps.residual.observation import is_closed
 from identify.gaps.residual.spectra import Record
 from identify.gaps.results import ResidualMap, Value
 from identify.gaps.unknown.descent import kept
@@ -32,7 +33,7 @@ NAMED = 0.7
 IN_BAND = 0.9
 CELLS, PARTS = 24, 8
 GROWING = 1.5
-CLOSED, SHUT, MOSTLY = 5.0, 0.1, 0.7
+MOSTLY = 0.7
 
 
 class UnknownForce(msgspec.Struct, frozen=True, kw_only=True):
@@ -256,8 +257,8 @@ def _times(history: ForceHistory) -> tuple[float, tuple[float, ...]]:
     squares = history.found_n[record.taken] ** 2
     forces, open_n = record.in_time(model.contact_n), model.open_n(record)
     closed = np.zeros(squares.size, dtype=bool)
-    for force, on_lines in zip(forces, open_n, strict=True):
-        closed |= np.abs(force) > max(CLOSED * on_lines, SHUT * float(np.sqrt(np.mean(force**2))))
+    for force, deviation_n in zip(forces, open_n.tolist(), strict=True):
+        closed |= is_closed(force, deviation_n)
     excited = record.time_s > record.excited_s
     parts = [float(np.sqrt(np.mean(part))) for part in np.array_split(squares[excited], PARTS)]
     share = float(squares[closed].sum() / max(float(squares.sum()), 1e-300))
