@@ -71,6 +71,10 @@ class LinearCheck:
         """The accelerations by all measured forces."""
         return np.asarray(self.by_each_force.sum(axis=0))
 
+    def beside(self, spectra: Spectra, kept: list[int]) -> "LinearCheck":
+        """Other spectra of the same sensors and lines beside the same accelerances; see `linear_check`."""
+        return LinearCheck(spectra, self.accelerance, _scale(spectra, kept), driven_by(spectra.forces))
+
     def projection(self, kept: list[int], doubted: int | None = None) -> Projection:
         """Of the contact forces, and a force that is doubted, from the channels kept."""
         unknown, scale = self.unknown(doubted)[:, kept], self.scale[kept]
@@ -93,9 +97,17 @@ class LinearCheck:
         return Predicted(misfit, known + np.einsum("isl,il->sl", unknown, inputs), forces, contacts)
 
 
-def linear_check(rig: Rig, spectra: Spectra, kept: list[int] | None = None) -> LinearCheck:
-    """The scale is that of the median channel of each body (of those kept), so that no single one rules it."""
+def linear_check(
+    rig: Rig, spectra: Spectra, kept: list[int] | None = None, cache: ResponseCache | None = None
+) -> LinearCheck:
+    """A rig beside spectra, in the scale of the channels kept. `cache` is that of whoever tries many rigs."""
     kept = list(range(len(spectra.sensors))) if kept is None else kept
+    made = _accelerances(rig, spectra, cache or ResponseCache(spectra.omega, 0))
+    return LinearCheck(spectra, made, _scale(spectra, kept), driven_by(spectra.forces))
+
+
+def _scale(spectra: Spectra, kept: list[int]) -> Float[np.ndarray, "sensors lines"]:
+    """That of the median channel of each body (of those kept), so that no single one rules it."""
     bodies = [s.station.body for s in spectra.sensors]
     scale = np.empty(spectra.noise.shape)
     for body in dict.fromkeys(bodies):
@@ -103,8 +115,7 @@ def linear_check(rig: Rig, spectra: Spectra, kept: list[int] | None = None) -> L
         told = [i for i in own if i in kept] or own
         scale[own] = ROUGH * np.median(spectra.level[told], axis=0)
     scale = np.hypot(scale, spectra.noise)
-    scale = np.maximum(scale, 1e-9 * float(scale.max()) or 1.0)
-    return LinearCheck(spectra, _accelerances(rig, spectra), scale, driven_by(spectra.forces))
+    return np.asarray(np.maximum(scale, 1e-9 * float(scale.max()) or 1.0))
 
 
 def by_forces(
@@ -125,8 +136,7 @@ def driven_by(forces: Complex[np.ndarray, "forces lines"]) -> Bool[np.ndarray, "
     return np.asarray(level > DRIVEN * level.max(axis=1, keepdims=True))
 
 
-def _accelerances(rig: Rig, spectra: Spectra) -> Complex[np.ndarray, "inputs sensors lines"]:
+def _accelerances(rig: Rig, spectra: Spectra, cache: ResponseCache) -> Complex[np.ndarray, "inputs sensors lines"]:
     """Of each force, then of each contact (which drives by minus its force)."""
-    cache = ResponseCache(spectra.omega, 0)
     responses = [response_of(rig, body, cache) for body in rig.bodies]
     return accelerances(rig, responses, rig.forces, [s.station for s in spectra.sensors])

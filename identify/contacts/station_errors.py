@@ -50,7 +50,7 @@ class StationErrors:
         changed = sum(np.linalg.norm(change.delivered) ** 2 for change in self.changes)
         return float(np.sum(self.noise) + changed) / self.noise.size
 
-    def parts(self, begin: int = 0) -> Iterator[tuple[slice, Complex[np.ndarray, "some stations stations"]]]:
+    def parts(self, begin: int = 0) -> Iterator[tuple[slice, Complex[np.ndarray, "_ stations stations"]]]:
         """The covariance chunk by chunk of all lines from `begin` on."""
         lines = self.noise.shape[1]
         for first in range(begin, lines, CHUNK):

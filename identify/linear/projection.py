@@ -19,7 +19,7 @@ RIDGE, LEAST = 1e-13, 1e-300
 """Added to the diagonal of N, as a share of it and for inputs that no sensor feels: inputs that the sensors do not tell
 apart share what they make."""
 
-Covariances = Iterable[tuple[slice, Complex[np.ndarray, "some sensors sensors"]]]
+Covariances = Iterable[tuple[slice, Complex[np.ndarray, "_ sensors sensors"]]]
 """Lines, part by part, and the covariance of the sensors' errors on each: what all lines would take is too much."""
 
 
@@ -99,7 +99,7 @@ def to_free_inputs(
 
 
 def without_free_inputs(
-    columns: Sequence[Complex[np.ndarray, "some sensors lines"]],
+    columns: Sequence[Complex[np.ndarray, "_ sensors lines"]],
     by_input: Complex[np.ndarray, "inputs sensors lines"],
     covariances: Covariances,
 ) -> Iterator[Complex[np.ndarray, "rows columns"]]:
