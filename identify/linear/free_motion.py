@@ -215,7 +215,7 @@ class FreeMode:
 
 
 def free_modes(
-    responses: Sequence[Response], modes: Sequence[Int[np.ndarray, " some"]], places: Sequence[Station | None]
+    responses: Sequence[Response], modes: Sequence[Int[np.ndarray, "_"]], places: Sequence[Station | None]
 ) -> tuple[FreeMode, ...]:
     """Those of some modes of each body, with nothing in them."""
     free = []

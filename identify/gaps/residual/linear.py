@@ -217,7 +217,7 @@ def _pushes(
     return (*zip(rig.forces, lagged, strict=True), *tones, *held)
 
 
-def _free_modes(record: Record, responses: tuple[Response, ...]) -> list[Int[np.ndarray, " some"]]:
+def _free_modes(record: Record, responses: tuple[Response, ...]) -> list[Int[np.ndarray, "_"]]:
     """The modes of elastic bodies that ring freely at the beginning of a record without a force.
 
     They are those in the band by the nominal rig, so that all rigs have the same unknowns.
