@@ -194,7 +194,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     sensors, decays = _sensors_of(recording)
     motion = kinematics(recording, sensors[0].quantity, least_order=2 if np.any(recording.forces_n) else 0)
     high_hz = _high_hz(recording.forces_n, motion, tolerances, low_hz)
-    transform = _transform(motion, high_hz, decays)
+    transform = _transform(motion, samples, high_hz, decays)
     omega = transform.omega
     measured, eta_beyond = _spectra(recording, transform, joint, sensors)
     turned, twice_less = (
@@ -225,7 +225,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         excited_s=motion.excited_from / rate,
         period_s=None if period is None else period / rate,
         tolerances=tolerances,
-        taken=_taken(motion, transform.factor, decays),
+        taken=_taken(motion, samples, transform.factor, decays),
     )
 
 
@@ -262,9 +262,9 @@ def _high_hz(
     return high_hz
 
 
-def _transform(motion: Kinematics, high_hz: float, decays: bool) -> _Transform:
+def _transform(motion: Kinematics, samples: int, high_hz: float, decays: bool) -> _Transform:
     """With the lines up to a frequency; the record fades in, unless it begins quiet, and out."""
-    rate, samples = motion.sample_rate_hz, motion.samples
+    rate = motion.sample_rate_hz
     factor = max(1, int(rate / (2 * high_hz)))
     length = factor * next_fast_len(-(-(samples + round(RING_S * rate)) // factor), real=True)
     window = taper(samples, round(TAPER_S * rate))
@@ -293,11 +293,11 @@ def _spectra(
     return measured, eta_beyond
 
 
-def _taken(motion: Kinematics, factor: int, decays: bool) -> slice:
+def _taken(motion: Kinematics, samples: int, factor: int, decays: bool) -> slice:
     """The samples that count, of every `factor`-th: neither the ends nor what follows when the rig has come to rest."""
     rate = motion.sample_rate_hz
     begin_s = 0.0 if _begins_quiet(motion) else RELEASED_S if decays else LEFT_OUT_S
-    end_s = min(motion.samples / rate - LEFT_OUT_S, max(_decayed_s(motion), begin_s + LEAST_S))
+    end_s = min(samples / rate - LEFT_OUT_S, max(_decayed_s(motion), begin_s + LEAST_S))
     return slice(round(begin_s * rate / factor), int(end_s * rate / factor))
 
 
