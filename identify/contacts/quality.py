@@ -10,7 +10,7 @@ from identify.checks.findings import Cause, Finding
 from identify.contacts.joint import Joint
 from identify.contacts.start import STIFFNESS
 from identify.linear.modal import NEARLY_INVISIBLE
-from identify.linear.nuisance import Kind, Nuisance
+from identify.linear.nuisance import Nuisance, NuisanceKind
 from identify.pages.wording import interval
 from identify.paper.nifo import Nifo
 from identify.signals.kinematics import Use
@@ -21,7 +21,7 @@ BROKEN = 4.5
 """A nuisance parameter that is pulled by more tolerances than this is off."""
 USUAL = 1.5
 """A body's frequency or mass, or the force's gain, that is pulled by more widens the intervals: see `widened`."""
-WHOLE: tuple[Kind, ...] = ("frequency", "mass", "force gain")
+WHOLE = (NuisanceKind.FREQUENCY, NuisanceKind.MASS, NuisanceKind.FORCE_GAIN)
 UNLIKE = 3.7
 """The halves of a record differ by so many standard errors; of sixteen parts that all agree, 4 is the most."""
 UNEXPLAINED = 0.3
@@ -29,14 +29,14 @@ SURE, APART, ERRORS = 0.1, 0.1, 5.0
 """A modal equation in which a stiffness varies over frequency by less than that share is sure of it: if it is further
 from the joint fit's, and by so many standard errors, the two do not agree."""
 NEGATIVE = 5.0
-CAUSES: dict[Kind, Cause] = {
-    "gain": "gain",
-    "position": "station",
-    "delay": "delay",
-    "force gain": "gain",
-    "mass": "mass",
-    "frequency": "frequency",
-    "damping": "damping",
+CAUSES: dict[NuisanceKind, Cause] = {
+    NuisanceKind.GAIN: "gain",
+    NuisanceKind.POSITION: "station",
+    NuisanceKind.DELAY: "delay",
+    NuisanceKind.FORCE_GAIN: "gain",
+    NuisanceKind.MASS: "mass",
+    NuisanceKind.FREQUENCY: "frequency",
+    NuisanceKind.DAMPING: "damping",
 }
 """Not of an unknown high-pass: the slow motion that accelerometers miss has its shape."""
 
@@ -54,7 +54,7 @@ def widened(found: Joint, parameters: Sequence[Nuisance], in_gaps: float) -> Joi
     pull of a mass while its contacts are open, which is no part of the fit. Where a spring holds the bodies, a sensor's
     high-pass counts too: it stands for slow motion that accelerometers miss, and that the spring feels.
     """
-    kinds = (*WHOLE, "high-pass") if found.sides_known else WHOLE
+    kinds = (*WHOLE, NuisanceKind.HIGH_PASS) if found.sides_known else WHOLE
     whole = {of: abs(p) for p, of in zip(found.pulls, parameters, strict=True) if of.kind in kinds and of.mode is None}
     pull = max(whole.values(), default=0.0)
     alone = sum(of.kind == "frequency" for of in whole) == 1

@@ -19,7 +19,7 @@ from identify.gaps.decision.sentence import sentence
 from identify.gaps.decision.unmeasured import cost_with, unmeasured
 from identify.gaps.decision.verdict import HALF, Decision, acts_where_they_do, decided, doubted
 from identify.gaps.residual.likelihood import Reference, reference_of
-from identify.gaps.residual.residual import Residual, forget, linearized
+from identify.gaps.residual.residual import Residual, linearized
 from identify.gaps.residual.spectra import Record, record_of
 from identify.gaps.results import USUAL, Gap, Matters, NextExperiment
 from identify.gaps.search.candidates import Candidate, candidates, scale_of
@@ -73,7 +73,6 @@ def diagnose(
     """
     parts, last = parts_of(recordings, validation)
     believed = tolerances or parts[0].rig.tolerances or LABORATORY
-    forget()
     parts, faults = sound(*parts)
     every = [record_of(part, tolerances=believed) for part in parts]
     other, record = parts[last], every[last]
@@ -86,7 +85,6 @@ def diagnose(
     )
     several = len(fitted) > 1
     hypotheses, known = searched(fit_record, lambda x: progress("causes", (0.4 if several else 0.7) * x))
-    forget()
     reference = _reference(record)
     if several:
         seen = [_reference(one) for one in every]

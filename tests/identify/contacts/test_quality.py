@@ -8,10 +8,14 @@ import pytest
 from identify.contacts.joint import Joint
 from identify.contacts.quality import equation_findings, fit_findings, widened
 from identify.linear.modal import ModalEquation
-from identify.linear.nuisance import Nuisance
+from identify.linear.nuisance import Nuisance, NuisanceKind
 from identify.paper.nifo import Nifo
 
-PARAMETERS = (Nuisance("frequency", "beam"), Nuisance("frequency", "beam", 3), Nuisance("gain", "a"))
+PARAMETERS = (
+    Nuisance(NuisanceKind.FREQUENCY, "beam"),
+    Nuisance(NuisanceKind.FREQUENCY, "beam", 3),
+    Nuisance(NuisanceKind.GAIN, "a"),
+)
 
 
 def joint(pulls=(0.0, 0.0, 0.0), damping=1.0, halves=(0.0, 0.0), unexplained=0.01) -> Joint:
@@ -35,7 +39,7 @@ def joint(pulls=(0.0, 0.0, 0.0), damping=1.0, halves=(0.0, 0.0), unexplained=0.0
     [(1.0, 0.0, 1.0), (2.0, 1.0, 2.0), (-3.0, 2.0, 3.0), (0.0, 0.75, 1.25), (2.0, 2.4, 2.6)],
 )
 def test_errors_grow_with_the_pull_of_a_whole_body(pull, in_gaps, factor):
-    found = widened(joint((pull, 4.0, 4.0, 0.0)), (*PARAMETERS, Nuisance("frequency", "base")), in_gaps)
+    found = widened(joint((pull, 4.0, 4.0, 0.0)), (*PARAMETERS, Nuisance(NuisanceKind.FREQUENCY, "base")), in_gaps)
     np.testing.assert_allclose(found.errors, factor * joint().errors)
 
 
@@ -47,7 +51,11 @@ def test_of_a_rig_of_one_body_any_pull_counts(pull, in_gaps, factor):
 
 @pytest.mark.parametrize(("held", "factor"), [(True, 3.0), (False, 1.0)])
 def test_a_high_pass_that_is_pulled_counts_where_a_spring_holds_the_bodies(held, factor):
-    parameters = (Nuisance("frequency", "beam"), Nuisance("frequency", "base"), Nuisance("high-pass", "a"))
+    parameters = (
+        Nuisance(NuisanceKind.FREQUENCY, "beam"),
+        Nuisance(NuisanceKind.FREQUENCY, "base"),
+        Nuisance(NuisanceKind.HIGH_PASS, "a"),
+    )
     found = widened(replace(joint((0.0, 0.0, -3.0)), sides_known=held), parameters, 0.0)
     np.testing.assert_allclose(found.errors, factor * joint().errors)
 
