@@ -2,7 +2,7 @@
 
 from importlib.metadata import entry_points
 
-from identify.gaps.decision.answer import Simulator
+from identify.gaps.decision.prepare import Simulator
 from rig.errors import RigError
 
 SIMULATORS = "identify.simulators"
