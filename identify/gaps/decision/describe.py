@@ -1,6 +1,7 @@
 """The last stage of a diagnosis: its answer in words and numbers, the content of gap.json."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from msgspec.structs import asdict
 
@@ -16,7 +17,7 @@ from identify.gaps.decision.response_comparison import compared
 from identify.gaps.decision.sentence import sentence
 from identify.gaps.decision.verdict import Decision, doubted
 from identify.gaps.residual.likelihood import Misfit
-from identify.gaps.results import Attribution, Between, Curve, Diagnosis, Figure, Gap, Matters, NextExperiment
+from identify.gaps.results import Attribution, Between, Curve, Diagnosis, Figure, Gap, Matters, NextExperiment, Note
 from identify.gaps.search.hypothesis import Hypothesis
 from identify.gaps.unmeasured_force import described
 from identify.linear.joined import joined
@@ -32,21 +33,9 @@ def describe(
     ask_next: bool = False,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Gap:
-    """The answer. With ask_next the next experiment is computed where two causes stay alike.
-
-    What the verdict does not rest on is left out where it cannot be computed, and noted.
-    """
+    """The answer. With ask_next the next experiment is computed where two causes stay alike."""
     decision, record = judgement.decision, prepared.validation.record
-    between = _between(prepared, searched, decision, lambda x: progress(0.5 * x))
-    force = _unmeasured(record.rig, judgement.unmeasured, decision.left_to_describe, matters)
-    comparison = _compared(prepared, decision.likeliest_rig or record.rig)
-    rivals = _rivals(decision) if ask_next and record.forced else None
-    further = _next_experiments(prepared, rivals)
-    where = attempted(
-        "attribution",
-        lambda: attribution(judgement.linearization, judgement.residual, decision.nothing.misfit),
-    )
-    progress(1.0)
+    sides = _side_analyses(prepared, searched, judgement, matters, ask_next, progress)
     told = [
         (weighed.judged, cause_of(weighed.judged, record, weighed.probability, prepared.null_reference, matters))
         for weighed in decision.weighed
@@ -54,7 +43,6 @@ def describe(
     ]
     causes = tuple(cause for _, cause in told)
     doubt = doubted(decision)
-    figures, curves = comparison.value or ((), ())
     diagnosis = Diagnosis(
         verdict=decision.verdict,
         criterion=decision.criterion,
@@ -67,24 +55,66 @@ def describe(
         probability_unknown=decision.unknown,
         nothing_minus_two_log=decision.nothing.misfit.minus_two_log,
         unknown_gain=judgement.unmeasured.gain,
-        unknown=force.value,
+        unknown=sides.unknown,
         doubted=next((cause for judged, cause in told if judged is doubt), None),
         bands=bands_of(decision.without, decision.after, prepared.null_reference),
-        equivalent=equivalent(causes) if causes else (),
+        equivalent=equivalent(causes),
         separate_by=confirmed_by(causes, [judged for judged, _ in told]),
+        next_experiments=sides.next_experiments,
+        next_between=sides.next_between,
+        attribution=sides.attribution,
+        figures=sides.figures,
+        curves=sides.curves,
+        between=sides.between,
+        channel_faults=prepared.channel_faults,
+        notes=(*judgement.unmeasured.notes, *sides.notes),
+    )
+    return Gap(**asdict(diagnosis), sentence=sentence(diagnosis))
+
+
+@dataclass(frozen=True)
+class SideAnalyses:
+    """What the verdict does not rest on; what could not be computed is left out, and noted."""
+
+    between: Between | None
+    unknown: UnmeasuredForce | None
+    figures: tuple[Figure, ...]
+    curves: tuple[Curve, ...]
+    next_experiments: tuple[NextExperiment, ...]
+    next_between: tuple[str, ...]
+    attribution: Attribution
+    notes: tuple[Note, ...]
+
+
+def _side_analyses(
+    prepared: Prepared,
+    searched: Searched,
+    judgement: Judgement,
+    matters: Matters,
+    ask_next: bool,
+    progress: Callable[[float], None],
+) -> SideAnalyses:
+    decision, record = judgement.decision, prepared.validation.record
+    between = _between(prepared, searched, decision, lambda x: progress(0.5 * x))
+    force = _unmeasured(record.rig, judgement.unmeasured, decision.left_to_describe, matters)
+    comparison = _compared(prepared, decision.likeliest_rig or record.rig)
+    rivals = _rivals(decision) if ask_next and record.forced else None
+    further = _next_experiments(prepared, rivals)
+    where = attempted(
+        "attribution", lambda: attribution(judgement.linearization, judgement.residual, decision.nothing.misfit)
+    )
+    progress(1.0)
+    figures, curves = comparison.value or ((), ())
+    return SideAnalyses(
+        between=between.value,
+        unknown=force.value,
+        figures=figures,
+        curves=curves,
         next_experiments=further.value or (),
         next_between=tuple(" + ".join(one.effects) or "nothing" for one in rivals or ()),
         attribution=where.value or Attribution(),
-        figures=figures,
-        curves=curves,
-        between=between.value,
-        channel_faults=prepared.channel_faults,
-        notes=(
-            *judgement.unmeasured.notes,
-            *(note for one in (force, between, comparison, further, where) for note in one.notes),
-        ),
+        notes=tuple(note for one in (force, between, comparison, further, where) for note in one.notes),
     )
-    return Gap(**asdict(diagnosis), sentence=sentence(diagnosis))
 
 
 def _between(
