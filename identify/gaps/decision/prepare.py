@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from identify.gaps.decision.release import released
 from identify.gaps.residual.likelihood import Reference, reference_of
 from identify.gaps.residual.residual import forget, linearized
 from identify.gaps.residual.spectra import Record, record_of
+from rig.errors import RigError
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 
@@ -22,6 +24,18 @@ class Simulator:
 
     name: str
     simulate: Simulate
+
+
+SIMULATORS = "identify.simulators"
+"""The entry points by which packages offer simulators."""
+
+
+def simulator_named(name: str) -> Simulator:
+    """The simulator that an installed package offers under this name; raises RigError if none does."""
+    offered = {point.name: point for point in entry_points(group=SIMULATORS)}
+    if name not in offered:
+        raise RigError(f"no simulator {name!r}; there are {', '.join(sorted(offered))}")
+    return Simulator(name, offered[name].load())
 
 
 @dataclass(frozen=True)
