@@ -275,6 +275,8 @@ def print_report(report: ContactReport, console: Console) -> None:
             spectra.add_row(each.equation, name, "", "", "on a node: not told")
     if report.nifo:
         console.print(spectra)
+    for note in report.notes:
+        console.print(f"note: {note}", soft_wrap=True)
     for mode in report.modes:
         console.print(
             f"mode {mode.index} of {mode.beam}: {mode.frequency_hz:.3f} Hz, damping {100 * mode.damping_ratio:.2f} %"
