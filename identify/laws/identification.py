@@ -108,28 +108,25 @@ def identify_law(
     pyoperon()  # whose lack had better be known before the work
     contacts = checked_contacts(recording, use, tolerances)
     progress(0.1)
-    separation = contacts.separation
+    separation, refusals = contacts.separation, contacts.outcomes.refusals
     pairs = zip(separation.same_place, separation.records, strict=True)
     chosen = [(place, one) for place, one in pairs if contact in (None, *(names[j] for j in place.members))]
     found: list[FoundLaw] = []
     silent: dict[str, Refusal] = {}
     for done, (place, one) in enumerate(chosen, start=1):
         members = [names[j] for j in place.members]
-        refusals = {n: r for n, r in contacts.outcomes.refusals.items() if n in members}
-        if len(refusals) == len(members) and (one.drift is not None or not np.ptp(one.eta_m)):
-            silent |= refusals
+        if set(members) <= refusals.keys() and (one.drift is not None or not np.ptp(one.eta_m)):
+            silent |= {name: refusals[name] for name in members}
         else:
             found.append(_law(contacts, place, one, seconds / len(chosen), seed))
         progress(0.1 + 0.9 * done / len(chosen))
-    return Laws(
-        LawReport(
-            rig=recording.rig.name,
-            laws=tuple(f.result for f in found),
-            unanswered=unanswered(silent),
-            findings=contacts.findings,
-        ),
-        tuple(found),
+    report = LawReport(
+        rig=recording.rig.name,
+        laws=tuple(law.result for law in found),
+        unanswered=unanswered(silent),
+        findings=contacts.findings,
     )
+    return Laws(report, tuple(found))
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,5 @@
-"""The paper's methods and the figures beside the answers: where one cannot be made a note says so, and no answer is lost."""
+"""The paper's methods and the figures beside the answers: where one cannot be made, a note says so and no answer is
+lost."""
 
 import json
 
@@ -109,7 +110,7 @@ def test_a_figure_that_fails_is_a_note_and_all_else_is_written(mass, tmp_path, m
 
 
 def test_an_equation_that_the_body_lacks_is_refused_and_blocks_that_do_not_fit_too(mass):
-    with pytest.raises(RigError, match="no modal equation 'mass 2' with a measured force; there are mass 1$"):
+    with pytest.raises(RigError, match=r"no modal equation 'mass 2' with a measured force; there are mass 1$"):
         identify_contact(mass, use="displacement", equation="mass 2")
     with pytest.raises(RigError, match="a block of 60 s does not fit a record with 30 usable seconds"):
         identify_contact(mass, use="displacement", averaging=Averaging(block_s=60.0))

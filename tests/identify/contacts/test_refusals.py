@@ -1,4 +1,4 @@
-"""Refusals: every place that refuses gives the evidence that its code's words need, and the code reaches contact.json."""
+"""Every place that refuses gives the evidence that its code's words need, and the code reaches contact.json."""
 
 import ast
 from pathlib import Path
@@ -54,9 +54,10 @@ def test_a_refusal_says_cause_and_remedy_with_its_numbers():
 
 def test_a_finding_beside_does_not_lose_the_code():
     finding = Finding(cause="dead", channels=("a",), evidence="a is dead", mend="mend it")
-    with pytest.raises(
-        ContactRefusedError, match=r"\(the check of the record found: a is dead: mend it\.\)$"
-    ) as raised, naming((finding,)):
+    with (
+        pytest.raises(ContactRefusedError, match=r"\(the check of the record found: a is dead: mend it\.\)$") as raised,
+        naming((finding,)),
+    ):
         raise refused(RefusalCode.ALL_ZERO)
     assert raised.value.refusal.code == RefusalCode.ALL_ZERO
 
