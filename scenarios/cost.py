@@ -22,7 +22,7 @@ from scipy.fft import rfft
 from threadpoolctl import threadpool_limits
 
 from identify.contacts import identify_contact
-from identify.contacts.estimates import find_contacts
+from identify.contacts.acceptance import find_contacts
 from identify.paper.nifo import nifo
 from identify.paper.surface import fit_surface
 from identify.signals.finely import OVERSAMPLING

@@ -93,12 +93,24 @@ def _csv(path: Path, text: TextForm) -> Iterable[Column]:
     try:
         values = np.loadtxt(body, delimiter=text.delimiter, ndmin=2, comments=None, quotechar='"', usecols=only)
     except ValueError as error:
-        reason = str(error).split(";")[0]
+        reason = _first_fault(body, text.delimiter, used, all_alike=only is None) or str(error)
         raise RigError(
             f"{path}: {reason} (rows counted from the first sample); check delimiter, decimal and the lines skipped"
         ) from error
     for number, column in enumerate(values.T, start=1):
         yield Column(names[number - 1] if named else f"column {number}", np.ascontiguousarray(column))
+
+
+def _first_fault(body: list[str], delimiter: str, used: int, *, all_alike: bool) -> str:
+    """Why the rows are no table of numbers; empty where these rules find nothing."""
+    rows = csv.reader(body, delimiter=delimiter)
+    for number, cells in enumerate(rows, start=1):
+        if len(cells) < used or (all_alike and len(cells) != used):
+            return f"row {number} has {len(cells)} columns instead of {used}"
+        for column, cell in enumerate(cells[:used], start=1):
+            if not _is_number(cell, "."):
+                return f"row {number}, column {column} is no number: {cell!r}"
+    return ""
 
 
 def _without_empty_columns(body: list[str], delimiter: str) -> tuple[list[str], int]:

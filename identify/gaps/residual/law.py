@@ -15,7 +15,8 @@ from msgspec.structs import replace as changed
 from scipy.sparse import block_diag, csc_matrix, csr_matrix, vstack
 from scipy.sparse.linalg import SuperLU, splu
 
-from identify.contacts.start import CLEAR_SHARE, ContactRecord, regressed
+from identify.contacts.contact_record import CLEAR_SHARE, ContactRecord
+from identify.contacts.initial_guess import regressed
 from identify.gaps.residual.linear import Linear
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.observation import ContactObservation

@@ -9,8 +9,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import periodogram
 
-from identify.contacts.estimates import drift_of
-from identify.contacts.unforced import driven_to_hz, is_unforced
+from identify.contacts.separation import drift_of, driven_to_hz, is_unforced
 from identify.linear.joined import joined
 from identify.signals.beginning import QUIET_S
 from identify.signals.drift import Drift

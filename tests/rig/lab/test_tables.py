@@ -51,8 +51,8 @@ def test_last_columns_without_a_name_or_without_values_are_left_out(tmp_path, na
     [
         ("V1,V2\n1,2,3\n", "2 names for 3 columns"),
         ("V1,V2,V3\n1,2\n", "3 names for 2 columns"),
-        ("V1,,V3\n1,,3\n", "could not convert string ''"),
-        ("V1,V2,V3\n1,2,\n1,2,3\n", "could not convert string ''"),
+        ("V1,,V3\n1,,3\n", "row 1, column 2 is no number: ''"),
+        ("V1,V2,V3\n1,2,\n1,2,3\n", "row 1, column 3 is no number: ''"),
         ("V1,V2\n,\n,\n", "2 names for 0 columns"),
     ],
 )
