@@ -10,11 +10,11 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
+from identify.linear.modal import ModalEquation, modal_equations, relative_displacements
 from identify.paper.nifo import Form, Nifo, nifo
 from identify.signals.finely import penetration
 from identify.signals.kinematics import kinematics
 from identify.signals.spectra import Averaging, Blocks, Term, blocks, decimated
-from identify.structure.modal import ModalEquation, modal_equations, relative_displacements
 from rig.model.description import Rig
 from rig.recording import Recording, Signals, channel_groups
 from rig.simulation.excitation import QUIET_S, force_signal

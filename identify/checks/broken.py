@@ -2,7 +2,7 @@
 
 from identify.checks.findings import Cause, Finding, spoken
 from identify.checks.pulls import Broken
-from identify.structure.nuisance import THE_FORCE
+from identify.linear.nuisance import THE_FORCE
 
 
 def broken_finding(found: Broken) -> Finding:

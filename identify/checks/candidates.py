@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Complex, Float
 
-from identify.structure.nuisance import BodyMotion, Nuisance
-from identify.structure.response import times
+from identify.linear.model import times
+from identify.linear.nuisance import BodyMotion, Nuisance
 from rig.model.description import Sensor, force_names
 from rig.model.tolerances import Tolerances
 

@@ -15,8 +15,8 @@ from identify.checks.masses import mass_findings
 from identify.checks.prediction import linear_check
 from identify.checks.pulls import broken
 from identify.checks.spectra import Spectra, quiet_samples, spectra_of
+from identify.linear.joined import joined, joined_contacts
 from identify.signals.kinematics import Use, kinematics
-from identify.structure.joined import joined, joined_contacts
 from rig.errors import RigError
 from rig.model.description import Sensor
 from rig.model.tolerances import LABORATORY, Tolerances

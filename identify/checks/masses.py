@@ -15,9 +15,9 @@ from jaxtyping import Bool, Float
 
 from identify.checks.findings import Finding
 from identify.checks.relations import usual_factor
+from identify.linear.joined import joined_contacts
 from identify.signals.kinematics import Kinematics
 from identify.signals.spectra import decimated, force_band
-from identify.structure.joined import joined_contacts
 from rig.errors import RigError
 from rig.model.description import Body, Rig
 from rig.model.tolerances import Tolerances

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Complex, Float
 from scipy.ndimage import uniform_filter1d
 
 from identify.checks.spectra import SMOOTHED, Spectra
-from identify.structure.response import across, response_of, times
+from identify.linear.model import across, response_of, times
 from rig.model.description import Rig, Station
 
 ROUGH = 0.03

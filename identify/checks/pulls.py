@@ -17,8 +17,8 @@ from scipy.ndimage import uniform_filter1d
 
 from identify.checks.candidates import Suspect, candidates_of
 from identify.checks.prediction import ROUGH, LinearCheck, Predicted
-from identify.structure.nuisance import BodyMotion, Change, Observed, changes_of
-from identify.structure.response import Response, across, forget, response_of, times
+from identify.linear.model import Response, across, forget, response_of, times
+from identify.linear.nuisance import BodyMotion, Change, Observed, changes_of
 from rig.model.description import Rig
 from rig.model.tolerances import Tolerances
 

@@ -7,9 +7,9 @@ from jaxtyping import Bool, Complex, Float
 
 from identify.contacts.lines import Lines
 from identify.contacts.station_errors import StationErrors
+from identify.linear.free_motion import InitialStates, estimated, motions_of, spectra_of
+from identify.linear.model import Response
 from identify.signals.kinematics import CORNER_HZ, Kinematics
-from identify.structure.initial_state import InitialStates, estimated, motions_of, spectra_of
-from identify.structure.response import Response
 from rig.model.description import Rig
 
 SETTLED_S = 0.5

@@ -14,12 +14,13 @@ from identify.contacts.quality import widened
 from identify.contacts.start import ContactRecord
 from identify.contacts.told import ContactFit, told_contacts
 from identify.contacts.unforced import driven_to_hz, free_fits, is_unforced
+from identify.linear.joined import Joined, joined, joined_contacts
+from identify.linear.modal import relative_displacements, relative_velocities
 from identify.signals.drift import KNOT_S, Drift
 from identify.signals.kinematics import Kinematics, Use, kinematics
 from identify.signals.noise import acceleration_noise
+from identify.signals.refit import refit_until_settled
 from identify.signals.spectra import decimated, oversampled
-from identify.structure.joined import Joined, joined, joined_contacts
-from identify.structure.modal import relative_displacements, relative_velocities
 from rig.errors import RigError
 from rig.model.description import ForceSensor, Rig, Station, contact_stations
 from rig.model.tolerances import Tolerances
@@ -231,19 +232,22 @@ def _estimates(
     slow_n_per_m: Float[np.ndarray, "forces forces"],
 ) -> tuple[ContactFit, ...]:
     """Of every contact, each force by itself; where springs couple their slow motion, again with that of the others."""
-    found = [told_contacts(rig, one, seen) for one, seen in zip(same_place, observed, strict=True)]
     others = slow_n_per_m - np.diag(np.diag(slow_n_per_m))
-    for _ in range(ROUNDS if np.any(others) else 0):
+
+    def refit(found: list[tuple[ContactFit, ...]]) -> list[tuple[ContactFit, ...]]:
         slow_m = np.zeros((len(found), len(observed[0].force_n)))
         for row, one, seen, fits in zip(slow_m, same_place, observed, found, strict=True):
             for sign, fit in zip(one.signs, fits, strict=True):
                 if isinstance(fit, Joint):
                     whole = sign * fit.drift_m + fit.pulls[seen.moving] @ seen.nuisance_m
                     row[:] = whole[:: seen.factor][: row.size]
-        found = [
+        return [
             told_contacts(rig, one, replace(seen, force_n=seen.force_n - more))
             for one, seen, more in zip(same_place, observed, others @ slow_m, strict=True)
         ]
+
+    alone = [told_contacts(rig, one, seen) for one, seen in zip(same_place, observed, strict=True)]
+    found = refit_until_settled(alone, refit, rounds=ROUNDS if np.any(others) else 0)
     each: dict[int, ContactFit] = {}
     for one, told in zip(same_place, found, strict=True):
         each |= dict(zip(one.members, told, strict=True))

@@ -10,11 +10,11 @@ from identify.contacts.identification import Identification
 from identify.contacts.joint import Joint
 from identify.contacts.linearised import law_force_n
 from identify.contacts.results import ContactReport, Segment
+from identify.linear.joined import Joined
+from identify.linear.modal import pushing_force, receptance
 from identify.pages.picture import Picture
 from identify.pages.style import BLUE, GREEN, GREY, RED, picture
 from identify.pages.wording import COVERED, number
-from identify.structure.joined import Joined
-from identify.structure.modal import pushing_force, receptance
 
 Marks = Mapping[str, tuple[float, float]]
 """Reference values by contact: clearance (m) and stiffness (N/m), drawn as dashed lines."""

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.contacts.start import ContactRecord
+from identify.signals.refit import refit_until_settled
 
 ROUNDS = 30
 LEAST = 1e-3
@@ -26,14 +27,15 @@ def first_pulls(seen: ContactRecord) -> Float[np.ndarray, " nuisances"]:
     if not np.any(seen.initial):
         return pulls
     columns = seen.nuisance_n[seen.initial].astype(float)
-    left = seen.force_n
-    for _ in range(ROUNDS):
-        size = np.abs(left)
+
+    def reweighted(theta: Float[np.ndarray, " initial"]) -> Float[np.ndarray, " initial"]:
+        size = np.abs(seen.force_n - theta @ columns)
         middle = max(float(np.median(size)), 1e-300)
         weighed = columns / np.maximum(size, LEAST * middle)
         prior = np.eye(len(columns)) / middle
-        pulls[seen.initial] = np.linalg.solve(weighed @ columns.T + prior, weighed @ seen.force_n)
-        left = seen.force_n - pulls[seen.initial] @ columns
+        return np.linalg.solve(weighed @ columns.T + prior, weighed @ seen.force_n)
+
+    pulls[seen.initial] = refit_until_settled(pulls[seen.initial], reweighted, rounds=ROUNDS)
     return pulls
 
 

@@ -11,11 +11,10 @@ from identify.contacts.lines import Lines
 from identify.contacts.modal_motion import has_hidden_modes, told_motion, whole_motion
 from identify.contacts.nuisance_signals import NuisanceSignals, drawn_noise, nuisance_signals, weighed
 from identify.contacts.station_errors import StationErrors, forces_by_stations
+from identify.linear.model import Response, across, forget, responses_of, slow_damping, slow_stiffness
+from identify.linear.nuisance import Observed, changes_of
 from identify.signals.kinematics import TAPER_S, Kinematics
 from identify.signals.spectra import decimated
-from identify.structure.nuisance import Observed, changes_of
-from identify.structure.response import Response, across, forget
-from identify.structure.slow_motion import responses_of, slow_damping, slow_stiffness
 from rig.model.description import Rig
 from rig.model.modes import Modes, modes_of
 from rig.model.tolerances import Tolerances

@@ -15,13 +15,13 @@ from identify.contacts.results import ContactReport
 from identify.contacts.summary import contact_report
 from identify.contacts.told import LOOSE, ContactFit
 from identify.contacts.unforced import driven_to_hz, is_unforced, without_dead_force
+from identify.linear.joined import Joined
+from identify.linear.modal import modal_equations, pushing_force, transformation, until
 from identify.paper.nifo import Nifo, nifo
 from identify.paper.surface import Stops, Surface, clearance_from_occurrence, fit_surface
 from identify.signals.finely import penetration
 from identify.signals.kinematics import Kinematics, Use
 from identify.signals.spectra import Averaging, blocks, force_band
-from identify.structure.joined import Joined
-from identify.structure.modal import modal_equations, pushing_force, transformation, until
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.tolerances import LABORATORY, Tolerances

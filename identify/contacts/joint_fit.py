@@ -10,6 +10,7 @@ from identify.contacts.normal_equations import NO_LAW, normal_equations
 from identify.contacts.start import LAW, STIFFNESS, ContactRecord, Start
 from identify.signals.descent import Step, descended
 from identify.signals.drift import Spline
+from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
 
 STEPS, ROUNDS, SETTLED = 30, 3, 1e-7
@@ -36,13 +37,15 @@ def fitted(
     if not ends:
         raise why
     state = min(ends, key=lambda end: float(np.sum(end.residual**2)))
-    weights = weights_of(seen, state, _scatter(state))
-    for _ in range(ROUNDS):
-        state = _descended(seen, curve, state, tie, weights)
-        before, weights = weights, weights_of(seen, state, _scatter(state))
-        if np.allclose(weights, before, rtol=0.1):
-            break
-    return state, weights
+
+    def refit(estimate: tuple[State, Weights]) -> tuple[State, Weights]:
+        state = _descended(seen, curve, estimate[0], tie, estimate[1])
+        return state, weights_of(seen, state, _scatter(state))
+
+    def settled(before: tuple[State, Weights], after: tuple[State, Weights]) -> bool:
+        return np.allclose(after[1], before[1], rtol=0.1)
+
+    return refit_until_settled((state, weights_of(seen, state, _scatter(state))), refit, settled, rounds=ROUNDS)
 
 
 def _descended(

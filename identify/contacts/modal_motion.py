@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Complex
 
+from identify.linear.modal import transformation
+from identify.linear.model import Response, across, times
+from identify.linear.nuisance import BodyMotion
 from identify.signals.kinematics import Kinematics
-from identify.structure.modal import transformation
-from identify.structure.nuisance import BodyMotion
-from identify.structure.response import Response, across, times
 from rig.model.description import Rig
 
 NEAR = 1.25

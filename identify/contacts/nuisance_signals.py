@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from identify.contacts.lines import Lines
+from identify.linear.model import times
+from identify.linear.nuisance import THE_RECORD, Kind, Nuisance, Observed, changes_of
 from identify.signals.drift import KNOT_S
-from identify.structure.nuisance import THE_RECORD, Kind, Nuisance, Observed, changes_of
-from identify.structure.response import times
 
 ToForce = Complex[np.ndarray, "contacts stations lines"]
 

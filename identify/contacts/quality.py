@@ -9,11 +9,11 @@ from identify.checks import check_recording
 from identify.checks.findings import Cause, Finding
 from identify.contacts.joint import Joint
 from identify.contacts.start import STIFFNESS
+from identify.linear.modal import NEARLY_INVISIBLE
+from identify.linear.nuisance import Kind, Nuisance
 from identify.pages.wording import interval
 from identify.paper.nifo import Nifo
 from identify.signals.kinematics import Use
-from identify.structure.modal import NEARLY_INVISIBLE
-from identify.structure.nuisance import Kind, Nuisance
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.ndimage import uniform_filter1d
 
-from identify.structure.nuisance import Change
+from identify.linear.nuisance import Change
 from rig.errors import RigError
 
 CHUNK = 1024

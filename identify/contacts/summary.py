@@ -8,11 +8,11 @@ from identify.checks.findings import Finding
 from identify.contacts import results
 from identify.contacts.joint import Joint
 from identify.contacts.told import ContactFit
+from identify.linear.modal import NEARLY_INVISIBLE, Transformation
 from identify.paper.nifo import Nifo, fitted_mode
 from identify.paper.surface import Stops, Surface
 from identify.signals.kinematics import Kinematics
 from identify.signals.noise import noise_source
-from identify.structure.modal import NEARLY_INVISIBLE, Transformation
 from rig.model.description import Rig
 
 

@@ -11,7 +11,7 @@ from identify.contacts.joint import Joint, fit_joint
 from identify.contacts.normal_equations import NO_LAW
 from identify.contacts.progressive import NOT_TOLD, Believed, reach_m
 from identify.contacts.start import LAW, ONE_SIDE, STIFFNESS, ContactRecord, touched_stops
-from identify.structure.joined import Joined
+from identify.linear.joined import Joined
 from rig.errors import RigError
 from rig.model.description import Rig
 

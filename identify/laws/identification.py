@@ -20,9 +20,9 @@ from identify.laws.piecewise import unfiltered as without_low_pass
 from identify.laws.results import ContactLawEstimate, LawReport, SlidingLaw, TriedLaw
 from identify.laws.sliding import SlidingFriction, sliding_friction
 from identify.laws.symbolic import Formula, pyoperon, search
+from identify.linear.joined import Joined
 from identify.pages.wording import interval
 from identify.signals.kinematics import Use
-from identify.structure.joined import Joined
 from rig.errors import RigError
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording

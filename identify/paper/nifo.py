@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Complex, Float
 
+from identify.linear.modal import ModalEquation, receptance
 from identify.signals.regression import influences, line_by_line, variance_of_sum
 from identify.signals.spectra import Blocks, Term
-from identify.structure.modal import ModalEquation, receptance
 from rig.errors import RigError
 
 Form = Literal["weak", "paper"]

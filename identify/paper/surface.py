@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import least_squares, minimize
 
+from identify.linear.modal import ModalEquation
 from identify.signals.scores import PARTS, part_scores
 from identify.signals.spectra import decimated
-from identify.structure.modal import ModalEquation
 from rig.model.contact_laws import penetration_m
 
 """Into how many parts a record is cut for standard errors."""

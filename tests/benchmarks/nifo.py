@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.signal import csd
 
+from identify.linear.modal import ModalEquation
 from identify.paper.nifo import nifo
 from identify.signals.spectra import Averaging, Blocks, blocks, window
-from identify.structure.modal import ModalEquation
 from tests.benchmarks.measuring import Figure, least_cpu_s
 
 CONTACTS, SAMPLES, AVERAGES, RATE_HZ = 14, 2_000_000, 159, 4096.0

@@ -9,7 +9,7 @@ from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.residual.scales import BAND_HZ
 from identify.gaps.residual.spectra import Record
 from identify.gaps.results import Band, Cause, Left, Matters, Value
-from identify.structure.joined import joined
+from identify.linear.joined import joined
 from rig.model.description import Rig
 
 ALIKE = 0.05

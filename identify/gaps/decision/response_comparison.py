@@ -12,7 +12,7 @@ from identify.gaps.decision.null_reference import NullReference, Simulate
 from identify.gaps.residual.residual import Linearization, forget, linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Curve, Figure
-from identify.structure.joined import joined
+from identify.linear.joined import joined
 from rig.model.description import Rig
 from rig.recording import Recording
 

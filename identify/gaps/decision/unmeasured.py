@@ -9,7 +9,7 @@ from identify.gaps.search.nominal import fit_nuisance
 from identify.gaps.unknown import Sought, UnknownForce
 from identify.gaps.unknown import sentence as described
 from identify.gaps.unknown.play import Breathing
-from identify.structure.joined import joined
+from identify.linear.joined import joined
 from rig.model.description import Rig
 
 

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Complex, Float
 
-from identify.gaps.residual.projection import Projection
 from identify.gaps.residual.spectra import Record
-from identify.structure.response import Response, times
+from identify.linear.model import Response, times
+from identify.linear.projection import Projection
 from rig.model.description import Station
 from rig.model.modes import modes_of
 

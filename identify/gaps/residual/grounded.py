@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from identify.gaps.residual.spectra import FINE_HZ, Record
-from identify.structure.response import Response, times, weights_of
+from identify.linear.model import Response, times, weights_of
 from rig.model.description import PointDamper, PointMass, PointSpring, Rig, Station
 
 Spectrum = Complex[np.ndarray, " lines"]

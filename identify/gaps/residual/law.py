@@ -20,9 +20,9 @@ from identify.gaps.residual.linear import Linear
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.observation import ContactObservation
 from identify.gaps.residual.spectra import Record
+from identify.linear.joined import JoinedLaw
 from identify.signals.finely import finely
 from identify.signals.spectra import decimated
-from identify.structure.joined import JoinedLaw
 from rig.errors import RigError
 from rig.model.contact_laws import ContactLaw
 

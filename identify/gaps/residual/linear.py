@@ -20,11 +20,10 @@ from jaxtyping import Complex, Float
 
 from identify.gaps.residual.free_motion import FreeMode, fitted_modes, free_modes
 from identify.gaps.residual.grounded import ground_force_changes, ground_forces, pushed_by_motion
-from identify.gaps.residual.projection import Projection, least_squares, left_by
 from identify.gaps.residual.spectra import Record
-from identify.structure.joined import joined
-from identify.structure.response import Response, across, times, weights_of
-from identify.structure.slow_motion import responses_of, slow_stiffness
+from identify.linear.joined import joined
+from identify.linear.model import Response, across, responses_of, slow_stiffness, times, weights_of
+from identify.linear.projection import Projection, least_squares, left_by
 from rig.model.description import Rig, Station
 from rig.model.modes import participation
 

@@ -9,10 +9,10 @@ from msgspec.structs import replace
 
 from identify.gaps.residual.grounded import pushed_by_motion
 from identify.gaps.residual.linear import Linear, bent
-from identify.gaps.residual.projection import Projection
 from identify.gaps.residual.spectra import Record
-from identify.structure.nuisance import THE_FORCE, BodyMotion, Change, Kind, Nuisance, Observed, changes_of
-from identify.structure.response import Response, times
+from identify.linear.model import Response, times
+from identify.linear.nuisance import THE_FORCE, BodyMotion, Change, Kind, Nuisance, Observed, changes_of
+from identify.linear.projection import Projection
 from rig.model.description import Body, Rig, Sensor
 from rig.model.modes import modes_of
 from rig.model.tolerances import Tolerances

@@ -8,8 +8,8 @@ from jaxtyping import Float
 
 from identify.gaps.residual.linear import Linear
 from identify.gaps.residual.spectra import Record
+from identify.linear.joined import JoinedLaw
 from identify.signals.drift import Spline, spline
-from identify.structure.joined import JoinedLaw
 
 CLOSED = 5.0
 """A contact force is more than noise where it exceeds this many standard deviations; ..."""

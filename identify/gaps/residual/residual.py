@@ -26,9 +26,9 @@ from identify.gaps.residual.nuisance import Columns, apply_nuisance, columns_of,
 from identify.gaps.residual.observation import ContactObservation, seen_contacts
 from identify.gaps.residual.scales import Scales, estimated_scales, prior_scales
 from identify.gaps.residual.spectra import Record
-from identify.structure import response
-from identify.structure.joined import joined_contacts, joined_laws
-from identify.structure.nuisance import Nuisance
+from identify.linear import model as response
+from identify.linear.joined import joined_contacts, joined_laws
+from identify.linear.nuisance import Nuisance
 from rig.model.description import Rig
 
 

@@ -11,6 +11,7 @@ from scipy.signal import periodogram
 
 from identify.contacts.estimates import drift_of
 from identify.contacts.unforced import driven_to_hz, is_unforced
+from identify.linear.joined import joined
 from identify.signals.beginning import QUIET_S
 from identify.signals.drift import Drift
 from identify.signals.kinematics import (
@@ -23,7 +24,6 @@ from identify.signals.kinematics import (
 from identify.signals.noise import acceleration_noise
 from identify.signals.scores import COUNTED_HZ
 from identify.signals.spectra import force_band
-from identify.structure.joined import joined
 from rig.errors import RigError
 from rig.model.description import Rig, Sensor
 from rig.model.sensing import PASSBAND, sensors_of

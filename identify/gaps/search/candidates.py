@@ -10,7 +10,7 @@ from jaxtyping import Float
 from msgspec.structs import replace
 
 from identify.gaps.residual.spectra import Record
-from identify.structure.joined import joined_contacts
+from identify.linear.joined import joined_contacts
 from rig.effects import effects
 from rig.effects.base import Effect, Place, Scale
 from rig.errors import RigError

@@ -6,8 +6,8 @@ from jaxtyping import Complex, Float, Inexact
 from identify.gaps.residual.nuisance import BEYOND
 from identify.gaps.residual.spectra import Record
 from identify.gaps.unknown.observed import WhitenedRecord, bare_residual, inverse_of, with_columns
+from identify.linear.nuisance import chain_sensitivities
 from identify.signals.kinematics import CORNER_HZ, integrated
-from identify.structure.sensor_chain import chain_sensitivities
 from rig.model.description import Rig
 
 

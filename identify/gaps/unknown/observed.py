@@ -21,9 +21,9 @@ from jaxtyping import Complex, Float, Int
 
 from identify.gaps.residual.linear import Linear, linear_model
 from identify.gaps.residual.spectra import Record
+from identify.linear.model import Response
 from identify.signals.beginning import NORMAL_BY_MEDIAN
 from identify.signals.kinematics import taper
-from identify.structure.response import Response
 from rig.errors import RigError
 from rig.model.description import Rig, Station
 

@@ -7,9 +7,9 @@ import pytest
 
 from identify.contacts.joint import Joint
 from identify.contacts.quality import equation_findings, fit_findings, widened
+from identify.linear.modal import ModalEquation
+from identify.linear.nuisance import Nuisance
 from identify.paper.nifo import Nifo
-from identify.structure.modal import ModalEquation
-from identify.structure.nuisance import Nuisance
 
 PARAMETERS = (Nuisance("frequency", "beam"), Nuisance("frequency", "beam", 3), Nuisance("gain", "a"))
 

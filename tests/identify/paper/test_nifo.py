@@ -6,13 +6,13 @@ from functools import cache
 import numpy as np
 import pytest
 
+from identify.linear.modal import ModalEquation, modal_equations, receptance
 from identify.paper.nifo import Nifo, fitted_mode, nifo
 from identify.paper.surface import clearance_from_occurrence, fit_surface
 from identify.signals.finely import penetration
 from identify.signals.kinematics import kinematics
 from identify.signals.regression import line_by_line
 from identify.signals.spectra import Averaging, blocks
-from identify.structure.modal import ModalEquation, modal_equations, receptance
 from rig.errors import RigError
 from rig.recording import read
 from rig.simulation.reference import Sdof

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from identify.linear.modal import ModalEquation
 from identify.paper.surface import LEAST_CONTACT, Stops, clearance_from_occurrence, fit_surface, restoring_force
-from identify.structure.modal import ModalEquation
 from rig.model.contact_laws import penetration_m
 from rig.simulation.excitation import QUIET_S, force_history
 from rig.simulation.motion import joined

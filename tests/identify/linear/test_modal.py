@@ -4,8 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from identify.signals.kinematics import Kinematics, kinematics
-from identify.structure.modal import (
+from identify.linear.modal import (
     NEARLY_INVISIBLE,
     contact_shapes,
     modal_equations,
@@ -15,6 +14,7 @@ from identify.structure.modal import (
     transformation,
     until,
 )
+from identify.signals.kinematics import Kinematics, kinematics
 from rig.errors import RigError
 from rig.model.beam import MAX_MODES
 from rig.model.description import Sensor, Station

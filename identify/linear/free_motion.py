@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
+from identify.linear.model import Response
 from identify.signals.kinematics import Kinematics
-from identify.structure.response import Response
 
 TOLD = 10.0
 """What tells no more than a tenth of that, as a multiple of the prior, is hardly believed."""

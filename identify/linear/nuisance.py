@@ -11,15 +11,15 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
+from identify.linear.model import Response, times
 from identify.signals.kinematics import CORNER_HZ, integrated
-from identify.structure.response import Response, times
-from identify.structure.sensor_chain import chain_sensitivities
 from rig.model.description import Sensor, force_names
 from rig.model.tolerances import Tolerances
 
 THE_FORCE = "the force"
 THE_RECORD = "the record"
 
+ChainKind = Literal["gain", "delay", "high-pass"]
 Kind = Literal["gain", "position", "delay", "high-pass", "force gain", "mass", "frequency", "damping", "initial state"]
 
 
@@ -149,3 +149,18 @@ def _of_modes(observed: Observed, motion: BodyMotion, rows: list[int]) -> Iterat
             if own := float(getattr(believed.of_mode(body.name, int(m) + 1), kind)):
                 moved = own * sensor_response * (shapes[:, m, None] * change[m])
                 yield Change(Nuisance(kind, body.name, int(m) + 1), rows, moved)
+
+
+def chain_sensitivities(
+    sensor: Sensor, tolerances: Tolerances, omega: Float[np.ndarray, " lines"]
+) -> dict[ChainKind, Complex[np.ndarray, " lines"]]:
+    """The relative change of what a sensor delivers by one tolerance each of its gain g, its delay tau, and the corner
+    w of a first-order high-pass i omega / (i omega + w) that an AC-coupled one has: g, -i omega tau, -w / (i omega + w)
+    """
+    own, turning = tolerances.of_sensor(sensor.name), 1j * omega
+    corner = 2 * np.pi * own.high_pass_hz if sensor.measures.ac_coupled else 0.0
+    return {
+        "gain": np.full(omega.size, own.gain, dtype=complex),
+        "delay": -own.delay_s * turning,
+        "high-pass": -corner / (turning + corner) if corner else np.zeros_like(turning),
+    }

@@ -3,7 +3,7 @@
 import numpy as np
 from msgspec.structs import replace
 
-from identify.structure.joined import joined, joined_contacts, joined_laws
+from identify.linear.joined import joined, joined_contacts, joined_laws
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Contact, Station
 from scenarios.topologies import chain
