@@ -1,10 +1,9 @@
 """All checks of a recording, in the order in which one hides the other."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cache
-
-import numpy as np
 
 from identify.checks import background, waveforms
 from identify.checks.broken import broken_finding
@@ -15,6 +14,7 @@ from identify.checks.masses import mass_findings
 from identify.checks.prediction import linear_check
 from identify.checks.pulls import broken
 from identify.checks.spectra import Spectra, quiet_samples, spectra_of
+from identify.checks.waveforms import Row, Rows
 from identify.linear.joined import joined, joined_contacts
 from identify.signals.kinematics import Use, kinematics
 from rig.errors import RigError
@@ -41,19 +41,21 @@ def check_recording(
     of a longer record, which does not begin at rest.
     """
     believed = tolerances or recording.rig.tolerances or LABORATORY
-    forces = recording.force_names
     found = _waveforms(recording, use)
     found += _against_model(recording, use, believed, found)
-    if any(f.cause == "force" for f in found):
-        found = [f for f in found if f.cause != "noise"]
-    told = {*forces, *(c for f in found if f.cause not in HIDE for c in f.channels if len(f.channels) == 1)}
-    found = [f for f in found if f.cause not in ("noise", "drift", "offset", "force") or not _told(f, forces, told)]
-    return merged(found, recording.rig)
+    return merged(_without_explained(found, recording.force_names), recording.rig)
 
 
-def _told(found: Finding, forces: Sequence[str], told: set[str]) -> bool:
-    """Whether a better reason is known for what one channel's waveform shows."""
-    return not set(found.channels) <= {*forces} and set(found.channels) <= told
+def _without_explained(findings: list[Finding], forces: Sequence[str]) -> list[Finding]:
+    """Without what a channel's waveform shows of a cause for which another finding gives a better reason."""
+    if any(f.cause == "force" for f in findings):
+        findings = [f for f in findings if f.cause != "noise"]
+    explained = {*forces, *_concerned(f for f in findings if f.cause not in HIDE and len(f.channels) == 1)}
+
+    def is_explained(finding: Finding) -> bool:
+        return not set(finding.channels) <= {*forces} and set(finding.channels) <= explained
+
+    return [f for f in findings if f.cause not in ("noise", "drift", "offset", "force") or not is_explained(f)]
 
 
 @contextmanager
@@ -115,44 +117,84 @@ def _of_channels(
     return found
 
 
+@dataclass(frozen=True)
+class _Channel:
+    """Samples of one channel, in a group (a quantity or "force"), and the force beside them."""
+
+    group: str
+    name: str
+    samples: Row
+    rate_hz: float
+    forces_n: Rows
+    force_names: tuple[str, ...]
+
+    @property
+    def is_force(self) -> bool:
+        return self.group == "force"
+
+
 def _waveforms(recording: Recording, use: Use) -> list[Finding]:
     """Of every channel the first fault that its samples show; then what several channels show together."""
-    rig, rate, force = recording.rig, recording.rig.sample_rate_hz, recording.forces_n
-    forces = recording.force_names
-    measured = {s.name for s in rig.sensors if use in ("auto", s.quantity)}
-    found: list[Finding] = []
-    names, rows, offs, moving = [], [], [], []
+    channels = list(_channels(recording, use))
+    first = [fault for fault in map(_first_fault, channels) if fault is not None]
+    live = [c for c in channels if c.name not in _concerned(f for f in first if f.cause == "dead")]
+    in_motion = _in_motion(live) if recording.start_s == 0 else []
+    found = in_motion or [*first, *_spikes(live, _concerned(first))]
+    return [*found, *waveforms.copies([c.name for c in live], [c.samples for c in live])]
+
+
+def _concerned(findings: Iterable[Finding]) -> set[str]:
+    """Names of their channels."""
+    return {name for f in findings for name in f.channels}
+
+
+def _channels(recording: Recording, use: Use) -> Iterator[_Channel]:
+    """The forces, and the sensors of the quantity that is used."""
+    rig = recording.rig
+    used = {*recording.force_names, *(s.name for s in rig.sensors if use in ("auto", s.quantity))}
     for group, signals in recording.signals.items():
-        for name, row in zip(signals.channels.names, signals.values, strict=True):
-            if group != "force" and name not in measured:
-                continue
-            if (one := waveforms.dead(name, row, forces)) is not None:
-                found.append(one)
-                continue
-            off = waveforms.off_neighbours(row)
-            names.append(name)
-            rows.append(row)
-            offs.append(off)
-            checks = [
-                waveforms.clipped(name, row),
-                waveforms.quantised(name, row),
-                waveforms.held(name, row, force, forces),
-            ]
-            if group != "force":
-                checks += [background.hum(name, rate, row, force), background.noise(name, rate, row, force, forces)]
-            if group == "acceleration":
-                checks += [background.drift(name, rate, row), background.offset(name, row)]
-            elif group != "force" and (quiet := quiet_samples(force, rate)):
-                checks.append(background.offset(name, row[:quiet], float(row.std())))
-            if group in FIRST_S and recording.start_s == 0:
-                moving.append(background.not_at_rest(name, rate, row, FIRST_S[group]))
-            found += [f for f in checks if f is not None][:1]
-    told = {c for f in found for c in f.channels}
-    for i, name in enumerate(names):
-        others = [o for n, o in zip(names, offs, strict=True) if n not in (name, *forces)]
-        spiked = waveforms.spikes(name, offs[i], others)
-        if spiked is not None and name not in told:
-            found.append(spiked)
-    if moving and np.mean([f is not None for f in moving]) > MOST_REST:
-        found = [f for f in moving if f is not None]
-    return [*found, *waveforms.copies(names, rows)]
+        for name, samples in zip(signals.channels.names, signals.values, strict=True):
+            if name in used:
+                yield _Channel(group, name, samples, rig.sample_rate_hz, recording.forces_n, recording.force_names)
+
+
+def _first_fault(channel: _Channel) -> Finding | None:
+    """What a channel's samples show by themselves; one fault hides those behind it."""
+    name, samples, rate_hz = channel.name, channel.samples, channel.rate_hz
+    force, forces = channel.forces_n, channel.force_names
+    checks: list[Callable[[], Finding | None]] = [
+        lambda: waveforms.dead(name, samples, forces),
+        lambda: waveforms.clipped(name, samples),
+        lambda: waveforms.quantised(name, samples),
+        lambda: waveforms.held(name, samples, force, forces),
+    ]
+    if not channel.is_force:
+        checks += [
+            lambda: background.hum(name, rate_hz, samples, force),
+            lambda: background.noise(name, rate_hz, samples, force, forces),
+        ]
+    if channel.group == "acceleration":
+        checks += [lambda: background.drift(name, rate_hz, samples), lambda: background.offset(name, samples)]
+    elif not channel.is_force and (quiet := quiet_samples(force, rate_hz)):
+        checks.append(lambda: background.offset(name, samples[:quiet], float(samples.std())))
+    return next((fault for check in checks if (fault := check()) is not None), None)
+
+
+def _spikes(channels: Sequence[_Channel], faulty: set[str]) -> Iterator[Finding]:
+    """Of the channels that show no fault of another kind."""
+    off = {c.name: waveforms.off_neighbours(c.samples) for c in channels}
+    for channel in channels:
+        if channel.name not in faulty:
+            others = [o for name, o in off.items() if name not in (channel.name, *channel.force_names)]
+            spiked = waveforms.spikes(channel.name, off[channel.name], others)
+            if spiked is not None:
+                yield spiked
+
+
+def _in_motion(channels: Sequence[_Channel]) -> list[Finding]:
+    """The channels that move from the record's first samples on; none if a few do."""
+    judged = [
+        background.not_at_rest(c.name, c.rate_hz, c.samples, FIRST_S[c.group]) for c in channels if c.group in FIRST_S
+    ]
+    found = [f for f in judged if f is not None]
+    return found if len(found) > MOST_REST * len(judged) else []

@@ -87,7 +87,7 @@ def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], most: int | No
         raise RigError("the force's band is too low or too narrow")
     lines = np.arange(first, last, 1 if most is None else max(1, (last - first) // most))
     omega = 2 * np.pi * lines * rate / length
-    rows = np.stack([_row(recording, s) for s in sensors])
+    rows = np.stack([recording.values_of(s) for s in sensors])
     found = rfft(rows * ending, length)[:, lines]
     begun = quiet_samples(forces_n, rate)
     quiet = rows[:, :begun]
@@ -112,8 +112,3 @@ def quiet_samples(force: Float[np.ndarray, "*forces samples"], rate_hz: float) -
     """How many samples at the start are before the force, at least a quarter second; else zero."""
     before = force_begins(force, rate_hz) - round(0.05 * rate_hz)
     return before if before > QUIET_S * rate_hz else 0
-
-
-def _row(recording: Recording, sensor: Sensor) -> Float[np.ndarray, " samples"]:
-    signals = recording.signals[sensor.quantity]
-    return signals.values[signals.channels.names.index(sensor.name)]

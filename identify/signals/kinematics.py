@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 else:
     Use = Literal["auto", *(name for name, quantity in QUANTITIES.items() if quantity.translates)]
 """Sensors of the motion; the bending that strain gauges show is not used."""
+ByStation = dict[Station, dict[int, Sensor]]
+"""At each station the sensor of each derivative that is measured there; the last of several alike."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,50 @@ class Kinematics:
         return replace(self, displacement_m=none, velocity_m_per_s=none, acceleration_m_per_s2=none, lost_m_per_s2=none)
 
 
+@dataclass(frozen=True)
+class _Transform:
+    """How a record is transformed: its samples times `ending`, silence behind them, `length` samples in all.
+
+    The silence keeps the record's end, which integration falsifies, from wrapping round to its start. usable is how
+    many samples of the motion are right; lead is how many before the first are made up for a derivative.
+    """
+
+    corner_hz: float
+    ending: Float[np.ndarray, " samples"]
+    length: int
+    omega: Float[np.ndarray, " lines"]
+    usable: int
+    excited_from: int
+    lead: int
+
+    def spectrum(
+        self, sensor: Sensor, delivered: Float[np.ndarray, " samples"], lead: int
+    ) -> Complex[np.ndarray, " lines"]:
+        """Of the motion that made the sensor deliver this: its chain taken out, where it lets anything pass.
+
+        So many samples of a lead-in stand before the first sample, at the end of what the transform takes.
+        """
+        padded = np.zeros(self.length)
+        padded[: delivered.size] = delivered * self.ending
+        if lead:
+            padded[-lead:] = led_in(padded[: delivered.size], lead)
+        passes = self.omega >= PASSED * 2 * np.pi * sensor.high_pass_hz
+        response = sensor.response(self.omega)
+        return np.divide(rfft(padded), response, out=np.zeros(self.omega.size, dtype=complex), where=passes)
+
+    def usable_samples(self, spectrum: Complex[np.ndarray, " lines"]) -> Float[np.ndarray, " usable"]:
+        return np.asarray(irfft(spectrum, self.length)[: self.usable])
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """Displacement, velocity and acceleration of every station; what integration lost; channels they come from."""
+
+    derivatives: tuple[Float[np.ndarray, "_ usable"], ...]
+    lost_m_per_s2: Float[np.ndarray, "stations usable"]
+    channels: tuple[str, ...]
+
+
 def kinematics(
     recording: Recording, use: Use = "auto", corner_hz: float = CORNER_HZ, least_order: int = 0
 ) -> Kinematics:
@@ -111,95 +157,108 @@ def kinematics(
 
     Raises RigError if no such sensor is there, or the record is too short for its ends to be left out.
     """
-    rig, rate = recording.rig, recording.rig.sample_rate_hz
-    sensors = [s for s in rig.sensors if use in ("auto", s.quantity) and s.measures.translates]
-    if not sensors:
-        wanted = "sensors of motion" if use == "auto" else f"{use} sensors"
-        instead = "; measure accelerations, velocities or displacements" if use == "auto" else ""
-        raise RigError(f"the recording has no {wanted}; it has {', '.join(sorted(recording.signals))}{instead}")
-    stations = tuple(dict.fromkeys(s.station for s in sensors))
-    chosen = {s: {sensor.measures.order: sensor for sensor in sensors if sensor.station == s} for s in stations}
-    integrates = any(0 not in have for have in chosen.values())
-    left_out = TAPER_S + (2 / corner_hz if integrates else 0.1)
-    usable = recording.samples - round(left_out * rate)
-    if usable < recording.samples / 2:
-        raise RigError(
-            f"the record lasts {recording.duration_s:.3g} s, of which {left_out:.3g} s at its end cannot be used; "
-            "record longer or raise the corner frequency"
-        )
-    ending = taper(recording.samples, round(TAPER_S * rate))
-    if recording.start_s > 0:
-        ending = ending * ending[::-1]
-    # silence behind the record, as the Fourier transform wraps its end, which integration falsifies, round to its start
-    length = next_fast_len(recording.samples + round(2 * left_out * rate), real=True)
-    omega = 2 * np.pi * np.fft.rfftfreq(length, 1 / rate)
-    moved_by = [np.empty((len(stations) if order >= least_order else 0, usable)) for order in range(3)]
-    lost = np.zeros((len(stations), usable))
-    channels: dict[str, None] = {}
-    at_contacts = {s for c in rig.contacts for s in contact_stations(c)}
-    excited_from = at_rest_until(recording.forces_n, (_channel(recording, s) for s in sensors), rate)
-    lead = 0 if excited_from or recording.start_s > 0 else round(TAPER_S * rate)
-    below = 1 - _high_pass(omega, corner_hz)
-    powers = cache(lambda power: integrated(omega, power, corner_hz))
-    for row, station in enumerate(stations):
-        spectra: dict[tuple[str, int], Complex[np.ndarray, " lines"]] = {}
-        for order, motion in list(enumerate(moved_by))[least_order:]:
-            sensor = _nearest(chosen[station], order)
-            own = lead if order > sensor.measures.order else 0  # of an integral nothing may come before the record
-            if (sensor.name, own) not in spectra:
-                delivered = _channel(recording, sensor) * ending
-                spectra[sensor.name, own] = _undone(sensor, delivered, omega, length, own)
-            moved = spectra[sensor.name, own] * powers(order - sensor.measures.order)
-            motion[row] = irfft(moved, length)[:usable]
-        channels |= dict.fromkeys(name for name, _ in spectra)
-        if station in at_contacts and 0 not in chosen[station]:  # the last sensor gave the acceleration
-            lost[row] = irfft(moved * below, length)[:usable]
+    sensors = _motion_sensors(recording, use)
+    stations = _by_station(sensors)
+    integrates = any(0 not in by_order for by_order in stations.values())
+    transform = _transform(recording, sensors, corner_hz, integrates)
+    motion = _motion(recording, stations, transform, least_order)
+    displacement, velocity, acceleration = motion.derivatives
+    rate = recording.rig.sample_rate_hz
     return Kinematics(
-        stations=stations,
-        channels=tuple(channels),
-        sensors=tuple(_nearest(chosen[s], 2) for s in stations),
-        displaced_by=tuple(_nearest(chosen[s], 0) for s in stations),
+        stations=tuple(stations),
+        channels=motion.channels,
+        sensors=tuple(_nearest(by_order, 2) for by_order in stations.values()),
+        displaced_by=tuple(_nearest(by_order, 0) for by_order in stations.values()),
         sample_rate_hz=rate,
         trusted_hz=(corner_hz if integrates else 0.0, PASSBAND * rate),
         zero_known=not integrates,
-        forces_n=recording.forces_n[:, :usable],
-        displacement_m=moved_by[0],
-        velocity_m_per_s=moved_by[1],
-        acceleration_m_per_s2=moved_by[2],
-        lost_m_per_s2=lost,
-        excited_from=excited_from,
+        forces_n=recording.forces_n[:, : transform.usable],
+        displacement_m=displacement,
+        velocity_m_per_s=velocity,
+        acceleration_m_per_s2=acceleration,
+        lost_m_per_s2=motion.lost_m_per_s2,
+        excited_from=transform.excited_from,
         start_s=recording.start_s,
     )
 
 
-def _nearest(have: dict[int, Sensor], order: int) -> Sensor:
+def _motion_sensors(recording: Recording, use: Use) -> list[Sensor]:
+    """Raises RigError if there are none."""
+    sensors = [s for s in recording.rig.sensors if use in ("auto", s.quantity) and s.measures.translates]
+    if not sensors:
+        wanted = "sensors of motion" if use == "auto" else f"{use} sensors"
+        instead = "; measure accelerations, velocities or displacements" if use == "auto" else ""
+        raise RigError(f"the recording has no {wanted}; it has {', '.join(sorted(recording.signals))}{instead}")
+    return sensors
+
+
+def _by_station(sensors: list[Sensor]) -> ByStation:
+    stations: ByStation = {}
+    for sensor in sensors:
+        stations.setdefault(sensor.station, {})[sensor.measures.order] = sensor
+    return stations
+
+
+def _transform(recording: Recording, sensors: list[Sensor], corner_hz: float, integrates: bool) -> _Transform:
+    """Raises RigError if the record is too short."""
+    rate, samples = recording.rig.sample_rate_hz, recording.samples
+    left_out_s = TAPER_S + (2 / corner_hz if integrates else 0.1)
+    usable = samples - round(left_out_s * rate)
+    if usable < samples / 2:
+        raise RigError(
+            f"the record lasts {recording.duration_s:.3g} s, of which {left_out_s:.3g} s at its end cannot be used; "
+            "record longer or raise the corner frequency"
+        )
+    ending = taper(samples, round(TAPER_S * rate))
+    if recording.start_s > 0:
+        ending = ending * ending[::-1]
+    length = next_fast_len(samples + round(2 * left_out_s * rate), real=True)
+    excited_from = at_rest_until(recording.forces_n, (recording.values_of(s) for s in sensors), rate)
+    return _Transform(
+        corner_hz=corner_hz,
+        ending=ending,
+        length=length,
+        omega=2 * np.pi * np.fft.rfftfreq(length, 1 / rate),
+        usable=usable,
+        excited_from=excited_from,
+        lead=0 if excited_from or recording.start_s > 0 else round(TAPER_S * rate),
+    )
+
+
+def _motion(recording: Recording, stations: ByStation, transform: _Transform, least_order: int) -> _Motion:
+    omega, corner_hz = transform.omega, transform.corner_hz
+    powers = cache(lambda power: integrated(omega, power, corner_hz))
+    below_corner = 1 - _high_pass(omega, corner_hz)
+    at_contacts = {s for c in recording.rig.contacts for s in contact_stations(c)}
+    derivatives = tuple(
+        np.empty((len(stations) if order >= least_order else 0, transform.usable)) for order in range(3)
+    )
+    lost = np.zeros((len(stations), transform.usable))
+    channels: dict[str, None] = {}
+    for row, (station, by_order) in enumerate(stations.items()):
+        spectra: dict[tuple[str, int], Complex[np.ndarray, " lines"]] = {}
+        for order in range(least_order, 3):
+            sensor = _nearest(by_order, order)
+            lacking = order - sensor.measures.order
+            lead = transform.lead if lacking > 0 else 0  # of an integral nothing may come before the record
+            if (sensor.name, lead) not in spectra:
+                spectra[sensor.name, lead] = transform.spectrum(sensor, recording.values_of(sensor), lead)
+            moved = spectra[sensor.name, lead] * powers(lacking)
+            derivatives[order][row] = transform.usable_samples(moved)
+            channels[sensor.name] = None
+        if station in at_contacts and 0 not in by_order:  # moved is the acceleration
+            lost[row] = transform.usable_samples(moved * below_corner)
+    return _Motion(derivatives, lost, tuple(channels))
+
+
+def _nearest(by_order: dict[int, Sensor], order: int) -> Sensor:
     """The sensor of this derivative, else one that needs differentiating, else one that needs integrating."""
 
     def cost(sensor: Sensor) -> int:
         lacking = order - sensor.measures.order
         return lacking if lacking >= 0 else 10 - lacking
 
-    return min(have.values(), key=cost)
-
-
-def _channel(recording: Recording, sensor: Sensor) -> Float[np.ndarray, " samples"]:
-    signals = recording.signals[sensor.quantity]
-    return signals.values[signals.channels.names.index(sensor.name)]
-
-
-def _undone(
-    sensor: Sensor, delivered: Float[np.ndarray, " samples"], omega: Float[np.ndarray, " lines"], length: int, lead: int
-) -> Complex[np.ndarray, " lines"]:
-    """The spectrum of the motion that made the sensor deliver this: its chain taken out, where it lets anything pass.
-
-    Before the first sample, at the end of what the transform sees, so many samples of a lead-in.
-    """
-    padded = np.zeros(length)
-    padded[: delivered.size] = delivered
-    if lead:
-        padded[-lead:] = led_in(delivered, lead)
-    passes = omega >= PASSED * 2 * np.pi * sensor.high_pass_hz
-    return np.divide(rfft(padded), sensor.response(omega), out=np.zeros(omega.size, dtype=complex), where=passes)
+    return min(by_order.values(), key=cost)
 
 
 def integrated(omega: Float[np.ndarray, " lines"], power: int, corner_hz: float) -> Complex[np.ndarray, " lines"]:

@@ -13,7 +13,7 @@ from mcap.records import Channel as ChannelRecord
 from numpy.typing import DTypeLike
 
 from rig.errors import RigError
-from rig.model.description import UNITS, Rig, Station, check_given, from_json, stations_of
+from rig.model.description import UNITS, Rig, Sensor, Station, check_given, from_json, stations_of
 from rig.model.sensing import quantities_of, sensors_of
 from rig.recording import container, messages
 from rig.recording.agreement import check_channels
@@ -78,6 +78,11 @@ class Recording:
         if name not in known:
             raise RigError(f"the recording has no channel {name!r}; it has {', '.join(known)}")
         return known[name]
+
+    def values_of(self, sensor: Sensor) -> Float[np.ndarray, " samples"]:
+        """What a sensor of the rig delivered."""
+        signals = self.signals[sensor.quantity]
+        return signals.values[signals.channels.names.index(sensor.name)]
 
     @property
     def forces_n(self) -> Float[np.ndarray, "forces samples"]:

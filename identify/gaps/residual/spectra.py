@@ -202,7 +202,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     eta_beyond = np.zeros((len(joint.contacts), beyond_rad.size), dtype=complex)
     measured = np.empty((len(sensors), lines), dtype=complex)
     for row, sensor in zip(measured, sensors, strict=True):
-        whole = spectrum(_row(recording, sensor))
+        whole = spectrum(recording.values_of(sensor))
         row[:] = whole[:lines]
         _add_beyond(eta_beyond, joint, sensor, whole[lines - 1 :], beyond_rad)
     turned, twice_less = (
@@ -280,11 +280,6 @@ def _add_beyond(
             if sensor.station == station:
                 heard = omega <= 2 * np.pi * PASSBAND * rig.sample_rate_hz
                 eta_beyond[j] += sign * heard * measured * integrated(omega, -sensor.measures.order, CORNER_HZ)
-
-
-def _row(recording: Recording, sensor: Sensor) -> Float[np.ndarray, " samples"]:
-    signals = recording.signals[sensor.quantity]
-    return signals.values[signals.channels.names.index(sensor.name)]
 
 
 def _force_noise_n(motion: Kinematics, tolerances: Tolerances) -> Float[np.ndarray, " forces"]:
