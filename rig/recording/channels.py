@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from rig.errors import RigError
+from rig.limits import unique_keys
 from rig.model.description import Station, check_name
 
 
@@ -35,7 +36,7 @@ def described(channels: Channels) -> dict[str, str]:
 def understood(topic: str, metadata: Mapping[str, str]) -> Channels:
     try:
         names = tuple(str(n) for n in json.loads(metadata["names"]))
-        places = json.loads(metadata["stations"])
+        places = json.loads(metadata["stations"], object_pairs_hook=unique_keys)
         stations = tuple(None if p is None else Station(str(p["body"]), float(p["position_m"])) for p in places)
         for name in names:
             check_name("channel", name)

@@ -57,6 +57,8 @@ def recover(bad: Path, good: Path) -> tuple[Loss, ...]:
         try:
             for name, block in gathering(foreign.noting(container.complete(file)), contents):
                 found[name].append(block.copied())
+        except RigError as error:
+            raise RigError(f"{bad}: {error}") from error
         except container.DAMAGE as error:
             raise RigError(f"{bad}: cannot be recovered ({error}); restore it from a copy") from error
     rig = rig_of(bad, contents)

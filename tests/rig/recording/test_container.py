@@ -122,7 +122,8 @@ def test_what_other_writers_make_is_read(tmp_path, compression, chunked):
             }
             channel = writer.register_channel(f"/rig/{group}/block", "protobuf", schema, metadata)
             for first in range(0, 3000, 500):
-                block = encode_block(0, first, about.sample_rate_hz, values[:, first : first + 500])
+                time_ns = round(first / about.sample_rate_hz * 1e9)
+                block = encode_block(time_ns, first, about.sample_rate_hz, values[:, first : first + 500])
                 writer.add_message(channel, 0, block, 0)
         writer.finish()
     for signals in read(path).signals.values():
