@@ -61,15 +61,15 @@ def mains(rate_hz: float, row: Row, force: Rows) -> tuple[float, float] | None:
 
 
 def hum(name: str, rate_hz: float, row: Row, force: Rows) -> Finding | None:
-    found = mains(rate_hz, row, force)
-    if found is None:
+    tone, amplitude = mains(rate_hz, row, force), float(row.std() * np.sqrt(2))
+    if tone is None or amplitude == 0:  # also of values so small that their squares are zero
         return None
-    hz, height = found
+    hz, height = tone
     return Finding(
         cause="hum",
         channels=(name,),
-        evidence=f"{name} holds a tone of {hz:.3g} Hz, {100 * height / float(row.std() * np.sqrt(2)):.2g} % of its "
-        "size, that the force does not make: mains hum",
+        evidence=f"{name} holds a tone of {hz:.3g} Hz, {100 * height / amplitude:.2g} % of its size, that the force "
+        "does not make: mains hum",
         mend="ground the cables at one end, keep them away from mains cables, and record again",
     )
 
