@@ -114,3 +114,13 @@ def not_at_rest(name: str, rate_hz: float, row: Row, first_s: float) -> Finding 
         evidence=f"{name} moves already at the record's first samples",
         mend="begin the record with a second at rest, before the force; of a cut record, the beginning is missing",
     )
+
+
+def backwards(names: tuple[str, ...]) -> Finding:
+    """All motion stops with the force, without ringing, and does not begin from rest."""
+    return Finding(
+        cause="not at rest",
+        channels=names,
+        evidence="the motion does not begin at rest and stops at once where the force ends, as if time ran backwards",
+        mend="put the samples of all channels in the order in which they were taken",
+    )
