@@ -100,8 +100,17 @@ def with_path_in_error(path: Path, steps: Iterator[Step]) -> Iterator[Step]:
         raise RigError(f"{path}: {error}") from error
     except DAMAGE as error:
         state = "damaged" if isinstance(error, ValueError) else "cut off or damaged"
-        reason = str(error) or type(error).__name__
-        raise RigError(f"{path}: is {state} ({reason}); try `rig recover`, or restore a copy") from error
+        raise RigError(f"{path}: is {state} ({reason_of(error)}); try `rig recover`, or restore a copy") from error
+
+
+def reason_of(error: Exception) -> str:
+    """Why a record could not be read: in words of this module, or, where a library gave up, that it cannot be decoded.
+
+    Those of the system (no disk, no right) are its own.
+    """
+    if isinstance(error, OSError):
+        return error.strerror or "it cannot be read"
+    return str(error) if type(error) in (ValueError, EOFError) else "a record cannot be decoded"
 
 
 def complete(file: BufferedReader) -> Iterator[McapRecord]:
