@@ -22,6 +22,10 @@ class RigError(ValueError):
         return RigError(f"{self} {note}")
 
 
+class TooLargeError(RigError):
+    """What would take more memory than its file may."""
+
+
 class CutOffError(RigError):
     """A recording that could not be written to its end, though what was written of it is kept."""
 
