@@ -19,8 +19,8 @@ from identify.linear.joined import Joined
 from identify.linear.modal import modal_equations, pushing_force, transformation, until
 from identify.paper.nifo import Nifo, nifo
 from identify.paper.surface import Stops, Surface, clearance_from_occurrence, fit_surface
-from identify.signals.finely import penetration
 from identify.signals.kinematics import Kinematics, Use
+from identify.signals.law_evaluation import penetration
 from identify.signals.spectra import Averaging, blocks, force_band
 from rig.errors import RigError
 from rig.model.description import Rig
@@ -201,7 +201,7 @@ def _with_law(
             eta[j] = side * moved
             if isinstance(found, Joint):
                 lower, upper, _, _ = found.values.tolist()
-                depth[j] = penetration(eta[j], lower, upper)
+                depth[j] = penetration(eta[j], lower, upper, seen.sample_rate_hz)
                 force[j] = law_force_n(found.values, eta[j], side * rate)
     return eta, force, depth
 

@@ -10,12 +10,10 @@ from scipy.sparse import csr_matrix, diags
 
 from identify.contacts.start import LAW, ContactRecord, Law
 from identify.signals.drift import Spline
-from identify.signals.finely import finely
+from identify.signals.law_evaluation import evaluated
 from identify.signals.spectra import decimated
 from rig.model.contact_laws import DeadZone
 
-FINE_HZ = 16384.0
-"""The contact force is evaluated at this rate at least, so that its kinks do not alias."""
 AT_ONCE = 1 << 14
 """So many samples of single precision are taken in double at once."""
 
@@ -91,9 +89,9 @@ def by_stiffness_and_damping(
 def state_at(seen: ContactRecord, curve: Spline, law: Law, knots: Knots, pulls: Pulls) -> State:
     """Without a cost, which takes weights."""
     eta, velocity = moved(seen, curve, knots, pulls)
-    fine = max(1, round(FINE_HZ / seen.sample_rate_hz))
-    fitted = finely(partial(law_force_n, law), np.stack([eta, velocity]), fine)
-    fast = (seen.force_n - _summed(pulls, seen.nuisance_n) - _fewer(seen, fitted)) / (1 - pulls @ seen.noise_in_n)
+    fitted = evaluated(partial(law_force_n, law), np.stack([eta, velocity]), seen.sample_rate_hz, seen.factor)
+    unfitted = seen.force_n - _summed(pulls, seen.nuisance_n) - fitted[: seen.force_n.size]
+    fast = unfitted / (1 - pulls @ seen.noise_in_n)
     stiffness, _ = _slopes(law, eta)
     return State(law, knots, pulls, fast - held_n(seen, curve) @ knots, _fewer(seen, stiffness))
 

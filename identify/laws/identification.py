@@ -2,10 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
-from scipy.signal import resample
 
 from identify.checks import naming
 from identify.contacts.estimates import Contacts, find_contacts
@@ -13,9 +13,9 @@ from identify.contacts.joint import Joint
 from identify.contacts.linearised import law_force_n
 from identify.contacts.quality import findings_before, fit_findings
 from identify.contacts.results import Estimate, Unanswered
-from identify.contacts.start import ContactRecord
+from identify.contacts.start import ContactRecord, Law
 from identify.contacts.unforced import is_unforced, without_dead_force
-from identify.laws.piecewise import FINEST, PiecewiseLinear, Sampled, polynomial, sampled, slope_jumps, straight_pieces
+from identify.laws.piecewise import FINEST, PiecewiseLinear, Sampled, Signal, polynomial, slope_jumps, straight_pieces
 from identify.laws.piecewise import unfiltered as without_low_pass
 from identify.laws.results import ContactLawEstimate, LawReport, SlidingLaw, TriedLaw
 from identify.laws.sliding import SlidingFriction, sliding_friction
@@ -73,7 +73,7 @@ class FoundLaw:
     @property
     def drawn_n(self) -> Float[np.ndarray, " samples"]:
         """Its force, low-passed as the separated one is."""
-        return self.record.low_passed((self.sliding or self.pieces)(self.record.eta_m))
+        return self.record.low_passed(self.sliding or self.pieces)
 
 
 @dataclass(frozen=True)
@@ -141,8 +141,8 @@ def _law(contacts: Contacts, place: Joined, seen: ContactRecord, seconds: float,
     record, velocity = _complete(seen, joints[0] if joints else None)
     values = np.array([joint.values for joint in joints]).ravel()
     if len(joints) > 1:  # their damping hides the knee of a soft stop before a hard one
-        damped = law_force_n(values, record.eta_m, velocity) - law_force_n(values, record.eta_m, 0 * velocity)
-        record = replace(record, force_n=record.force_n - record.low_passed(damped))
+        damped_n = record.low_passed(partial(_damping_force_n, values), velocity)
+        record = replace(record, force_n=record.force_n - damped_n)
     first = contacts.motion.excited_from // seen.factor + ENDS
     last = record.force_n.size - ENDS
     if last - first < LEAST_SAMPLES:
@@ -204,13 +204,16 @@ def _law(contacts: Contacts, place: Joined, seen: ContactRecord, seconds: float,
 
 
 def _complete(seen: ContactRecord, joint: Joint | None) -> tuple[Sampled, Float[np.ndarray, " more"]]:
-    """Force and relative displacement with the drift put right; the relative velocity (m/s), as fine."""
+    """Force and relative displacement with the drift put right; the relative velocity (m/s)."""
     eta, force, velocity = seen.eta_m, seen.force_n, seen.velocity_m_per_s
     if joint is not None and seen.drift is not None:
         eta, velocity = eta + joint.drift_m, velocity + joint.drift_m_per_s
         force = force - seen.spring_n_per_m * joint.drift_m[:: seen.factor][: force.size]
-    record = sampled(eta, seen.sample_rate_hz, force, seen.factor)
-    return record, resample(velocity, record.eta_m.size) if record.eta_m.size > eta.size else velocity
+    return Sampled(eta, force, seen.sample_rate_hz, seen.factor), velocity
+
+
+def _damping_force_n(law: Law, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
+    return law_force_n(law, eta_m, rate_m_per_s) - law_force_n(law, eta_m, np.zeros_like(rate_m_per_s))
 
 
 def _evenly(eta: Float[np.ndarray, " samples"], rng: np.random.Generator) -> np.ndarray:
@@ -243,9 +246,12 @@ def _estimates(values: Float[np.ndarray, " n"], errors: Float[np.ndarray, " n"])
 def _hysteresis(record: Sampled, velocity: Float[np.ndarray, " more"], law: PiecewiseLinear, rows: slice) -> float:
     """The share of the variance left that a damper explains which acts in proportion to the law's local slope."""
     slopes = np.abs(law.slopes_n_per_m)
-    local = slopes[np.searchsorted(law.knees_m, record.eta_m)] / slopes.max()
-    damper = record.low_passed(local * velocity)[rows]
-    left = (record.force_n - record.low_passed(law(record.eta_m)))[rows]
+
+    def by_slope(eta_m: Signal, rate_m_per_s: Signal) -> Signal:
+        return slopes[np.searchsorted(law.knees_m, eta_m)] / slopes.max() * rate_m_per_s
+
+    damper = record.low_passed(by_slope, velocity)[rows]
+    left = (record.force_n - record.low_passed(law))[rows]
     return float((damper @ left) ** 2 / ((damper @ damper) * (left @ left)))
 
 
