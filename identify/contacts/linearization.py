@@ -13,12 +13,10 @@ from scipy.sparse import csr_matrix, diags, spmatrix
 from identify.contacts.contact_record import LAW, ContactRecord, Law
 from identify.contacts.refusals import RefusalCode, refused
 from identify.signals.drift import Spline
-from identify.signals.finely import finely
+from identify.signals.law_evaluation import evaluated
 from identify.signals.spectra import decimated
 from rig.model.contact_laws import DeadZone
 
-FINE_HZ = 16384.0
-"""The contact force is evaluated at this rate at least, so that its kinks do not alias."""
 AT_ONCE = 1 << 14
 """So many samples of single precision are taken in double at once."""
 
@@ -97,11 +95,9 @@ def by_stiffness_and_damping(
 def state_at(record: ContactRecord, curve: Spline, law: Law, knots: Knots, pulls: Pulls) -> State:
     """Without a cost, which takes weights."""
     eta, velocity = moved(record, curve, knots, pulls)
-    fine = max(1, round(FINE_HZ / record.sample_rate_hz))
-    fitted = finely(partial(law_force_n, law), np.stack([eta, velocity]), fine)
-    fast = (record.force_n - _summed(pulls, record.nuisance_n) - _fewer(record, fitted)) / (
-        1 - pulls @ record.noise_in_n
-    )
+    fitted = evaluated(partial(law_force_n, law), np.stack([eta, velocity]), record.sample_rate_hz, record.factor)
+    unfitted = record.force_n - _summed(pulls, record.nuisance_n) - fitted[: record.force_n.size]
+    fast = unfitted / (1 - pulls @ record.noise_in_n)
     stiffness, _ = _slopes(law, eta)
     return State(law, knots, pulls, fast - held_n(record, curve) @ knots, _fewer(record, stiffness))
 

@@ -18,8 +18,8 @@ from identify.contacts.separation import Separation
 from identify.linear.modal import ModalEquation, Transformation, modal_equations, pushing_force, transformation, until
 from identify.paper.nifo import Form, Nifo, nifo
 from identify.paper.surface import Stops, Surface, clearance_from_occurrence, fit_surface
-from identify.signals.finely import penetration
 from identify.signals.kinematics import Kinematics
+from identify.signals.law_evaluation import penetration
 from identify.signals.spectra import Averaging, Blocks, blocks, force_band
 from rig.errors import RigError
 from rig.model.description import Body, Rig
@@ -110,7 +110,7 @@ def signals_by_law(separation: Separation, outcomes: Outcomes) -> ContactSignals
             eta[j] = sign * moved
             for estimate in [outcomes.estimates[names[j]]] if names[j] in told else []:
                 lower, upper, _, _ = estimate.values.tolist()
-                depth[j] = penetration(eta[j], lower, upper)
+                depth[j] = penetration(eta[j], lower, upper, record.sample_rate_hz)
                 force[j] = law_force_n(estimate.values, eta[j], sign * rate)
     return ContactSignals(eta, force, depth)
 

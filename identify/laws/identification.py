@@ -2,19 +2,19 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
-from scipy.signal import resample
 
 from identify.contacts.acceptance import Contacts, checked_contacts
-from identify.contacts.contact_record import ContactRecord
+from identify.contacts.contact_record import ContactRecord, Law
 from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.linearization import law_force_n
 from identify.contacts.refusals import Refusal
 from identify.contacts.results import Estimate
 from identify.contacts.summary import unanswered
-from identify.laws.piecewise import FINEST, PiecewiseLinear, Sampled, polynomial, sampled, slope_jumps, straight_pieces
+from identify.laws.piecewise import FINEST, PiecewiseLinear, Sampled, Signal, polynomial, slope_jumps, straight_pieces
 from identify.laws.piecewise import unfiltered as without_low_pass
 from identify.laws.results import ContactLawEstimate, LawReport, SlidingLaw, TriedLaw
 from identify.laws.sliding import SlidingFriction, sliding_friction
@@ -72,7 +72,7 @@ class FoundLaw:
     @property
     def drawn_n(self) -> Float[np.ndarray, " samples"]:
         """Its force, low-passed as the separated one is."""
-        return self.record.low_passed((self.sliding or self.pieces)(self.record.eta_m))
+        return self.record.low_passed(self.sliding or self.pieces)
 
 
 @dataclass(frozen=True)
@@ -215,8 +215,8 @@ def _samples(contacts: Contacts, place: Joined, seen: ContactRecord) -> _Samples
     record, velocity = _complete(seen, estimates[:1])
     if len(estimates) > 1:
         values = np.array([estimate.values for estimate in estimates]).ravel()
-        damped = law_force_n(values, record.eta_m, velocity) - law_force_n(values, record.eta_m, 0 * velocity)
-        record = replace(record, force_n=record.force_n - record.low_passed(damped))
+        damped_n = record.low_passed(partial(_damping_force_n, values), velocity)
+        record = replace(record, force_n=record.force_n - damped_n)
     first = separation.motion.excited_from // seen.factor + ENDS
     last = record.force_n.size - ENDS
     if last - first < LEAST_SAMPLES:
@@ -255,13 +255,16 @@ def _straight(samples: _Samples, searched: _Searched, knees: Float[np.ndarray, "
 
 
 def _complete(seen: ContactRecord, estimates: tuple[JointEstimate, ...]) -> tuple[Sampled, Float[np.ndarray, " more"]]:
-    """Force and relative displacement with the drift put right; the relative velocity (m/s), as fine."""
+    """Force and relative displacement with the drift put right; the relative velocity (m/s)."""
     eta, force, velocity = seen.eta_m, seen.force_n, seen.velocity_m_per_s
     for estimate in estimates if seen.drift is not None else ():
         eta, velocity = eta + estimate.drift_m, velocity + estimate.drift_m_per_s
         force = force - seen.spring_n_per_m * estimate.drift_m[:: seen.factor][: force.size]
-    record = sampled(eta, seen.sample_rate_hz, force, seen.factor)
-    return record, resample(velocity, record.eta_m.size) if record.eta_m.size > eta.size else velocity
+    return Sampled(eta, force, seen.sample_rate_hz, seen.factor), velocity
+
+
+def _damping_force_n(law: Law, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
+    return law_force_n(law, eta_m, rate_m_per_s) - law_force_n(law, eta_m, np.zeros_like(rate_m_per_s))
 
 
 def _evenly(eta: Float[np.ndarray, " samples"], rng: np.random.Generator) -> np.ndarray:
@@ -294,9 +297,12 @@ def _estimates(values: Float[np.ndarray, " n"], errors: Float[np.ndarray, " n"])
 def _hysteresis(record: Sampled, velocity: Float[np.ndarray, " more"], law: PiecewiseLinear, rows: slice) -> float:
     """The share of the variance left that a damper explains which acts in proportion to the law's local slope."""
     slopes = np.abs(law.slopes_n_per_m)
-    local = slopes[np.searchsorted(law.knees_m, record.eta_m)] / slopes.max()
-    damper = record.low_passed(local * velocity)[rows]
-    left = (record.force_n - record.low_passed(law(record.eta_m)))[rows]
+
+    def by_slope(eta_m: Signal, rate_m_per_s: Signal) -> Signal:
+        return slopes[np.searchsorted(law.knees_m, eta_m)] / slopes.max() * rate_m_per_s
+
+    damper = record.low_passed(by_slope, velocity)[rows]
+    left = (record.force_n - record.low_passed(law))[rows]
     return float((damper @ left) ** 2 / ((damper @ damper) * (left @ left)))
 
 
