@@ -23,7 +23,7 @@ def memory_bound_bytes(file_bytes: int) -> int:
     return BASE_BYTES + BYTES_PER_FILE_BYTE * file_bytes
 
 
-def check_decoded_size(decoded_bytes: float, file_bytes: int, content: str) -> None:
+def check_decoded_size(decoded_bytes: int | float, file_bytes: int, content: str) -> None:
     """Raise RigError if `content` ("PATH: dataset 'x'"), once decoded, exceeds the bound of its file."""
     bound = memory_bound_bytes(file_bytes)
     if decoded_bytes > bound:

@@ -1,6 +1,6 @@
 """The channels of a file of measured data: listed by name, and read where they are asked for."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,6 +36,10 @@ class Refused:
 
     name: str
     sentence: str
+
+
+Blocks = Generator[Block | Refused, None, None]
+"""What a file lists, one after the other; a block is read before the next one is asked for."""
 
 
 class UnreadableError(ValueError):

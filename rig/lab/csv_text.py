@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from rig.errors import RigError
-from rig.lab.column import Block, Column, UnreadableError
+from rig.lab.column import Block, Blocks, Column, UnreadableError
 
 MAX_LINE = 1_000_000
 """Characters of a line that is taken apart here."""
@@ -54,7 +54,7 @@ class _Body:
     empty_at_end: int
 
 
-def csv_blocks(path: Path, form: TextForm) -> Iterator[Block]:
+def csv_blocks(path: Path, form: TextForm) -> Blocks:
     """One block of all columns that have names and values.
 
     Raises RigError if the file is not text in the encoding, or its lines do not have equally many cells.

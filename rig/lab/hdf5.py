@@ -17,11 +17,13 @@ from jaxtyping import Float
 
 from rig.errors import RigError
 from rig.extras import needs_extra
-from rig.lab.column import Block, Column, Refused, UnreadableError, decoded
+from rig.lab.column import Block, Blocks, Column, Refused, UnreadableError, decoded
 from rig.limits import MAX_DEPTH, MAX_ITEMS, MAX_NAME, memory_bound_bytes
 
 NAMES, UNITS, RATES = ("name",), ("unit", "units"), ("sample_rate_hz", "fs")
 """Attributes of a dataset that say these; a dataset without a name is called by its path."""
+SINGLE = ((), (1,))
+"""Shapes of an attribute that has one value."""
 TOGETHER_BYTES = 32_000_000
 """Of a matrix, so much is read at once."""
 DEFLATE, LZF = 1, 32000
@@ -44,7 +46,7 @@ def opened(path: Path, purpose: str) -> Iterator[Any]:
         yield file
 
 
-def hdf5_blocks(path: Path) -> Iterator[Block | Refused]:
+def hdf5_blocks(path: Path) -> Blocks:
     """A block a dataset: of a matrix every row, or column if there are fewer, as NAME[1], NAME[2], ..."""
     with opened(path, "an HDF5 file") as file:
         yield from _of_group(path, file, "", set(), 0)
@@ -135,6 +137,9 @@ def _elsewhere(name: str, where: str) -> str:
 
 def _columns(path: Path, dataset: Any, axis: int, names: Sequence[str], chosen: Sequence[int]) -> list[Column]:
     check_stored(path, dataset, names[chosen[0]])
+    for name in (*UNITS, *RATES):
+        if name in dataset.attrs and dataset.attrs.get_id(name).shape not in SINGLE:
+            raise UnreadableError(f"its dataset {names[0]!r} has an attribute {name!r} of other than one value")
     unit, rate = attribute(dataset, UNITS), attribute(dataset, RATES)
     try:
         rate_hz = None if rate is None else float(rate)
@@ -216,7 +221,7 @@ def _is_whole(compressed: bytes, size: int) -> bool:
 def attribute(item: Any, names: Sequence[str]) -> str | None:
     """The first of these attributes as text, if it has one value."""
     for name in names:
-        if name in item.attrs and item.attrs.get_id(name).shape in ((), (1,)):
+        if name in item.attrs and item.attrs.get_id(name).shape in SINGLE:
             value = np.ravel(np.asarray(item.attrs[name], dtype=object))[0]
             if isinstance(value, str):
                 value = value.encode("utf-8", "surrogateescape")

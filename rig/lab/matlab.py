@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.lab.column import Block, Column, Refused, UnreadableError, decoded
+from rig.lab.column import Block, Blocks, Column, UnreadableError, decoded
 from rig.lab.matlab_hdf5 import matlab_hdf5_blocks
 from rig.limits import MAX_DEPTH, MAX_ITEMS, MAX_NAME, PROGRAM_BYTES, check_decoded_size
 
@@ -29,7 +29,7 @@ _NUMERIC_CLASSES = range(6, 16)
 _COMPLEX = 1 << 11
 
 
-def matlab_blocks(path: Path) -> Iterator[Block | Refused]:
+def matlab_blocks(path: Path) -> Blocks:
     """A block a real numeric matrix, named as MATLAB does: `a`, `run.a`, `run(2).a`, `c{3}`; `a[1]` is a channel of it.
 
     Raises RigError if version 7.3 needs h5py and it is not installed, and RigError or UnreadableError if the file is

@@ -4,12 +4,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from rig.lab.column import Block, Refused, UnreadableError
+from rig.lab.column import Block, Blocks, Refused, UnreadableError
 from rig.lab.hdf5 import attribute, blocks_of, check_stored, is_new, kept_elsewhere, members, opened
 from rig.limits import MAX_DEPTH, MAX_ITEMS
 
 
-def matlab_hdf5_blocks(path: Path) -> Iterator[Block | Refused]:
+def matlab_hdf5_blocks(path: Path) -> Blocks:
     """A block a real numeric array, also in structs and cells, named as `rig.lab.matlab` does.
 
     A group that hard links or references reach by several ways is listed by the first of them. Raises RigError if h5py

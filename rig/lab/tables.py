@@ -1,12 +1,13 @@
 """Measured data as columns, from the files in which laboratories keep them: CSV, UFF, MATLAB, TDMS and HDF5."""
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
 from rig.errors import RigError
 from rig.files import check_source
-from rig.lab.column import Block, Column, Refused, UnreadableError
+from rig.lab.column import Blocks, Column, Refused, UnreadableError
 from rig.lab.csv_text import TextForm, csv_blocks
 from rig.lab.hdf5 import hdf5_blocks
 from rig.lab.matlab import matlab_blocks
@@ -58,7 +59,8 @@ def read_table(path: Path, text: TextForm, keys: Collection[Key] | None = None) 
     try:
         if not path.stat().st_size:
             raise RigError(f"{path}: is empty; export it again")
-        table = _read(path, READERS[suffix](path, text), keys)
+        with closing(READERS[suffix](path, text)) as blocks:
+            table = _read(path, blocks, keys)
     except OSError as error:
         if error.errno is None:  # of a format's library, in words of its own
             raise RigError(f"{path}: cannot be read as {suffix}, whole or in part; export it again") from error
@@ -76,7 +78,7 @@ def read_table(path: Path, text: TextForm, keys: Collection[Key] | None = None) 
     return table
 
 
-def _read(path: Path, blocks: Iterable[Block | Refused], keys: Collection[Key] | None) -> Table:
+def _read(path: Path, blocks: Blocks, keys: Collection[Key] | None) -> Table:
     names: list[str] = []
     columns: dict[int, Column] = {}
     file_bytes, needed_bytes = path.stat().st_size, PROGRAM_BYTES
@@ -99,13 +101,14 @@ def _read(path: Path, blocks: Iterable[Block | Refused], keys: Collection[Key] |
         chosen = [k for k, name in enumerate(block.names) if keys is None or name in keys or first + k + 1 in keys]
         if chosen:
             needed_bytes += WORKING_BYTES_PER_SAMPLE * block.samples * len(chosen)
-            content = f"{path}: the {len(columns) + len(chosen)} columns to {block.names[chosen[-1]]!r}"
+            others = len(columns) + len(chosen) - 1
+            content = f"{path}: column {block.names[chosen[-1]]!r}" + (f" with {others} more" if others else "")
             check_decoded_size(needed_bytes + block.working_bytes, file_bytes, content)
             columns |= zip((first + k for k in chosen), block.read(chosen), strict=True)
     return Table(tuple(names), columns)
 
 
-READERS: dict[str, Callable[[Path, TextForm], Iterable[Block | Refused]]] = {
+READERS: dict[str, Callable[[Path, TextForm], Blocks]] = {
     ".csv": csv_blocks,
     ".txt": csv_blocks,
     ".uff": lambda path, _: uff_blocks(path),

@@ -3,7 +3,6 @@
 import logging
 import os
 import struct
-from collections.abc import Iterator
 from functools import partial
 from io import BufferedReader
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 
 from rig.errors import RigError
 from rig.extras import needs_extra
-from rig.lab.column import Block, Column, UnreadableError
+from rig.lab.column import Block, Blocks, Column, UnreadableError
 from rig.limits import check_decoded_size
 
 _HEAD_BYTES = 28
@@ -30,7 +29,7 @@ class _WholeFile(BufferedReader):
         return super().read(left if size is None or size < 0 else min(size, left))
 
 
-def tdms_blocks(path: Path) -> Iterator[Block]:
+def tdms_blocks(path: Path) -> Blocks:
     """A block a channel of real numbers, GROUP/CHANNEL, with the unit and rate that its properties say.
 
     Raises RigError if npTDMS is not installed, and RigError or UnreadableError if the file is cut off, or declares more

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from rig.lab.column import Block, Column, Refused, UnreadableError, decoded
+from rig.lab.column import Block, Blocks, Column, Refused, UnreadableError, decoded
 
 MARK = re.compile(rb" {4}-1[ ]*(?:[\r\n]+|\Z)")
 """The line that opens a dataset, and the one that closes it; it follows the numbers of a binary one without a break."""
@@ -64,7 +64,7 @@ class _History:
         return self.points if self.even else 2 * self.points
 
 
-def uff_blocks(path: Path) -> Iterator[Block | Refused]:
+def uff_blocks(path: Path) -> Blocks:
     """A block a time history; one at uneven abscissas has the column NAME time before it.
 
     Raises UnreadableError if the file is cut off.
@@ -86,14 +86,14 @@ def datasets_of(content: mmap.mmap) -> Iterator[Dataset]:
         head = _line(content, begin)[0]
         kind, binary = head[:6].strip(), head[6:7].lower() == b"b"
         if not kind.isdigit():
-            raise UnreadableError(f"the dataset at byte {begin} has no number")
+            raise UnreadableError(f"its dataset at byte {begin} has no number, or is cut off")
         closing = _closing(content, begin, head if binary else b"")
         if closing is None:
             raise UnreadableError(f"its dataset at byte {begin} is cut off")
         yield Dataset(int(kind), binary, begin, closing.start())
         behind = closing.end()
         mark = LINE_OF_MARK.search(content, behind)
-    if re.compile(rb"\S").search(content, behind):
+    if re.compile(rb"\S| \Z").search(content, behind):
         raise UnreadableError(f"it is cut off at byte {behind}, behind its last whole dataset")
 
 
