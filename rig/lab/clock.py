@@ -38,8 +38,6 @@ class Clock:
 
     @classmethod
     def of_rate(cls, rate_hz: float, samples: int) -> "Clock":
-        if not 0 < rate_hz < np.inf:
-            raise RigError(f"it says that it is sampled at {rate_hz} Hz; give its sampling rate or column of time")
         if samples < 2:
             raise RigError("it holds fewer than two samples; export more")
         return cls(samples, rate_hz)

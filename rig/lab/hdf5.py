@@ -18,7 +18,7 @@ from jaxtyping import Float
 from rig.errors import RigError
 from rig.extras import needs_extra
 from rig.lab.column import Block, Blocks, Column, Refused, UnreadableError, decoded
-from rig.limits import MAX_DEPTH, MAX_ITEMS, MAX_NAME, memory_bound_bytes
+from rig.limits import MAX_DEPTH, MAX_ITEMS, MAX_NAME
 
 NAMES, UNITS, RATES = ("name",), ("unit", "units"), ("sample_rate_hz", "fs")
 """Attributes of a dataset that say these; a dataset without a name is called by its path."""
@@ -31,6 +31,8 @@ PLAIN_FILTERS = {2, 3}
 """Shuffling and check sums, which do not change the size."""
 LARGEST_RATIO = {DEFLATE: 1032, LZF: 90}
 """To which a byte can swell (zlib: 258 bytes by two bits; LZF: 264 bytes by three)."""
+UNPACKED_BYTES = 100_000_000
+"""What a chunk may become without being looked into first."""
 PIECE_BYTES = 1 << 20
 
 
@@ -59,7 +61,9 @@ def _of_group(path: Path, group: Any, outer: str, visited: set[int], depth: int)
         full = f"{outer}{name}"
         if isinstance(item, Refused):
             yield item
-        elif is_new(item, visited) and isinstance(item, h5py.Group):
+        elif not is_new(item, visited):
+            continue
+        elif isinstance(item, h5py.Group):
             yield from _of_group(path, item, f"{full}/", visited, depth + 1)
         elif isinstance(item, h5py.Dataset):
             yield from blocks_of(path, item, attribute(item, NAMES) or full)
@@ -184,7 +188,6 @@ def check_stored(path: Path, dataset: Any, name: str) -> None:
         called = ", ".join(f"{code} {decoded(label)!r}" for code, _, _, label in filters)
         raise RigError(f"{shown} is stored by the filters {called}, which are not read; store it by gzip or without")
     chunk_bytes = math.prod(dataset.chunks) * dataset.dtype.itemsize
-    bound = memory_bound_bytes(path.stat().st_size)
     suspicious: list[tuple[int, ...]] = []
     held = 0
 
@@ -192,7 +195,7 @@ def check_stored(path: Path, dataset: Any, name: str) -> None:
         nonlocal held
         edges = zip(dataset.chunks, dataset.shape, chunk.chunk_offset, strict=True)
         held += math.prod(max(0, min(length, end - begin)) for length, end, begin in edges)
-        if swelling and chunk.size * LARGEST_RATIO[swelling[0]] > max(bound - chunk_bytes, chunk_bytes):
+        if swelling and chunk.size * LARGEST_RATIO[swelling[0]] > max(UNPACKED_BYTES, chunk_bytes):
             suspicious.append(chunk.chunk_offset)
 
     dataset.id.chunk_iter(count)
@@ -212,9 +215,11 @@ def _unwritten(shown: str, count: int, size: int) -> RigError:
 def _is_whole(compressed: bytes, size: int) -> bool:
     """Whether a zlib stream holds no more than so many bytes."""
     unpacking, count = zlib.decompressobj(), 0
-    while compressed and count <= size:
-        count += len(unpacking.decompress(compressed, PIECE_BYTES))
-        compressed = unpacking.unconsumed_tail
+    for first in range(0, len(compressed), PIECE_BYTES):
+        piece = compressed[first : first + PIECE_BYTES]
+        while piece and count <= size:
+            count += len(unpacking.decompress(piece, PIECE_BYTES))
+            piece = unpacking.unconsumed_tail
     return count <= size
 
 

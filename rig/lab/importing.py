@@ -160,6 +160,8 @@ def clock_of(table: Table, taken: Sequence[Column], time: Source | None, sample_
         stamps_s = rows_in_si({"time": column}, {"time": time.scale * si_factor("time", time.unit or "s")})[0]
         return Clock.of_stamps(stamps_s)
     rates = {c.sample_rate_hz for c in taken if c.sample_rate_hz is not None}
+    if wrong := [rate for rate in rates if not 0 < rate < np.inf]:
+        raise RigError(f"it says that it is sampled at {wrong[0]} Hz; give its sampling rate or column of time")
     rate = sample_rate_hz or min(rates, default=None)
     if rate is None:
         raise RigError("it does not say when its samples were taken; give their sampling rate or column of time")

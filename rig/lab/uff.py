@@ -76,6 +76,13 @@ def uff_blocks(path: Path) -> Blocks:
                 yield _block(content, dataset)
 
 
+def check_whole(path: Path) -> None:
+    """Raise UnreadableError if the last dataset does not end, or there is none."""
+    with path.open("rb") as stream:
+        for _ in datasets_of(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)):
+            pass
+
+
 def datasets_of(content: mmap.mmap) -> Iterator[Dataset]:
     """Every dataset in turn; raises UnreadableError if the last one does not end, or there is none."""
     mark = LINE_OF_MARK.search(content)
