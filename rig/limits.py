@@ -13,6 +13,14 @@ BASE_BYTES = 300_000_000
 BYTES_PER_FILE_BYTE = 8
 MAX_JSON_BYTES = 16 * 1024 * 1024
 """Decoded, a text of JSON takes up to some 24 times its size."""
+PROGRAM_BYTES = 130_000_000
+"""Of BASE_BYTES, what the program takes before it reads anything."""
+MAX_ITEMS = 100_000
+"""Columns, datasets, elements of structs and cells, or segments that a file may list."""
+MAX_DEPTH = 32
+"""How deep groups, structs, cells and keys may be nested."""
+MAX_NAME = 1000
+"""Characters of one name in a file."""
 
 
 def memory_bound_bytes(file_bytes: int) -> int:
