@@ -18,6 +18,10 @@ class RigError(ValueError):
         super().__init__(one_line(sentence))
 
 
+class TooLargeError(RigError):
+    """What would take more memory than its file may."""
+
+
 class CutOffError(RigError):
     """A recording that could not be written to its end, though what was written of it is kept."""
 
