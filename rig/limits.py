@@ -11,6 +11,8 @@ from rig.errors import RigError, TooLargeError
 
 BASE_BYTES = 300_000_000
 BYTES_PER_FILE_BYTE = 8
+MAX_JSON_BYTES = 16 * 1024 * 1024
+"""Decoded, a text of JSON takes up to some 24 times its size."""
 PROGRAM_BYTES = 130_000_000
 """Of BASE_BYTES, what the program takes before it reads anything."""
 MAX_ITEMS = 100_000
@@ -19,8 +21,6 @@ MAX_DEPTH = 32
 """How deep groups, structs, cells and keys may be nested."""
 MAX_NAME = 1000
 """Characters of one name in a file."""
-MAX_JSON_BYTES = 16 * 1024 * 1024
-"""Decoded, a text of JSON takes up to some 24 times its size."""
 
 
 def memory_bound_bytes(file_bytes: int) -> int:

@@ -75,7 +75,7 @@ def naming(findings: tuple[Finding, ...]) -> Iterator[None]:
     except RigError as error:
         if not findings:
             raise
-        raise RigError(f"{error} (the check of the record found: {findings[0].sentence})") from error
+        raise error.noting(f"(the check of the record found: {findings[0].sentence})") from error
 
 
 def _left_out(found: Finding, forces: Sequence[str]) -> tuple[str, ...]:

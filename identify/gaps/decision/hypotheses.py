@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 from identify.gaps.decision.prepare import Prepared
 from identify.gaps.residual.likelihood import Reference
-from identify.gaps.residual.residual import forget
 from identify.gaps.residual.spectra import Record
 from identify.gaps.search.candidates import Candidate, candidates, scale_of
 from identify.gaps.search.hypothesis import Hypothesis, Search
@@ -27,7 +26,6 @@ def search(prepared: Prepared, progress: Callable[[float], None] = lambda _: Non
     that all that are fitted share."""
     strongest, share = prepared.searched, 0.6 if prepared.several else 1.0
     searched = search_record(strongest.record, strongest.reference, lambda x: progress(share * x))
-    forget()
     if not prepared.several:
         return searched
     records = [one.record for one in prepared.fitted]

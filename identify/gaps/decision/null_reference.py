@@ -18,7 +18,7 @@ from scipy.stats import norm, qmc
 from scipy.stats import t as student
 
 from identify.gaps.residual.likelihood import Misfit, misfit, reference_of
-from identify.gaps.residual.residual import Linearization, forget, linearized
+from identify.gaps.residual.residual import Linearization, linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.nominal import fit_nuisance
 from rig.errors import RigError
@@ -131,7 +131,6 @@ def null_reference_of(
         )
         made = simulate(measured.rig, actual, forces_n, seed)
         rows.append(_left(_instrumented(made, densities, gain, rng), tolerances))
-        forget()
         progress((seed + 1) / simulations)
     reference = NullReference(key, tuple(rows))
     if kept:

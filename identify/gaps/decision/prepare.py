@@ -11,7 +11,7 @@ from identify.gaps.decision.null_reference import NullReference, Simulate, null_
 from identify.gaps.decision.recordings import parts_of, sound
 from identify.gaps.decision.release import released
 from identify.gaps.residual.likelihood import Reference, reference_of
-from identify.gaps.residual.residual import forget, linearized
+from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import Record, record_of
 from rig.errors import RigError
 from rig.model.tolerances import LABORATORY, Tolerances
@@ -106,7 +106,6 @@ def prepare(
     """
     parts, validating = parts_of(recordings, validation)
     believed = tolerances or parts[0].rig.tolerances or LABORATORY
-    forget()
     parts, channel_faults = sound(*parts)
     observations = tuple(observed(part, believed) for part in parts)
     measured = observations[validating]
