@@ -28,7 +28,7 @@ def memory_bound_bytes(file_bytes: int) -> int:
     return BASE_BYTES + BYTES_PER_FILE_BYTE * file_bytes
 
 
-def check_decoded_size(decoded_bytes: float, file_bytes: int, content: str) -> None:
+def check_decoded_size(decoded_bytes: int | float, file_bytes: int, content: str) -> None:
     """Raise TooLargeError if `content` ("PATH: dataset 'x'"), once decoded, exceeds the bound of its file."""
     bound = memory_bound_bytes(file_bytes)
     if decoded_bytes > bound:
@@ -49,7 +49,7 @@ class Held:
         """Raise TooLargeError beyond the bound."""
         self._held_bytes += count_bytes
         if self._held_bytes > self._bound_bytes:
-            check_decoded_size(float(self._held_bytes), self._file_bytes, self._content)
+            check_decoded_size(self._held_bytes, self._file_bytes, self._content)
 
 
 def check_json(text: bytes, source: str) -> None:

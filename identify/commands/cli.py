@@ -18,7 +18,7 @@ from identify.commands.history import compare, history
 from identify.commands.options import Believed, Export, Used, check_export
 from identify.contacts.curves import curves
 from identify.contacts.identified_rig import identified_rig
-from identify.contacts.pooled import LARGE_BYTES, SEGMENT_S, identify_long
+from identify.contacts.pooled import LARGE_BYTES, identify_long, longest_segment_s
 from identify.contacts.results import ContactReport, Estimate, Segments
 from identify.laws.curves import curves as law_curves
 from identify.laws.results import LawReport
@@ -131,7 +131,7 @@ def contact(
         for name in ("contact.json", "contact.html", "rig.json"):
             refuse_existing(out / name, force, file, new_folder=True)
     if segment is None and file.exists() and file.stat().st_size > LARGE_BYTES:
-        segment = SEGMENT_S
+        segment = longest_segment_s(file)
     settings = {
         "use": msgspec.convert(use, Use),
         "averaging": averaging,

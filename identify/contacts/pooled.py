@@ -13,14 +13,17 @@ from identify.contacts.results import ContactReport, Estimate, Segment
 from identify.signals.kinematics import Use
 from identify.signals.spectra import Averaging
 from rig.errors import RigError
+from rig.limits import memory_bound_bytes
 from rig.model.tolerances import Tolerances
-from rig.recording.segments import segments
+from rig.recording.segments import bytes_per_second, segments
 
 LARGE_BYTES = 1 << 26
 """Files of more are identified segment by segment, ..."""
 SEGMENT_S = 40.0
 """... of this length, which takes less memory than that."""
 SHORTEST_S = 10.0
+COPIES, LAST_LONGER = 18, 1.5
+"""Identification takes so many times the memory of a segment's samples; the last segment is up to so much longer."""
 Struct = TypeVar("Struct", bound=msgspec.Struct)
 NAMES = ("name", "contact", "equation", "body", "beam", "index")
 """The fields by which what belongs together is found."""
@@ -59,6 +62,22 @@ def identify_long(
     if not found:
         raise RigError(f"{path}: no segment of {segment_s:g} s can be identified ({why})")
     return together([s.report for s in found]), tuple(found)
+
+
+def longest_segment_s(path: Path) -> float:
+    """The length of the segments of a large file, SEGMENT_S unless they would take more memory than the file may.
+
+    Raises RigError where that leaves less than SHORTEST_S, as of samples by the million a second.
+    """
+    per_s, bound = bytes_per_second(path), memory_bound_bytes(path.stat().st_size)
+    longest_s = bound / (COPIES * LAST_LONGER * per_s) - RING_S
+    if longest_s < SHORTEST_S:
+        raise RigError(
+            f"{path}: its channels have {per_s / 1e6:.3g} MB a second, of which {SHORTEST_S + RING_S:g} s at once take "
+            f"more memory than {bound / 1e6:.0f} MB; sample at a lower rate: rig export FILE --format csv --map MAP, "
+            "then a lower sample_rate_hz in its rig.json, resample = true in MAP, and rig import"
+        )
+    return min(SEGMENT_S, longest_s)
 
 
 def together(reports: Sequence[ContactReport]) -> ContactReport:

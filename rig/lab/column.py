@@ -18,7 +18,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Block:
+class ColumnBlock:
     """Columns of equal length that a file keeps together; `read` decodes those at the given places among the names.
 
     working_bytes is what `read` takes of memory beside the columns themselves.
@@ -38,7 +38,7 @@ class Refused:
     sentence: str
 
 
-Blocks = Generator[Block | Refused, None, None]
+Blocks = Generator[ColumnBlock | Refused, None, None]
 """What a file lists, one after the other; a block is read before the next one is asked for."""
 
 

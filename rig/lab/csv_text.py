@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from rig.errors import RigError
-from rig.lab.column import Block, Blocks, Column, UnreadableError
+from rig.lab.column import Blocks, Column, ColumnBlock, UnreadableError
 
 MAX_LINE = 1_000_000
 """Characters of a line that is taken apart here."""
@@ -74,7 +74,7 @@ def csv_blocks(path: Path, form: TextForm) -> Blocks:
                 f"{path}: the number of columns changed from {width} to {cells} in line {line}; check delimiter"
             )
     shown = tuple(names[:used]) if named else tuple(f"column {k}" for k in range(1, used + 1))
-    yield Block(shown, body.samples, partial(_columns, path, form, skipped, shown, body.samples))
+    yield ColumnBlock(shown, body.samples, partial(_columns, path, form, skipped, shown, body.samples))
 
 
 def _lines(path: Path, encoding: str) -> Iterator[str]:

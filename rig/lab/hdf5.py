@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from rig.errors import RigError
 from rig.extras import needs_extra
-from rig.lab.column import Block, Blocks, Column, Refused, UnreadableError, decoded
+from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, decoded
 from rig.limits import MAX_DEPTH, MAX_ITEMS, MAX_NAME
 
 NAMES, UNITS, RATES = ("name",), ("unit", "units"), ("sample_rate_hz", "fs")
@@ -54,7 +54,7 @@ def hdf5_blocks(path: Path) -> Blocks:
         yield from _of_group(path, file, "", set(), 0)
 
 
-def _of_group(path: Path, group: Any, outer: str, visited: set[int], depth: int) -> Iterator[Block | Refused]:
+def _of_group(path: Path, group: Any, outer: str, visited: set[int], depth: int) -> Iterator[ColumnBlock | Refused]:
     import h5py
 
     for name, item in members(group, outer, depth):
@@ -99,7 +99,7 @@ def is_new(item: Any, visited: set[int]) -> bool:
     return True
 
 
-def blocks_of(path: Path, dataset: Any, name: str) -> Iterator[Block | Refused]:
+def blocks_of(path: Path, dataset: Any, name: str) -> Iterator[ColumnBlock | Refused]:
     """The block of a dataset, if it is one of real numbers; what is said of one whose numbers are in another file.
 
     A virtual dataset may not even be asked for its shape: that can open the other file.
@@ -120,7 +120,7 @@ def blocks_of(path: Path, dataset: Any, name: str) -> Iterator[Block | Refused]:
     names = (name,) if count == 1 else tuple(f"{name}[{number}]" for number in range(1, count + 1))
     chunk_bytes = math.prod(dataset.chunks or ()) * kind.itemsize
     working_bytes = 2 * chunk_bytes + min(dataset.nbytes, TOGETHER_BYTES)
-    yield Block(names, shape[axis], partial(_columns, path, dataset, axis, names), working_bytes)
+    yield ColumnBlock(names, shape[axis], partial(_columns, path, dataset, axis, names), working_bytes)
 
 
 def kept_elsewhere(dataset: Any, name: str) -> str:

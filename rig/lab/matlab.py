@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.lab.column import Block, Blocks, Column, UnreadableError, decoded
+from rig.lab.column import Blocks, Column, ColumnBlock, UnreadableError, decoded
 from rig.lab.matlab_hdf5 import matlab_hdf5_blocks
 from rig.limits import MAX_DEPTH, MAX_ITEMS, MAX_NAME, PROGRAM_BYTES, check_decoded_size
 
@@ -48,7 +48,7 @@ def matlab_blocks(path: Path) -> Blocks:
 
 def _block(
     name: str, shape: tuple[int, ...], array: Callable[[], np.ndarray], working_bytes: int = 0
-) -> Iterator[Block]:
+) -> Iterator[ColumnBlock]:
     """The channels of a matrix of that shape; a record is longer than it has channels."""
     if len(shape) != 2 or math.prod(shape) < 2:
         return
@@ -56,7 +56,7 @@ def _block(
     if count > MAX_ITEMS:
         raise UnreadableError(f"its array {name!r} has {count} columns")
     names = (name,) if count == 1 else tuple(f"{name}[{number}]" for number in range(1, count + 1))
-    yield Block(names, samples, partial(_columns, names, array), working_bytes)
+    yield ColumnBlock(names, samples, partial(_columns, names, array), working_bytes)
 
 
 def _columns(names: Sequence[str], array: Callable[[], np.ndarray], chosen: Sequence[int]) -> list[Column]:
@@ -87,7 +87,7 @@ class _Version5:
         self._path, self._content, self._order = path, memoryview(content), order
         self._elements = 0
 
-    def blocks(self) -> Iterator[Block]:
+    def blocks(self) -> Iterator[ColumnBlock]:
         at = _HEADER_BYTES
         while at < len(self._content):
             self._count("at its top", (1,))
@@ -97,7 +97,7 @@ class _Version5:
             elif kind == _MATRIX:
                 yield from self._of_array(body, "", 0)
 
-    def _of_compressed(self, packed: memoryview) -> Iterator[Block]:
+    def _of_compressed(self, packed: memoryview) -> Iterator[ColumnBlock]:
         """An array of numbers is only looked into; the elements of structs and cells are known once it is unpacked."""
         begin = memoryview(zlib.decompressobj().decompress(packed, _HEAD_BYTES))
         kind, length, first, _ = self._tag(begin, 0)
@@ -114,7 +114,7 @@ class _Version5:
             check_decoded_size(PROGRAM_BYTES + len(self._content) + size, len(self._content), shown)
             yield from self._of_array(memoryview(_unpacked(packed, size))[first:], "", 0)
 
-    def _of_array(self, body: memoryview, outer: str, depth: int) -> Iterator[Block]:
+    def _of_array(self, body: memoryview, outer: str, depth: int) -> Iterator[ColumnBlock]:
         """The blocks of an array, or of those in a struct or a cell array; none if it is not real and numeric."""
         if not body:
             return
@@ -132,7 +132,7 @@ class _Version5:
         elif head.is_real:
             yield from self._of_numbers(head, body, name, lambda: body, 0)
 
-    def _of_struct(self, body: memoryview, head: _Head, name: str, depth: int) -> Iterator[Block]:
+    def _of_struct(self, body: memoryview, head: _Head, name: str, depth: int) -> Iterator[ColumnBlock]:
         _, length, at = self._element(body, head.begin)
         _, text, at = self._element(body, at)
         (size,) = struct.unpack(f"{self._order}i", length)
@@ -143,7 +143,7 @@ class _Version5:
         elements = (name if count == 1 else f"{name}({k})" for k in range(1, count + 1))
         yield from self._of_elements(body, at, (f"{e}.{field}" for e in elements for field in fields), depth)
 
-    def _of_elements(self, body: memoryview, at: int, names: Iterator[str], depth: int) -> Iterator[Block]:
+    def _of_elements(self, body: memoryview, at: int, names: Iterator[str], depth: int) -> Iterator[ColumnBlock]:
         """The blocks of the arrays of these names, which follow each other."""
         for name in names:
             kind, inner, at = self._element(body, at)
@@ -153,7 +153,7 @@ class _Version5:
 
     def _of_numbers(
         self, head: _Head, known: memoryview, name: str, body: Callable[[], memoryview], working_bytes: int
-    ) -> Iterator[Block]:
+    ) -> Iterator[ColumnBlock]:
         """The block of an array whose beginning is known; `body` gives all of it."""
         kind, length, begin, _ = self._tag(known, head.begin)
         if kind not in _TYPES:
@@ -210,7 +210,7 @@ def _unpacked(packed: memoryview, size: int) -> bytes:
     return content
 
 
-def _version_4(content: bytes) -> Iterator[Block]:
+def _version_4(content: bytes) -> Iterator[ColumnBlock]:
     from scipy.io import loadmat
     from scipy.io.matlab import matfile_version
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from rig.lab.column import Block, Blocks, Refused, UnreadableError
+from rig.lab.column import Blocks, ColumnBlock, Refused, UnreadableError
 from rig.lab.hdf5 import attribute, blocks_of, check_stored, is_new, kept_elsewhere, members, opened
 from rig.limits import MAX_DEPTH, MAX_ITEMS
 
@@ -31,7 +31,7 @@ class _Arrays:
         self._visited: set[int] = set()
         self._references = 0
 
-    def of(self, name: str, item: Any, depth: int) -> Iterator[Block | Refused]:
+    def of(self, name: str, item: Any, depth: int) -> Iterator[ColumnBlock | Refused]:
         """The blocks of an array, of a struct (a group), or of what the references of a cell array lead to."""
         import h5py
 
@@ -49,7 +49,7 @@ class _Arrays:
         elif isinstance(item, h5py.Dataset) and not _is(item, "char") and not _is_empty(item):
             yield from blocks_of(self._path, item, name)
 
-    def _behind(self, dataset: Any, before: str, after: str, depth: int) -> Iterator[Block | Refused]:
+    def _behind(self, dataset: Any, before: str, after: str, depth: int) -> Iterator[ColumnBlock | Refused]:
         """The blocks of what references lead to; in their names the element's number stands between the two texts."""
         name = f"{before}1{after}"
         if not is_new(dataset, self._visited):

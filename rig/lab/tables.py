@@ -82,30 +82,30 @@ def _read(path: Path, blocks: Blocks, keys: Collection[Key] | None) -> Table:
     names: list[str] = []
     columns: dict[int, Column] = {}
     file_bytes, needed_bytes = path.stat().st_size, PROGRAM_BYTES
-    last = max((key for key in keys or () if isinstance(key, int)), default=0)
     for block in blocks:
+        first = len(names)
         if isinstance(block, Refused):
-            if (
-                keys is None
-                or last > len(names)
-                or block.name in {k.partition("[")[0] for k in keys if isinstance(k, str)}
-            ):
+            if _may_mean(block, first, keys):
                 raise RigError(f"{path}: {block.sentence}")
             continue
-        first = len(names)
         names += block.names
         if len(names) > MAX_ITEMS or max(map(len, block.names)) > MAX_NAME:
-            raise RigError(
-                f"{path}: has more than {MAX_ITEMS} columns, or names of over {MAX_NAME} characters; export less"
-            )
+            raise UnreadableError(f"it has more than {MAX_ITEMS} columns, or names of over {MAX_NAME} characters")
         chosen = [k for k, name in enumerate(block.names) if keys is None or name in keys or first + k + 1 in keys]
         if chosen:
             needed_bytes += WORKING_BYTES_PER_SAMPLE * block.samples * len(chosen)
-            others = len(columns) + len(chosen) - 1
-            content = f"{path}: column {block.names[chosen[-1]]!r}" + (f" with {others} more" if others else "")
+            more = len(columns) + len(chosen) - 1
+            content = f"{path}: column {block.names[chosen[-1]]!r}" + (f" with {more} more" if more else "")
             check_decoded_size(needed_bytes + block.working_bytes, file_bytes, content)
             columns |= zip((first + k for k in chosen), block.read(chosen), strict=True)
     return Table(tuple(names), columns)
+
+
+def _may_mean(refused: Refused, columns: int, keys: Collection[Key] | None) -> bool:
+    """Whether a key is the name of what is refused, of a channel of it, or a number behind the columns before it."""
+    if keys is None:
+        return True
+    return any(key > columns if isinstance(key, int) else refused.name in (key, key.partition("[")[0]) for key in keys)
 
 
 READERS: dict[str, Callable[[Path, TextForm], Blocks]] = {

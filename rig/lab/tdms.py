@@ -10,7 +10,7 @@ from typing import Any
 
 from rig.errors import RigError
 from rig.extras import needs_extra
-from rig.lab.column import Block, Blocks, Column, UnreadableError
+from rig.lab.column import Blocks, Column, ColumnBlock, UnreadableError
 from rig.limits import check_decoded_size
 
 _HEAD_BYTES = 28
@@ -51,7 +51,7 @@ def tdms_blocks(path: Path) -> Blocks:
             for channel in channels:
                 if channel.dtype.kind in "iuf":
                     name = f"{channel.group_name}/{channel.name}"
-                    yield Block((name,), len(channel), partial(_columns, channel, name), 8 * len(channel))
+                    yield ColumnBlock((name,), len(channel), partial(_columns, channel, name), 8 * len(channel))
 
 
 def _columns(channel: Any, name: str, _: object) -> list[Column]:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from rig.lab.column import Block, Blocks, Column, Refused, UnreadableError, decoded
+from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, decoded
 
 MARK = re.compile(rb" {4}-1[ ]*(?:[\r\n]+|\Z)")
 """The line that opens a dataset, and the one that closes it; it follows the numbers of a binary one without a break."""
@@ -141,7 +141,7 @@ def _integer(line: bytes | str, first: int, last: int) -> int:
         raise UnreadableError(f"its header has {line[first:last]!r} in place of a number") from None
 
 
-def _block(content: mmap.mmap, dataset: Dataset) -> Block | Refused:
+def _block(content: mmap.mmap, dataset: Dataset) -> ColumnBlock | Refused:
     head, lines, begin = _header(content, dataset.begin)
     name, unit, kind = lines[0][:80].strip(), lines[8][46:67].strip(), _integer(lines[6], 0, 10)
     if _integer(lines[5], 0, 5) != TIME_RESPONSE or kind not in (SINGLE, DOUBLE):
@@ -166,7 +166,9 @@ def _block(content: mmap.mmap, dataset: Dataset) -> Block | Refused:
     if history.points < 0 or (room != history.numbers if dataset.binary else room < history.numbers):
         raise _other_length(name, room, history.even, history.points)
     names = (name,) if history.even else (f"{name} time", name)
-    return Block(names, history.points, partial(_columns, content, history), 0 if history.even else 16 * history.points)
+    return ColumnBlock(
+        names, history.points, partial(_columns, content, history), 0 if history.even else 16 * history.points
+    )
 
 
 def _columns(content: mmap.mmap, history: _History, chosen: Sequence[int]) -> list[Column]:
