@@ -22,7 +22,7 @@ from jaxtyping import Float, Int
 from scipy.linalg import block_diag
 
 from identify.contacts.acceptance import accept
-from identify.contacts.contact_record import LAW, STIFFNESS
+from identify.contacts.contact_record import DAMPING, LAW, OFFSET, STIFFNESS
 from identify.contacts.determination import determine
 from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.separation import separate
@@ -35,8 +35,6 @@ from rig.recording import Recording
 
 DERIVATIVE_STEP = 1e-3
 """Of a parameter's search step, for dy/dv, which is exact: every y is linear in every v."""
-OFFSET = LAW.vector({"lower_clearance_m": -0.5, "upper_clearance_m": 0.5})
-DAMPING = LAW.vector({"damping_n_s_per_m": 1.0})
 
 Values = Float[np.ndarray, " parameters"]
 
