@@ -145,7 +145,7 @@ def _law_numbers(hypothesis: Hypothesis, believed: Rig, values: Values) -> Float
     )
     if any(law != b.law for law, b in zip(reset, believed.contacts, strict=True)):
         return None
-    return np.array([_numbers(c.law) for c in contacts])
+    return np.array([_numbers(c.law) for c in contacts]).reshape(-1, len(LAW))
 
 
 def _numbers(law: ContactLaw) -> Float[np.ndarray, " 4"]:
