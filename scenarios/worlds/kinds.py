@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scenarios.worlds.machine import Machine, Place
+from scenarios.worlds.machine import Lumped, Machine, Place, TrueBeam
 from scenarios.worlds.truth import EffectTruth, Expected
 
 ALL_CONTACTS = 1 / 3
@@ -55,8 +55,11 @@ def nothing_more(_rng: np.random.Generator, _value: float, _rms_n: float) -> dic
 class Kind:
     """A kind of effect: its size, where it acts, what else is drawn, and what it does.
 
+    `stand_ins`: the effects of the library that come nearest to one outside it.
+
     `at`: "contact" (one or all), "contacts" (one), "body" (a share of a body's length), "moving" (the same, where it
-    moves), "beam", "beams" (one or all), "clamped" (the clamped beam), "sensor", "" (no choice).
+    moves), "beam", "beams" (one or all), "clamped" (the clamped beam), "beam_itself" (the first, as a
+    body), "sensor", "" (no choice).
     """
 
     name: str
@@ -69,6 +72,7 @@ class Kind:
     sides: tuple[str, ...] = ()
     expected: Callable[[EffectTruth], Expected] | None = None
     library: bool = True
+    stand_ins: tuple[str, ...] = ()
 
     def drawn(self, machine: Machine, rms_n: float, rng: np.random.Generator, least: float = 0.0) -> EffectTruth:
         """An effect of this kind on a machine that is excited at this level."""
@@ -76,24 +80,36 @@ class Kind:
         parameters = ({self.size.field: value} if self.told else {}) | self.more(rng, value, rms_n)
         place: dict[str, str | float] = {}
         if self.at in ("contact", "contacts"):
-            everywhere = self.at == "contact" and rng.uniform() < ALL_CONTACTS
+            everywhere = self.at == "contact" and rng.uniform() < ALL_CONTACTS and len(machine.contacts) > 1
             chosen = str(rng.choice([c.name for c in machine.contacts]))
             place["contact"] = "all" if everywhere else chosen
         elif self.at in ("body", "moving"):
-            beam = machine.beams[int(rng.integers(len(machine.beams)))]
-            share = float(rng.uniform(MOVING if self.at == "moving" else SHARES_OF_BODIES[0], SHARES_OF_BODIES[1]))
-            place |= {"body": beam.name, "position_m": share * beam.length_m}
-            if self.library:
-                parameters["relative_position"] = share
+            body = machine.bodies[int(rng.integers(len(machine.bodies)))]
+            position_m = _somewhere(body, MOVING if self.at == "moving" else SHARES_OF_BODIES[0], rng)
+            place |= {"body": body.name, "position_m": position_m}
+            if self.library and body.length_m:
+                parameters["relative_position"] = position_m / body.length_m
         elif self.at in ("beam", "beams", "clamped"):
-            names = [b.name for b in machine.beams if b.clamped or self.at != "clamped"]
-            everywhere = self.at == "beams" and rng.uniform() < 1 / 3
+            bodies = machine.bodies if self.at == "beams" else machine.beams
+            names = [b.name for b in bodies if self.at != "clamped" or (isinstance(b, TrueBeam) and b.clamped)]
+            everywhere = self.at == "beams" and rng.uniform() < 1 / 3 and len(names) > 1
             place["body" if self.at == "beams" else "beam"] = "all" if everywhere else str(rng.choice(names))
+        elif self.at == "beam_itself":
+            place["body"] = machine.beams[0].name
         elif self.at == "sensor":
             place["sensor"] = str(rng.choice([s.name for s in machine.sensors]))
         if self.sides:
             place["side"] = str(rng.choice(self.sides))
-        return EffectTruth(name=self.name, parameters=parameters, place=place, strength=strength)
+        return EffectTruth(
+            name=self.name, parameters=parameters, place=place, strength=strength, stand_ins=self.stand_ins
+        )
+
+
+def _somewhere(body: TrueBeam | Lumped, least: float, rng: np.random.Generator) -> float:
+    """A place on a beam beyond this share of its length, or one of the masses of a row."""
+    if isinstance(body, Lumped):
+        return float(rng.choice(body.positions_m))
+    return float(rng.uniform(least, SHARES_OF_BODIES[1])) * body.length_m
 
 
 def place_of(truth: EffectTruth) -> Place:
