@@ -17,7 +17,7 @@ from scenarios.worlds.simulator import Model, model_of
 
 LOUDER = (1.3, 1.7)
 """The second record's level over the first one's."""
-BEYOND, HIGHEST, HELD = 1.5, 4.0, 4.0
+BEYOND, HIGHEST, HELD = 1.5, 4.0, 8.0
 """Motion at the first contact, were it not there, in clearances: root mean square under a Gaussian force, the largest
 after a blow, at rest before a release."""
 FREE_M = {"gaussian": 1e-3, "hits": 2e-3, "decay": 4e-3}

@@ -83,7 +83,7 @@ def cantilever_one_sided(rng: np.random.Generator) -> Machine:
 
 def held_mass(rng: np.random.Generator) -> Machine:
     """A mass between stops that do not stand evenly."""
-    body = _mass("mass", _between(rng, 1, 3), _between(rng, 8, 15), _between(rng, 0.01, 0.03))
+    body = _mass("mass", _between(rng, 1, 3), _between(rng, 8, 15), _between(rng, 0.005, 0.02))
     stop = _stop("stop_1", Place("mass"), None, (5e-4, 1e-3), rng)
     uneven = replace(stop, law=replace(stop.law, lower_m=stop.law.lower_m * _between(rng, 1.1, 1.5)))
     return _machine([Place("mass")], Place("mass"), "displacement", lumped=(body,), contacts=(uneven,))

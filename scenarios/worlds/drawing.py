@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import msgspec
 import numpy as np
@@ -126,14 +127,12 @@ def _effects(
     kinds: Sequence[Kind], nominal: Machine, level_n: float, rng: np.random.Generator
 ) -> tuple[EffectTruth, ...]:
     """One of each kind, two of one kind at different places."""
-    found: list[EffectTruth] = []
-    for kind in kinds:
-        for _ in range(TRIES):
-            effect = kind.drawn(nominal, level_n, rng, PAIRS_FROM if len(kinds) > 1 else 0.0)
-            if not any(_same_place(effect, e) for e in found if e.name == effect.name):
-                break
-        found.append(effect)
-    return tuple(found)
+    least = PAIRS_FROM if len(kinds) > 1 else 0.0
+    for _ in range(TRIES):
+        effects = tuple(kind.drawn(nominal, level_n, rng, least) for kind in kinds)
+        if not any(a.name == b.name and _same_place(a, b) for a, b in combinations(effects, 2)):
+            break
+    return effects
 
 
 def _same_place(one: EffectTruth, other: EffectTruth) -> bool:
@@ -182,7 +181,7 @@ def _several(number: int, world: World, seed: int) -> tuple[str, ...]:
     rng = _rng(world, seed, number, 1008)
     names = [_dealt(DRAWABLE, number, world, seed, 1004)]
     for _ in range(AT_ONCE[number % len(AT_ONCE)] - 1):
-        again = [n for n in names if n in REPEATED]
+        again = [n for n in names if n in REPEATED and names.count(n) == 1]
         fresh = [n for n in DRAWABLE if n not in names]
         names.append(str(rng.choice(again if again and rng.uniform() < AGAIN else fresh)))
     return tuple(names)

@@ -13,8 +13,8 @@ from scenarios.worlds.sampling import Mounting, Sampler
 from scenarios.worlds.simulator import STEP_S, SimulatedBlock, at_rest, model_of, simulate
 
 ORDERS = ("displacement", "velocity")
-TAIL_S = 0.02
-"""Simulated beyond the record's end, for the filter and early channels."""
+TAIL_S, TAIL_SAMPLES = 0.02, 20
+"""The longer of both is simulated beyond the record's end, for the filter and early channels."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,8 @@ def measured(machine: Machine, excitation: Excitation, samples: int, sample_rate
     of_force, of_noise = np.random.default_rng(seed).spawn(2)
     delays_s = [machine.cell.delay_s, *(s.delay_s for s in machine.sensors)]
     sampler = Sampler(factor, np.array(delays_s) / STEP_S)
-    steps = round((LEAD_S + TAIL_S) / STEP_S) + samples * factor  # the same whatever the delays: so is the force
+    tail_s = max(TAIL_S, TAIL_SAMPLES / sample_rate_hz)
+    steps = round((LEAD_S + tail_s) / STEP_S) + samples * factor  # the same whatever the delays: so is the force
     duration_s = samples / sample_rate_hz
     inputs = inputs_of(machine, excitation, duration_s, steps, STEP_S, of_force)
     force_n = inputs[:, :1].T.copy()
@@ -47,7 +48,9 @@ def measured(machine: Machine, excitation: Excitation, samples: int, sample_rate
     if machine.cell.base_kg:
         inputs[:, -1] -= inputs[:, 0] / machine.cell.base_kg
         inputs[:, 0] = 0.0
-    initial = at_rest(model, float(inputs[0, 0])) if isinstance(excitation, Release) else None
+    initial = None
+    if isinstance(excitation, Release):
+        initial = np.stack([at_rest(model, excitation.held_n), np.zeros(len(model.omega))])
     skipped = round(LEAD_S / STEP_S) - sampler.reach
     mountings = {k: Mounting(s.mount_hz, s.mount_damping, STEP_S) for k, s in enumerate(machine.sensors) if s.mount_hz}
     done, closed = 0, np.zeros(len(model.links))
