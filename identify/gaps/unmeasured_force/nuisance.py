@@ -5,7 +5,7 @@ from jaxtyping import Complex, Float, Inexact
 
 from identify.gaps.residual.nuisance import BEYOND
 from identify.gaps.residual.spectra import Record
-from identify.gaps.unknown.observed import WhitenedRecord, bare_residual, inverse_of, with_columns
+from identify.gaps.unmeasured_force.observed import WhitenedRecord, bare_residual, inverse_of, with_columns
 from identify.linear.nuisance import chain_sensitivities
 from identify.signals.kinematics import CORNER_HZ, integrated
 from rig.model.description import Rig
