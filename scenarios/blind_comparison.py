@@ -45,7 +45,8 @@ def beside(
 
     Raises RigError where it is missing or of another recording.
     """
-    by_case: dict[str, Found | Refused] = {f.case: f for f in (*found, *refused)}
+    by_case: dict[str, Found | Refused] = {f.case: f for f in found}
+    by_case |= {r.case: r for r in refused}
     for answer in answers:
         if answer.case not in by_case:
             raise RigError(f"{answer.case}: was not diagnosed; run diagnose on all cases")
@@ -78,10 +79,10 @@ def by_world(pairs: Sequence[tuple[Path, Path]], kept: Path) -> dict[str, list[S
     for cases, folder in pairs:
         key = opened(cases)
         check_recordings(cases, key.cases)
-        pairs = beside(key.cases, decoded(folder / "found.json", list[Found]), refused_in(folder))
-        answered = [answer for answer, _ in pairs]
-        best = best_of(answered, cases / "recordings", kept, pairs[0][1].tolerances if pairs else None)
-        worlds.setdefault(key.world, []).extend((*pair, one) for pair, one in zip(pairs, best, strict=True))
+        answered = beside(key.cases, decoded(folder / "found.json", list[Found]), refused_in(folder))
+        tolerances = answered[0][1].tolerances if answered else None
+        best = best_of([answer for answer, _ in answered], cases / "recordings", kept, tolerances)
+        worlds.setdefault(key.world, []).extend((*pair, one) for pair, one in zip(answered, best, strict=True))
     return {world: compared_cases(rows) for world, rows in worlds.items() if rows}
 
 

@@ -3,6 +3,7 @@
 import resource
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -105,24 +106,27 @@ def diagnosed_cases(
     null_reference = null_references_of or out / "null_references"
     null_reference.mkdir(parents=True, exist_ok=True)
     prepared = [_task(fit, null_reference, tolerances) for fit in fits]
-    refused = [p for p in prepared if isinstance(p, Refused)]
     tasks = [p for p in prepared if isinstance(p, ToDiagnose)]
+    made = _null_references(tasks, out, dask)
+    answers = [Answer(refused=p) for p in prepared if isinstance(p, Refused)]
+    answers += [Answer(refused=_refused(t, made[t.key].refusal)) for t in tasks if made[t.key].refusal]
+    answers += run_tasks(diagnosed, [t for t in tasks if not made[t.key].refusal], Answer, out / "tasks", dask)
+    found = [replace(a.found, null_reference_cpu_s=made[a.found.key].cpu_s) for a in answers if a.found]
+    write_json(found, out / "found.json")
+    write_json(sorted((a.refused for a in answers if a.refused), key=lambda r: r.case), out / "refused.json")
+    return found
+
+
+def _null_references(tasks: Sequence[ToDiagnose], out: Path, dask: str | None) -> dict[str, NullReferenceMade]:
+    """By key, each made from the first case that needs it."""
     first = {task.key: task for task in reversed(tasks)}
     to_make = [
         NullReferenceToMake(
-            key=key, fit=t.fit, validate=t.validate, null_reference=t.null_reference, tolerances=tolerances
+            key=key, fit=t.fit, validate=t.validate, null_reference=t.null_reference, tolerances=t.tolerances
         )
         for key, t in sorted(first.items())
     ]
-    made = {m.key: m for m in run_tasks(null_reference_made, to_make, NullReferenceMade, out / "tasks", dask)}
-    refused += [_refused(t, made[t.key].refusal) for t in tasks if made[t.key].refusal]
-    tasks = [t for t in tasks if not made[t.key].refusal]
-    answers = run_tasks(diagnosed, tasks, Answer, out / "tasks", dask)
-    refused += [a.refused for a in answers if a.refused]
-    found = [replace(a.found, null_reference_cpu_s=made[a.found.key].cpu_s) for a in answers if a.found]
-    write_json(found, out / "found.json")
-    write_json(sorted(refused, key=lambda r: r.case), out / "refused.json")
-    return found
+    return {m.key: m for m in run_tasks(null_reference_made, to_make, NullReferenceMade, out / "tasks", dask)}
 
 
 def null_reference_made(task: NullReferenceToMake) -> NullReferenceMade:

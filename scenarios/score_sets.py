@@ -100,31 +100,22 @@ def score_set(
 ) -> SetScore:
     """The score of one answer. `contacts`: all of the rig's, for effects that act at all of them."""
     groups = _assigned([t for t in truths if t.library], named)
-    stood_for = [t for t in truths if any(t is one for group in groups if group for one in group)]
-    spread = [t for t in truths if t.library and t not in stood_for and _at_every_contact(t, named, contacts)]
-    right = [*stood_for, *spread]
+    answered = list(zip(named, groups, strict=True))
+    spread = [t for t in truths if t.library and not _among(t, groups) and _at_every_contact(t, named, contacts)]
+    right = (*groups, tuple(spread))
     visible = [t for t in truths if t.library and t.above]
-    false = [
-        look_alikes
-        for look_alikes, group in zip(named, groups, strict=True)
-        if not group and not _part_of(look_alikes, spread) and not _stands_in(look_alikes, truths)
-    ]
-    inside = [
-        is_inside
-        for look_alikes, group in zip(named, groups, strict=True)
-        if group
-        for is_inside in _covered(look_alikes, group)
-    ]
-    recalled = sum(any(t is r for r in right) for t in visible)
+    recalled = sum(_among(t, right) for t in visible)
+    false_names = sum(not (g or _part_of(n, spread) or _stands_in(n, truths)) for n, g in answered)
+    covered = [is_covered for n, g in answered for is_covered in _covered(n, g)]
     return SetScore(
         visible=len(visible),
         recalled=recalled,
         true_effects=sum(t.library for t in truths),
-        named_of_all=len(right),
-        false_names=len(false),
-        parameters=len(inside),
-        covered=sum(inside),
-        verdict_right=verdict_right(truths, recalled, len(named), len(false), verdict),
+        named_of_all=sum(len(group) for group in right),
+        false_names=false_names,
+        parameters=len(covered),
+        covered=sum(covered),
+        verdict_right=verdict_right(truths, recalled, len(named), false_names, verdict),
     )
 
 
@@ -135,18 +126,25 @@ def verdict_right(truths: Sequence[TrueOne], recalled: int, names: int, false_na
     Above it and of the library: explained, with all of them; partly_explained, with some of several; nothing false.
     Above it and outside: partly_explained or unexplained, or explained by its stand-ins alone.
     """
-    visible = [t for t in truths if t.above and t.library]
-    outside = [t for t in truths if t.above and not t.library]
-    if not visible and not outside:
-        quiet = verdict in ("consistent", "cannot_tell") or (verdict == "small" and not false_names)
-        return quiet or (verdict in ("explained", "partly_explained") and names > 0 and not false_names)
+    visible = [t for t in truths if t.above]
+    outside = [t for t in visible if not t.library]
+    true_alone = names > 0 and not false_names
     if outside:
-        if verdict == "explained":
-            return names > 0 and not false_names and all(t.stand_ins for t in outside)
-        return verdict in ("partly_explained", "unexplained")
-    if verdict == "explained":
-        return recalled == len(visible) and not false_names
-    return verdict == "partly_explained" and 0 < recalled < len(visible) and not false_names
+        stood_for = true_alone and all(t.stand_ins for t in outside)
+        return verdict in ("partly_explained", "unexplained") or (verdict == "explained" and stood_for)
+    rights: dict[Verdict, bool] = {
+        "consistent": not visible,
+        "cannot_tell": not visible,
+        "small": not visible and not false_names,
+        "explained": true_alone and recalled == len(visible),
+        "partly_explained": true_alone and (not visible or 0 < recalled < len(visible)),
+        "unexplained": False,
+    }
+    return rights[verdict]
+
+
+def _among(true: TrueOne, groups: Iterable[Group]) -> bool:
+    return any(true is one for group in groups for one in group)
 
 
 def _assigned(truths: Sequence[TrueOne], named: Sequence[Sequence[Named]]) -> list[Group]:
@@ -156,7 +154,7 @@ def _assigned(truths: Sequence[TrueOne], named: Sequence[Sequence[Named]]) -> li
         for k, look_alikes in enumerate(named):
             if found[k]:
                 continue
-            free = [t for t in truths if not any(t is one for group in found for one in group)]
+            free = [t for t in truths if not _among(t, found)]
             options = [g for n in look_alikes for g in _groups(n, free, most)]
             if options:
                 found[k] = min(options, key=lambda option: option[0])[1]
@@ -175,17 +173,13 @@ def _groups(named: Named, free: Sequence[TrueOne], size: int) -> list[tuple[floa
 
 def _grown(look_alikes: Sequence[Named], group: Group, truths: Sequence[TrueOne], taken: Sequence[Group]) -> Group:
     """A mass that stands for one true mass may stand for those beside it too, if it weighs what they weigh together."""
-    masses = [n for n in look_alikes if n.name == "added_mass"]
-    if len(group) != 1 or group[0].name != "added_mass" or not masses:
+    if len(group) != 1 or group[0].name != "added_mass":
         return group
-    free = [t for t in truths if not any(t is one for other in taken for one in other)]
-    beside = [t for t in free if t.name == "added_mass" and t.place.get("body") == group[0].place.get("body")]
+    (named,) = (n for n in look_alikes if n.name == "added_mass")
+    beside = [t for t in truths if t.name == "added_mass" and not _among(t, taken)]
     options = [group, *((*group, *more) for size in (1, 2, 3) for more in combinations(beside, size))]
-    fitting = [g for g in options if _weighs(masses[0], g)]
-    mass = masses[0].values.get("mass_kg")
-    if not fitting or mass is None:
-        return group
-    return min(fitting, key=lambda g: abs(mass.value - _mass_kg(g)))
+    fitting = [g for g in options if _weighs(named, g)]
+    return min(fitting, key=lambda g: abs(named.values["mass_kg"].value - _mass_kg(g)), default=group)
 
 
 def _weighs(named: Named, group: Group) -> bool:
@@ -260,6 +254,8 @@ def _stands_in(look_alikes: Sequence[Named], truths: Sequence[TrueOne]) -> bool:
 
 def _covered(look_alikes: Sequence[Named], group: Group) -> list[bool]:
     """Of every parameter with a standard error, whether the true value lies in its 95 % interval."""
+    if not group:
+        return []
     named = next(n for n in look_alikes if n.name == group[0].name)
     true: Mapping[str, float] = group[0].whole
     if len(group) > 1:

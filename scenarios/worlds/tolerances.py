@@ -14,7 +14,6 @@ from scenarios.worlds.machine import (
     MotionSensor,
     Place,
     TrueBeam,
-    with_bodies,
     with_hung,
 )
 from scenarios.worlds.truth import EffectTruth, World
@@ -123,18 +122,15 @@ def with_cables(machine: Machine, rng: np.random.Generator) -> tuple[Machine, tu
             places_m = rng.uniform(*SHARES_OF_BODIES, CABLES) * beam.length_m
         for place_m in places_m.tolist():
             mass_kg = float(rng.uniform(*CABLE_KG))
-            machine = with_bodies(
-                machine, beam.name, lambda b, one=(place_m, mass_kg): replace(b, masses=(*b.masses, one))
+            cable = EffectTruth(
+                name="added_mass",
+                parameters={"mass_kg": mass_kg, "relative_position": place_m / beam.length_m},
+                place={"body": beam.name, "position_m": place_m},
+                strength=mass_kg / EFFECTS["added_mass"].size.default,
+                uncounted=True,
             )
-            cables.append(
-                EffectTruth(
-                    name="added_mass",
-                    parameters={"mass_kg": mass_kg, "relative_position": place_m / beam.length_m},
-                    place={"body": beam.name, "position_m": place_m},
-                    strength=mass_kg / EFFECTS["added_mass"].size.default,
-                    uncounted=True,
-                )
-            )
+            machine = EFFECTS["added_mass"].change(machine, cable)
+            cables.append(cable)
     return machine, tuple(cables)
 
 
