@@ -10,7 +10,7 @@ from jaxtyping import Float
 from identify.gaps.residual.fit import Values, fit
 from identify.gaps.residual.likelihood import Misfit, Reference, misfit
 from identify.gaps.residual.nuisance import LIMIT
-from identify.gaps.residual.residual import Linearization, Residual, linearized, rescaled, scales_at
+from identify.gaps.residual.residual import Linearization, Residual, rescaled, scales_at
 from identify.gaps.residual.scales import prior_scales
 from identify.gaps.search.base_excitation import fit_base_excitation
 from identify.gaps.search.candidates import Candidate
@@ -140,7 +140,7 @@ def fit_briefly(
     """
     linearization, build = linearization or begun.linearization, partial(applied, begun.linearization.rig, parts)
     if start is None:
-        linearization = linearized(linearization.record, build(values), None, linearization.scales, linearization.seen)
+        linearization = linearization.about(build(values), None, linearization.scales, linearization.seen)
     done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds, start, SHORT)
     return _tried(begun, parts, done.values, done.covariance, linearization, done.residual)
 
@@ -153,7 +153,7 @@ def fit_afresh(begun: Search, parts: tuple[Candidate, ...], values: Float[np.nda
     record, rig = begun.linearization.record, begun.linearization.rig
     build = partial(applied, rig, parts)
     scales = replace(begun.linearization.scales, contacts=prior_scales(record).contacts)
-    linearization = linearized(record, build(values), None, scales)
+    linearization = begun.linearization.about(build(values), None, scales)
     done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds)
     return _tried(begun, parts, done.values, done.covariance, linearization, done.residual)
 
@@ -171,7 +171,7 @@ def refined(begun: Search, one: Tried, least: float = np.inf) -> Tried:
 
 def fit_from(begun: Search, build: Build, parts: tuple[Candidate, ...], values: Values, rounds: int) -> Tried:
     """Effects fitted to the end in rigs that `build` makes of values, from where a fit of another rig has come to."""
-    linearization = linearized(begun.linearization.record, build(values), None, begun.linearization.scales)
+    linearization = begun.linearization.about(build(values), None, begun.linearization.scales)
     done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds, straightened(begun.at))
     return relinearised(
         begun, build, _tried(begun, parts, done.values, done.covariance, linearization, done.residual), rounds
@@ -185,7 +185,7 @@ def relinearised(begun: Search, build: Build, first: Tried, rounds: int, least: 
     def refit(before: Tried) -> Tried:
         scales = scales_at(before.linearization, before.residual)
         values = before.hypothesis.values
-        linearization = linearized(before.linearization.record, build(values), before.residual, scales)
+        linearization = before.linearization.about(build(values), before.residual, scales)
         done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds, before.residual)
         after = _tried(begun, parts, done.values, done.covariance, linearization, done.residual)
         return after if after.cost < before.cost else before
@@ -229,7 +229,7 @@ def fit_spectrum(begun: Search, nothing: Tried, candidate: Candidate) -> Tried |
         rig = candidate.applied(begun.linearization.rig, values)
     except RigError:
         return None
-    linearization = linearized(begun.linearization.record, rig, nothing.residual, nothing.linearization.scales)
+    linearization = begun.linearization.about(rig, nothing.residual, nothing.linearization.scales)
     linearization = rescaled(linearization, fitted(linearization, nothing.residual).residual)
     at = fitted(linearization, nothing.residual).residual
     return _tried(begun, (candidate,), values, np.diag(deviations**2), linearization, at)

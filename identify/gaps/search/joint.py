@@ -7,7 +7,7 @@ from itertools import chain
 import numpy as np
 from scipy.linalg import block_diag
 
-from identify.gaps.residual.residual import Linearization, Residual, linearized, residual_of
+from identify.gaps.residual.residual import Linearization, Residual, residual_of
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.hypothesis import (
     FAR,
@@ -190,7 +190,7 @@ def _seconds(begun: Search, first: Tried, least: float) -> list[Hypothesis]:
     least is the cost of the best pair so far.
     """
     rig = first.hypothesis.applied_to(begun.linearization.rig)
-    linearization = linearized(begun.linearization.record, rig, first.residual, first.linearization.scales)
+    linearization = begun.linearization.about(rig, first.residual, first.linearization.scales)
     at = fitted(linearization, first.residual).residual
     others = [c for c in begun.known if c.kind.name not in first.hypothesis.effects and _joins(c, rig)]
     inner = Search(begun.reference, linearization, at, ())

@@ -53,7 +53,7 @@ def normal(
     own: WhitenedRecord, noise: Float[np.ndarray, " bands"]
 ) -> tuple[Float[np.ndarray, "columns columns"], Float[np.ndarray, " columns"]]:
     """Of theta, at some s, without a candidate."""
-    matrix = own.count * np.tensordot(1 / noise, own.gram, 1) + np.eye(len(own.names))
+    matrix = own.count * np.tensordot(1 / noise, own.gram, 1) + np.eye(len(own.parameters))
     return matrix, own.count * (own.crossed.T @ (1 / noise) - own.trace / 2)
 
 
@@ -61,7 +61,7 @@ def without(own: WhitenedRecord) -> Explained:
     """The record by nuisances and noise alone."""
     counts = own.sizes * own.rows
     known = own.rows == 1
-    theta, noise = np.zeros(len(own.names)), np.ones(counts.size) if known else own.squares / counts
+    theta, noise = np.zeros(len(own.parameters)), np.ones(counts.size) if known else own.squares / counts
     for _ in range(3 * ROUNDS):
         theta = solved(*normal(own, noise))
         if not known:
@@ -88,7 +88,7 @@ def explained(
     size = np.linalg.norm(candidate, axis=1)
     direction = candidate.conj() / np.maximum(size, 1e-300)[:, None]
     bare = np.einsum("lr,lr->l", direction, own.residual if cleared is None else cleared)
-    columns = np.zeros((len(own.names), 0)) if held else _along(direction, own.columns)
+    columns = np.zeros((len(own.parameters), 0)) if held else _along(direction, own.columns)
     theta, noise = start.theta, start.noise
     spectrum = start.spectrum if np.any(start.spectrum) else None
     squares = size**2

@@ -11,6 +11,7 @@ from jaxtyping import Complex
 from identify.gaps.unmeasured_force.evidence import Explained, cleared_of, explained, normal, without
 from identify.gaps.unmeasured_force.nuisance import drifting
 from identify.gaps.unmeasured_force.observed import WhitenedRecord, with_columns
+from identify.linear.nuisance import Nuisance, NuisanceKind
 from rig.model.description import Rig, Sensor, Station
 
 Kind = Literal["force", "pair", "sensor", "distributed"]
@@ -192,7 +193,7 @@ def _distributed(own: WhitenedRecord, before: Explained, near: ForcePlace | None
         added = np.stack([s * columns[b] for s, b in zip(scale, bodies, strict=True)])
         wider = with_columns(
             own,
-            (*own.names, *bodies),
+            (*own.parameters, *(Nuisance(NuisanceKind.MODULUS_DRIFT, body) for body in bodies)),
             np.concatenate([own.columns, added]),
             np.append(own.trace, 0.0 * np.array(scale)),
         )

@@ -1,12 +1,13 @@
 """What a laboratory never knows exactly, and a modulus that drifts, as columns of the whitened residual."""
 
 import numpy as np
-from jaxtyping import Complex, Float, Inexact
+from jaxtyping import Complex, Float
 
 from identify.gaps.residual.nuisance import BEYOND
 from identify.gaps.residual.spectra import Record
 from identify.gaps.unmeasured_force.observed import WhitenedRecord, bare_residual, inverse_of, with_columns
-from identify.linear.nuisance import chain_sensitivities
+from identify.linear.free_motion import state_changes
+from identify.linear.nuisance import BodyMotion, Change, Nuisance, Observed, changes_of
 from identify.signals.kinematics import CORNER_HZ, integrated
 from rig.model.description import Rig
 
@@ -21,65 +22,62 @@ def observed(record: Record, rig: Rig) -> WhitenedRecord:
 
 
 def nuisances(
-    own: WhitenedRecord,
-) -> tuple[tuple[str, ...], Complex[np.ndarray, "columns lines rows"], Float[np.ndarray, " columns"]]:
-    """Names, columns D by one tolerance each, and how much each stretches the data."""
-    record, model, tolerances = own.record, own.model, own.record.tolerances
-    omega, deviation = record.omega, own.model.deviation
-    names: list[str] = []
+    bare: WhitenedRecord,
+) -> tuple[tuple[Nuisance, ...], Complex[np.ndarray, "columns lines rows"], Float[np.ndarray, " columns"]]:
+    """The parameters, columns D by one tolerance each, and how much each stretches the data."""
+    model = bare.model
+    size, bodies = float(np.linalg.norm(bare.record.delivered)), [r.body.name for r in model.responses]
+    parameters: list[Nuisance] = []
     columns: list[Complex[np.ndarray, "lines rows"]] = []
     trace: list[float] = []
-    ones = np.ones((1, omega.size))
+    for changes in (
+        changes_of(_measured(bare), common=False),
+        state_changes(model.free, bodies, model.sensor_response, size),
+    ):
+        for change in changes:
+            column = bare.gated(change.at_all(len(bare.record.sensors)) / model.deviation)
+            if np.any(column):
+                parameters.append(change.parameter)
+                columns.append(column.astype(np.complex64))  # they are many
+                trace.append(_stretching(bare, change))
+    return tuple(parameters), np.array(columns).reshape(len(columns), *bare.residual.shape), np.array(trace)
 
-    def take(
-        name: str,
-        pattern: Inexact[np.ndarray, "sensors _"],
-        history: Complex[np.ndarray, " alllines"],
-        read: Float[np.ndarray, " sensors"],
-    ) -> None:
-        """Accelerations pattern times history, which is read from those measured."""
-        pattern = pattern * ones
-        column = own.gated(model.sensor_response * pattern * history / deviation)
-        if np.any(column):
-            names.append(name)
-            columns.append(column.astype(np.complex64))  # they are many
-            back = own.rowed((read[:, None] * deviation / model.sensor_response.conj())[:, own.lines])
-            there = own.rowed((model.sensor_response * pattern / deviation)[:, own.lines])
-            trace.append(2 * float(np.sum(back.conj() * there).real))
 
-    for name, station, force in zip(model.rig.force_names, model.rig.forces, record.forces, strict=True):
-        by_force = own.accelerance(station) / model.rig.force_sensor.gain
-        of = "the force" if name == "force" else name
-        take(f"gain of {of}", tolerances.force_gain * by_force, force, np.zeros(len(record.sensors)))
-    singly = np.eye(len(record.sensors))
-    for sensor, single, delivered in zip(record.sensors, singly, record.delivered / model.sensor_response, strict=True):
-        for kind, factor in chain_sensitivities(sensor, tolerances, omega).items():
-            take(f"{kind} of {sensor.name}", single[:, None] * factor, delivered, single)
-    for response, motion in zip(model.responses, own.modal, strict=True):
-        body = response.body
-        inverse = np.zeros((response.count, len(record.sensors)))
-        low = inverse_of(record, response)
-        inverse[: len(low)] = low
-        places = [s.station if s.station.body == body.name else None for s in record.sensors]
-        for sensor, single, place in zip(record.sensors, singly, places, strict=True):
-            if place is None or not body.length_m:
-                continue
-            (slope,) = response.slopes([place])
-            exact_m = tolerances.of_sensor(sensor.name).position_m
-            take(f"place of {sensor.name}", exact_m * single[:, None], slope @ motion, slope @ inverse)
-        shapes = response.shapes(list(places))
-        natural_hz = response.dynamics.natural_hz
-        stiffer, damped = response.sensitivity("frequency"), response.sensitivity("damping")
-        for m in np.flatnonzero((natural_hz > 0) & (natural_hz < BEYOND * omega[-1] / (2 * np.pi))):
-            exact, shape = tolerances.of_mode(body.name, int(m) + 1), shapes[:, m : m + 1]
-            take(f"frequency of {body.name} {m + 1}", shape * exact.frequency * stiffer[m], motion[m], inverse[m])
-            take(f"damping of {body.name} {m + 1}", shape * exact.damping * damped[m], motion[m], inverse[m])
-    size = np.linalg.norm(record.delivered)
-    for one in model.free:
-        for unit in one.units:
-            pattern = one.shape[:, None] * size / max(np.linalg.norm(np.outer(one.shape, unit)), 1e-300)
-            take(f"initial state of {model.responses[one.body].body.name} {one.mode + 1}", pattern, unit, 0 * one.shape)
-    return tuple(names), np.array(columns).reshape(len(columns), *own.residual.shape), np.array(trace)
+def _measured(bare: WhitenedRecord) -> Observed:
+    """The accelerations as measured: about the modelled ones they would lack what an unmeasured force does."""
+    record, model = bare.record, bare.model
+    highest = BEYOND * record.omega[-1] / (2 * np.pi)
+    return Observed(
+        sensors=record.sensors,
+        displaced_by=record.sensors,
+        tolerances=record.tolerances,
+        omega=record.omega,
+        sensor_response=model.sensor_response,
+        explained=record.delivered,
+        by_force=model.by_force,
+        displaced=record.displaced,
+        bodies=tuple(
+            BodyMotion(
+                response,
+                motion,
+                np.flatnonzero((response.dynamics.natural_hz > 0) & (response.dynamics.natural_hz < highest)),
+                inverse_of(record, response),
+            )
+            for response, motion in zip(model.responses, bare.modal, strict=True)
+        ),
+    )
+
+
+def _stretching(bare: WhitenedRecord, change: Change) -> float:
+    """Twice the trace of a column's derivative by the data: 2 Re sum of tr(dr/dA)."""
+    if change.reading is None:
+        return 0.0
+    response, deviation = bare.model.sensor_response, bare.model.deviation
+    pattern = np.zeros_like(response)
+    pattern[change.sensors] = change.reading.pattern
+    back = bare.rowed((change.reading.weights[:, None] * deviation / response.conj())[:, bare.lines])
+    there = bare.rowed((pattern / deviation)[:, bare.lines])
+    return 2 * float(np.sum(back.conj() * there).real)
 
 
 def drifting(own: WhitenedRecord, body: str) -> Complex[np.ndarray, "lines rows"]:

@@ -13,7 +13,7 @@ accelerations q'' = Phi^+ (A - Phi_high q''_high): about the modelled ones they 
 """
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -22,6 +22,8 @@ from jaxtyping import Complex, Float, Int
 from identify.gaps.residual.linear import Linear, linear_model
 from identify.gaps.residual.spectra import Record
 from identify.linear.model import Response
+from identify.linear.nuisance import Nuisance
+from identify.linear.projection import complement
 from identify.signals.beginning import NORMAL_BY_MEDIAN
 from identify.signals.kinematics import taper
 from rig.errors import RigError
@@ -52,7 +54,7 @@ class WhitenedRecord:
     force_modes: Complex[np.ndarray, "lines rows modes"]
     force_shares: Float[np.ndarray, "lines modes"]
     residual: Complex[np.ndarray, "lines rows"]
-    names: tuple[str, ...]
+    parameters: tuple[Nuisance, ...]
     columns: Complex[np.ndarray, "columns lines rows"]
     modal: tuple[Complex[np.ndarray, "_ alllines"], ...]
     starts: Int[np.ndarray, " bands"]
@@ -72,7 +74,16 @@ class WhitenedRecord:
     @property
     def count(self) -> float:
         """Of the independent real values that a line's complex one stands for."""
-        return 2.0 * float(np.sum(gate(self.record) ** 2)) * self.record.factor / self.record.length
+        return 2.0 * float(np.sum(self.gate**2)) * self.record.factor / self.record.length
+
+    @cached_property
+    def gate(self) -> Float[np.ndarray, " alltimes"]:
+        """One where the residual counts, falling smoothly to zero where the record's ends falsify it."""
+        taken, record = self.record.taken, self.record
+        gate = np.zeros(record.length // record.factor)
+        shape = taper(taken.stop - taken.start, round(FALL_S * record.rate_hz))
+        gate[taken] = shape if taken.start == 0 else shape * shape[::-1]
+        return gate
 
     @property
     def sizes(self) -> Int[np.ndarray, " bands"]:
@@ -96,7 +107,7 @@ class WhitenedRecord:
             :, :, 0
         ].T
         length = record.length // record.factor
-        history = np.fft.irfft(free, length) * gate(record)
+        history = np.fft.irfft(free, length) * self.gate
         return self.whitened(self.rowed(np.fft.rfft(history)[:, self.lines]))
 
     def rowed(self, standard: Complex[np.ndarray, "sensors lines"]) -> Complex[np.ndarray, "lines rows"]:
@@ -133,7 +144,7 @@ def bare_residual(record: Record, rig: Rig) -> WhitenedRecord:
     record = replace(record, noise=plain_noise(record), force_noise=silent)
     model = linear_model(record, rig, record.tolerances.unmodelled)
     lines = slice(int(np.searchsorted(record.omega, 2 * np.pi * LOWEST_HZ)), record.omega.size)
-    basis = _complement(model.unknown[lines])
+    basis = complement(model.by_input[..., lines])
     rows = basis.shape[1]
     if not rows:
         raise RigError(
@@ -153,7 +164,7 @@ def bare_residual(record: Record, rig: Rig) -> WhitenedRecord:
         force_modes=np.zeros((count, rows, 0), dtype=complex),
         force_shares=np.zeros((count, 0)),
         residual=np.zeros((count, rows), dtype=complex),
-        names=(),
+        parameters=(),
         columns=np.zeros((0, count, rows), dtype=complex),
         modal=modal,
         starts=starts,
@@ -168,24 +179,9 @@ def bare_residual(record: Record, rig: Rig) -> WhitenedRecord:
     return replace(whole, residual=whole.gated(model.residual[: len(record.sensors)]))
 
 
-@lru_cache(maxsize=8)
-def _gate(first: int, last: int, length: int, fall: int, quiet: bool) -> Float[np.ndarray, " alltimes"]:
-    found = np.zeros(length)
-    shape = taper(last - first, fall)
-    found[first:last] = shape if quiet else shape * shape[::-1]
-    return found
-
-
-def gate(record: Record) -> Float[np.ndarray, " alltimes"]:
-    """One where the residual counts, falling smoothly to zero where the record's ends falsify it."""
-    taken = record.taken
-    fall = round(FALL_S * record.rate_hz)
-    return _gate(taken.start, taken.stop, record.length // record.factor, fall, taken.start == 0)
-
-
 def with_columns(
     bare: WhitenedRecord,
-    names: tuple[str, ...],
+    parameters: tuple[Nuisance, ...],
     columns: Complex[np.ndarray, "columns lines rows"],
     trace: Float[np.ndarray, " columns"],
 ) -> WhitenedRecord:
@@ -201,7 +197,7 @@ def with_columns(
         gram.append(part @ part.T)
     return replace(
         bare,
-        names=names,
+        parameters=parameters,
         columns=columns.astype(np.complex64),
         squares=np.array(squares),
         crossed=np.array(crossed),
@@ -230,17 +226,6 @@ def force_noise(record: Record) -> Float[np.ndarray, " forces"]:
         size_n = NORMAL_BY_MEDIAN * np.median(np.abs(record.in_time(record.forces)[:, quiet]), axis=1)
         found = np.minimum(found, record.samples * size_n**2 * record.sample_rate_hz / record.rate_hz)
     return np.asarray(found)
-
-
-def _complement(unknown: Complex[np.ndarray, "lines sensors inputs"]) -> Complex[np.ndarray, "lines rows sensors"]:
-    """Rows that are orthonormal to the free inputs, by the singular vectors of each line's projection."""
-    lines, sensors, inputs = unknown.shape
-    if not inputs:
-        return np.broadcast_to(np.eye(sensors, dtype=complex), (lines, sensors, sensors))
-    if inputs >= sensors:
-        return np.zeros((lines, 0, sensors), dtype=complex)
-    whole = np.linalg.qr(unknown, mode="complete")[0]
-    return np.ascontiguousarray(whole[:, :, inputs:].conj().transpose(0, 2, 1))
 
 
 def inverse_of(record: Record, response: Response) -> Float[np.ndarray, "low sensors"]:

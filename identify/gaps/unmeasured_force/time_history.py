@@ -10,7 +10,6 @@ from scipy.linalg import cho_factor, cho_solve
 
 from identify.gaps.unmeasured_force.evidence import left, normal
 from identify.gaps.unmeasured_force.location import Located
-from identify.gaps.unmeasured_force.observed import gate
 from identify.signals.kinematics import CORNER_HZ, integrated
 from rig.model.description import Station
 
@@ -51,7 +50,7 @@ class ForceHistory:
 
     @property
     def counted(self) -> Float[np.ndarray, " alltimes"]:
-        return gate(self.located.observed.record)
+        return self.located.observed.gate
 
     @cached_property
     def factor(self) -> tuple[Float[np.ndarray, "columns columns"], bool]:
@@ -177,7 +176,7 @@ def explained_share(located: Located) -> float:
     power = np.abs(after.along) ** 2
     noise, spectrum = own.on_lines(after.noise), own.on_lines(after.spectrum)
     kept = 1 - (noise / (noise + spectrum * after.size**2)) ** 2
-    theta = np.zeros(len(own.names))  # a drift has columns of its own
+    theta = np.zeros(len(own.parameters))  # a drift has columns of its own
     theta[: located.before.theta.size] = located.before.theta
     before = float(np.sum(left(own, theta)))
     return 1 - (float(np.sum(left(own, after.theta))) - float(power @ kept)) / before

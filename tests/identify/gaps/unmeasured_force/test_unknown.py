@@ -136,7 +136,7 @@ def test_nuisances_do_not_shrink_the_data(world):
     """Scaling down all that was measured, and the force with it, makes every residual smaller, and explains nothing."""
     own = observed(world.record(), world.rig)
     fitted = without(own)
-    gains = [v for name, v in zip(own.names, fitted.theta, strict=True) if name.startswith("gain")]
+    gains = [v for p, v in zip(own.parameters, fitted.theta, strict=True) if p.kind.endswith("gain")]
     assert len(gains) == len(world.rig.sensors) + 1
     assert np.max(np.abs(gains)) < 4
     shrinking = without(replace(own, trace=np.zeros_like(own.trace)))
