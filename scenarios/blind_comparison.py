@@ -7,7 +7,7 @@ from typing import TypeVar
 import msgspec
 
 from rig.errors import RigError
-from scenarios.blind_diagnosis import Found
+from scenarios.blind_diagnosis import Found, Refused
 from scenarios.scoreboard import ScoredCase, compared_cases
 from scenarios.true_effect import Best, best_of
 from scenarios.worlds.making import sha256_of
@@ -38,15 +38,28 @@ def check_recordings(folder: Path, answers: Sequence[Case]) -> None:
                 raise RigError(f"{path}: is not the recording that was sealed; make the cases anew in another folder")
 
 
-def beside(answers: Sequence[Case], found: Sequence[Found]) -> list[Found]:
-    """What was found, in the order of the answers; raises RigError where it is missing or of another recording."""
-    by_case = {f.case: f for f in found}
+def beside(
+    answers: Sequence[Case], found: Sequence[Found], refused: Sequence[Refused] = ()
+) -> list[tuple[Case, Found]]:
+    """What was found, in the order of the answers, without the cases whose diagnosis was refused.
+
+    Raises RigError where it is missing or of another recording.
+    """
+    by_case: dict[str, Found | Refused] = {f.case: f for f in found}
+    by_case |= {r.case: r for r in refused}
     for answer in answers:
         if answer.case not in by_case:
             raise RigError(f"{answer.case}: was not diagnosed; run diagnose on all cases")
         if by_case[answer.case].sha256 != answer.sha256:
             raise RigError(f"{answer.case}: another recording was diagnosed than was sealed; run diagnose again")
-    return [by_case[answer.case] for answer in answers]
+    pairs = [(answer, by_case[answer.case]) for answer in answers]
+    return [(answer, one) for answer, one in pairs if isinstance(one, Found)]
+
+
+def refused_in(folder: Path) -> list[Refused]:
+    """The cases that `diagnose` refused, with their sentences; a folder of before has no such file."""
+    path = folder / "refused.json"
+    return decoded(path, list[Refused]) if path.exists() else []
 
 
 def pairs_of(cases: Path, found: Path, also: Sequence[str]) -> list[tuple[Path, Path]]:
@@ -66,9 +79,10 @@ def by_world(pairs: Sequence[tuple[Path, Path]], kept: Path) -> dict[str, list[S
     for cases, folder in pairs:
         key = opened(cases)
         check_recordings(cases, key.cases)
-        found = beside(key.cases, decoded(folder / "found.json", list[Found]))
-        best = best_of(key.cases, cases / "recordings", kept, found[0].tolerances if found else None)
-        worlds.setdefault(key.world, []).extend(zip(key.cases, found, best, strict=True))
+        answered = beside(key.cases, decoded(folder / "found.json", list[Found]), refused_in(folder))
+        tolerances = answered[0][1].tolerances if answered else None
+        best = best_of([answer for answer, _ in answered], cases / "recordings", kept, tolerances)
+        worlds.setdefault(key.world, []).extend((*pair, one) for pair, one in zip(answered, best, strict=True))
     return {world: compared_cases(rows) for world, rows in worlds.items() if rows}
 
 

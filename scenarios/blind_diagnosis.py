@@ -3,6 +3,7 @@
 import resource
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -48,11 +49,12 @@ class NullReferenceToMake(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class NullReferenceMade(msgspec.Struct, frozen=True):
-    """What a null reference cost; nothing if another run had made it."""
+    """What a null reference cost; nothing if another run had made it. Why there is none, where it was refused."""
 
     key: str
     cpu_s: float
     memory_mib: float
+    refusal: str = ""
 
 
 class Found(msgspec.Struct, frozen=True, kw_only=True):
@@ -72,6 +74,21 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
     tolerances: Tolerances | None
 
 
+class Refused(msgspec.Struct, frozen=True, kw_only=True):
+    """A case whose diagnosis was refused, and with which sentence."""
+
+    case: str
+    sha256: dict[str, str]
+    sentence: str
+
+
+class Answer(msgspec.Struct, frozen=True):
+    """What was found of a case, or that it was refused."""
+
+    found: Found | None = None
+    refused: Refused | None = None
+
+
 def diagnosed_cases(
     recordings: Path,
     out: Path,
@@ -79,27 +96,37 @@ def diagnosed_cases(
     null_references_of: Path | None = None,
     dask: str | None = None,
 ) -> list[Found]:
-    """Every case of a folder of recordings, also written to found.json; what `out` keeps is not computed again."""
+    """Every case of a folder of recordings, also written to found.json; what `out` keeps is not computed again.
+
+    Cases that are refused stand in refused.json, each with the sentence.
+    """
     fits = sorted(p for p in recordings.glob("*.mcap") if not p.stem.endswith("_validate"))
     if not fits:
         raise RigError(f"{recordings}: has no recordings; make the cases first")
     null_reference = null_references_of or out / "null_references"
     null_reference.mkdir(parents=True, exist_ok=True)
-    tasks = [_task(fit, null_reference, tolerances) for fit in fits]
+    prepared = [_task(fit, null_reference, tolerances) for fit in fits]
+    tasks = [p for p in prepared if isinstance(p, ToDiagnose)]
+    made = _null_references(tasks, out, dask)
+    answers = [Answer(refused=p) for p in prepared if isinstance(p, Refused)]
+    answers += [Answer(refused=_refused(t, made[t.key].refusal)) for t in tasks if made[t.key].refusal]
+    answers += run_tasks(diagnosed, [t for t in tasks if not made[t.key].refusal], Answer, out / "tasks", dask)
+    found = [replace(a.found, null_reference_cpu_s=made[a.found.key].cpu_s) for a in answers if a.found]
+    write_json(found, out / "found.json")
+    write_json(sorted((a.refused for a in answers if a.refused), key=lambda r: r.case), out / "refused.json")
+    return found
+
+
+def _null_references(tasks: Sequence[ToDiagnose], out: Path, dask: str | None) -> dict[str, NullReferenceMade]:
+    """By key, each made from the first case that needs it."""
     first = {task.key: task for task in reversed(tasks)}
     to_make = [
         NullReferenceToMake(
-            key=key, fit=t.fit, validate=t.validate, null_reference=t.null_reference, tolerances=tolerances
+            key=key, fit=t.fit, validate=t.validate, null_reference=t.null_reference, tolerances=t.tolerances
         )
         for key, t in sorted(first.items())
     ]
-    cost = {
-        made.key: made.cpu_s for made in run_tasks(null_reference_made, to_make, NullReferenceMade, out / "tasks", dask)
-    }
-    found = run_tasks(diagnosed, tasks, Found, out / "tasks", dask)
-    found = [replace(f, null_reference_cpu_s=cost[f.key]) for f in found]
-    write_json(found, out / "found.json")
-    return found
+    return {m.key: m for m in run_tasks(null_reference_made, to_make, NullReferenceMade, out / "tasks", dask)}
 
 
 def null_reference_made(task: NullReferenceToMake) -> NullReferenceMade:
@@ -108,15 +135,21 @@ def null_reference_made(task: NullReferenceToMake) -> NullReferenceMade:
     there = any(Path(task.null_reference).glob(f"{task.key[:16]}.json"))
     began = time.process_time()
     believed = _believed(validation, task.tolerances)
-    null_reference_of(validation, believed, SIMULATOR.simulate, SIMULATOR.name, kept=Path(task.null_reference))
+    try:
+        null_reference_of(validation, believed, SIMULATOR.simulate, SIMULATOR.name, kept=Path(task.null_reference))
+    except RigError as error:
+        return NullReferenceMade(task.key, time.process_time() - began, _memory_mib(), str(error))
     return NullReferenceMade(task.key, 0.0 if there else time.process_time() - began, _memory_mib())
 
 
-def diagnosed(task: ToDiagnose) -> Found:
+def diagnosed(task: ToDiagnose) -> Answer:
     """Reads the two recordings of a case and diagnoses them; the time is that of this process."""
     began = time.process_time()
-    gap = gap_of(read(Path(task.fit)), read(Path(task.validate)), Path(task.null_reference), task.tolerances)
-    return Found(
+    try:
+        gap = gap_of(read(Path(task.fit)), read(Path(task.validate)), Path(task.null_reference), task.tolerances)
+    except RigError as error:
+        return Answer(refused=_refused(task, str(error)))
+    found = Found(
         case=task.case,
         sha256=task.sha256,
         gap=without_curves(gap),
@@ -126,6 +159,7 @@ def diagnosed(task: ToDiagnose) -> Found:
         key=task.key,
         tolerances=task.tolerances,
     )
+    return Answer(found)
 
 
 def gap_of(fit: Recording, validate: Recording, null_reference: Path, tolerances: Tolerances | None) -> Gap:
@@ -139,18 +173,27 @@ def without_curves(gap: Gap) -> Gap:
     return replace(gap, curves=(), attribution=attribution)
 
 
-def _task(fit: Path, null_reference: Path, tolerances: Tolerances | None) -> ToDiagnose:
+def _task(fit: Path, null_reference: Path, tolerances: Tolerances | None) -> ToDiagnose | Refused:
     validate = fit.with_name(f"{fit.stem}_validate.mcap")
-    (_, validation), _ = sound(read(fit), read(validate))
+    sha256 = {path.name: sha256_of(path) for path in (fit, validate)}
+    try:
+        (_, validation), _ = sound(read(fit), read(validate))
+        key = null_key(validation, _believed(validation, tolerances), SIMULATOR.name)
+    except RigError as error:
+        return Refused(case=fit.stem, sha256=sha256, sentence=str(error))
     return ToDiagnose(
         case=fit.stem,
         fit=str(fit),
         validate=str(validate),
         null_reference=str(null_reference),
-        key=null_key(validation, _believed(validation, tolerances), SIMULATOR.name),
+        key=key,
         tolerances=tolerances,
-        sha256={path.name: sha256_of(path) for path in (fit, validate)},
+        sha256=sha256,
     )
+
+
+def _refused(task: ToDiagnose, sentence: str) -> Refused:
+    return Refused(case=task.case, sha256=task.sha256, sentence=sentence)
 
 
 def _believed(recording: Recording, tolerances: Tolerances | None) -> Tolerances:

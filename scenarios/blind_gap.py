@@ -17,7 +17,7 @@ from rig.commands.command_line import Force, refuse_existing, run
 from rig.files import write_bytes, write_json
 from rig.model.tolerances import tolerances_named
 from scenarios import score_figures
-from scenarios.blind_comparison import by_world, check_recordings, pairs_of
+from scenarios.blind_comparison import by_world, check_recordings, pairs_of, refused_in
 from scenarios.blind_diagnosis import diagnosed_cases
 from scenarios.calibration import calibrated, calibrated_temperature, hypotheses_of
 from scenarios.score_table import calibration_told, limits_told, shown, temperature_told
@@ -84,7 +84,9 @@ def diagnose(
     """Diagnoses every case from its recordings alone; run again after an interruption, it goes on."""
     believed = tolerances_named(tolerances) if tolerances else None
     found = diagnosed_cases(cases / "recordings", out, believed, null_references_of, dask)
-    Console().print(f"{len(found)} diagnoses in {out / 'found.json'}", soft_wrap=True)
+    console = Console()
+    console.print(f"{len(found)} diagnoses in {out / 'found.json'}", soft_wrap=True)
+    _tell_refusals(out, console)
 
 
 @app.command()
@@ -95,7 +97,8 @@ def score(
     also: Also = None,
 ) -> None:
     """Opens the sealed answers, if they are those that were hashed, and compares."""
-    worlds = by_world(pairs_of(cases, found, also or ()), out / "tasks")
+    pairs = pairs_of(cases, found, also or ())
+    worlds = by_world(pairs, out / "tasks")
     every = [c for compared in worlds.values() for c in compared]
     groups = worlds | {"all": every} if len(worlds) > 1 else worlds
     boards = {name: scored(compared) for name, compared in groups.items()}
@@ -109,6 +112,8 @@ def score(
         console.print(f"{name}: {calibration_told(reliability[name])}", soft_wrap=True)
         console.print(f"{name}: detection limits, of the default magnitude: {limits_told(board)}", soft_wrap=True)
     console.print(f"figures: {', '.join(p.name for p in figures)} in {out}", soft_wrap=True)
+    for _, folder in pairs:
+        _tell_refusals(folder, console)
 
 
 @app.command()
@@ -134,6 +139,11 @@ def sensitivity(
         boards[name] = scored([c for compared in worlds.values() for c in compared])
     write_json(boards, out / "sensitivity.json")
     _wide_console().print(table_of(boards))
+
+
+def _tell_refusals(folder: Path, console: Console) -> None:
+    for refused in refused_in(folder):
+        console.print(f"{folder}: {refused.case} was refused: {refused.sentence}", soft_wrap=True)
 
 
 def _wide_console() -> Console:

@@ -39,10 +39,11 @@ from rig.recording import Recording, Signals, channel_groups
 from rig.simulation.replay import modal
 from scenarios.tasks import Dask, run_tasks
 from scenarios.worlds.believed import believed_rig, nominal_machine
-from scenarios.worlds.drawing import perturbed
+from scenarios.worlds.forces import Gaussian
 from scenarios.worlds.instruments import measured
 from scenarios.worlds.library import EFFECTS
 from scenarios.worlds.machine import Machine, Place
+from scenarios.worlds.tolerances import perturbed
 from scenarios.worlds.truth import EffectTruth
 
 DURATION_S, QUIET_S, LEVEL_N = 12.0, 1.0, 5.0
@@ -178,21 +179,16 @@ def _recorded(asked: ToAsk, experiment: Experiment | None) -> tuple[Record, Floa
     machine = EFFECTS[truth.name].change(perturbed(nominal, "wide", rng), truth)
     rate = rig.sample_rate_hz
     if experiment is None:
-        made = measured(machine, LEVEL_N, QUIET_S, round(DURATION_S * rate), rate, 100 + asked.seed)
-        return _record(rig, made.force_n, made.acceleration_m_per_s2)
+        made = measured(
+            machine, Gaussian(rms_n=LEVEL_N, begins_s=QUIET_S), round(DURATION_S * rate), rate, 100 + asked.seed
+        )
+        return _record(rig, made.force_n, made.delivered)
     known, (force_n,) = experiment.changed(rig), experiment.forces_n
-    displacements = known.sensors[0].quantity == "displacement"
-    made = measured(
-        _changed(machine, known),
-        float(np.std(force_n[round(QUIET_S * rate) :])),
-        QUIET_S,
-        force_n.size,
-        rate,
-        200 + asked.seed,
-        force_band(force_n, rate),
-        displacements,
+    excitation = Gaussian(
+        rms_n=float(np.std(force_n[round(QUIET_S * rate) :])), begins_s=QUIET_S, band_hz=force_band(force_n, rate)
     )
-    return _record(known, made.force_n, made.acceleration_m_per_s2)
+    made = measured(_changed(machine, known), excitation, force_n.size, rate, 200 + asked.seed)
+    return _record(known, made.force_n, made.delivered)
 
 
 def _record(
@@ -226,7 +222,9 @@ def _changed(machine: Machine, known: Rig) -> Machine:
         machine = replace(machine, beams=tuple(beams))
     if known.sensors[0].quantity == "displacement":
         noise = known.sensors[0].noise_density
-        sensors = tuple(replace(s, highpass_hz=0.0, noise_density=noise) for s in machine.sensors)
+        sensors = tuple(
+            replace(s, highpass_hz=0.0, noise_density=noise, quantity="displacement") for s in machine.sensors
+        )
         machine = replace(machine, sensors=sensors)
     return machine
 

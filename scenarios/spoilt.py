@@ -105,7 +105,7 @@ def recorded(name: str, out: Path, seed: int, number: int, duration_s: float) ->
         rate = drawn.rig.sample_rate_hz
         if not path.exists():
             samples = round(duration_s * rate)
-            write(path, drawn.rig, measured(drawn.true, drawn.rms_n[0], 1.0, samples, rate, drawn.seeds[0]))
+            write(path, drawn.rig, measured(drawn.true, drawn.excitations[0], samples, rate, drawn.seeds[0]))
         laws = {c.name: c.law for c in drawn.true.contacts}
         truth = {
             n: ((x.lower_m + x.upper_m) / 2, (x.stiffness_below_n_per_m + x.stiffness_above_n_per_m) / 2)

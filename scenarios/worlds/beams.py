@@ -1,29 +1,15 @@
 """Modes of a beam from cubic Hermite finite elements (Bernoulli-Euler; Przemieniecki, Matrix Structural Analysis)."""
 
-from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import eigh
 
+from scenarios.worlds.body_modes import BodyModes
 from scenarios.worlds.machine import MODES, TrueBeam
 
 ELEMENTS = 64
-
-
-@dataclass(frozen=True)
-class BeamModes:
-    """The lowest modes, normalised to unit mass; `carried` is each mode's share in a translation of the whole beam."""
-
-    omega_rad_per_s: Float[np.ndarray, " modes"]
-    damping_ratio: Float[np.ndarray, " modes"]
-    vectors: Float[np.ndarray, "coordinates modes"]
-    carried: Float[np.ndarray, " modes"]
-    length_m: float
-
-    def shapes(self, position_m: float) -> Float[np.ndarray, " modes"]:
-        """Every mode's displacement at a place, 1/sqrt(kg)."""
-        return interpolation(self.length_m, position_m) @ self.vectors
 
 
 def interpolation(length_m: float, position_m: float) -> Float[np.ndarray, " coordinates"]:
@@ -41,7 +27,7 @@ def interpolation(length_m: float, position_m: float) -> Float[np.ndarray, " coo
     return row
 
 
-def modes_of(beam: TrueBeam) -> BeamModes:
+def modes_of(beam: TrueBeam) -> BodyModes:
     """The modes of the beam with its point masses and springs, perturbed by its factors.
 
     The rigid modes of a free beam, and what springs make of them, are undamped.
@@ -70,7 +56,8 @@ def modes_of(beam: TrueBeam) -> BeamModes:
     omega = np.sqrt(np.where(floating, 0.0, np.maximum(squares, 0.0))) * np.array(beam.frequency_factors)
     damping = np.where(rigid, 0.0, beam.damping_ratio * np.array(beam.damping_factors))
     translation = np.tile([1.0, 0.0], ELEMENTS + 1)
-    return BeamModes(omega, damping, vectors, vectors.T @ mass @ translation, beam.length_m)
+    carried = vectors.T @ mass @ translation
+    return BodyModes(omega, damping, vectors, carried, partial(interpolation, beam.length_m))
 
 
 def _element(h: float) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "4 4"]]:

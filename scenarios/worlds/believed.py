@@ -7,7 +7,7 @@ from msgspec.structs import replace
 from rig.model.description import Body, Contact, Rig, Sensor, Station
 from rig.simulation.reference import BarrelCradle
 from scenarios.worlds.laws import StopLaw
-from scenarios.worlds.machine import Accelerometer, Link, Machine, Place, TrueBeam
+from scenarios.worlds.machine import Link, Machine, MotionSensor, Place, TrueBeam
 from scenarios.worlds.truth import World
 
 NOISE_DENSITY = 1e-3
@@ -93,7 +93,7 @@ def nominal_machine(rig: Rig) -> Machine:
         contacts=tuple(_link(contact) for contact in rig.contacts),
         force_at=_place(rig.forces[0]),
         sensors=tuple(
-            Accelerometer(name=s.name, at=_place(s.station), noise_density=s.noise_density) for s in rig.sensors
+            MotionSensor(name=s.name, at=_place(s.station), noise_density=s.noise_density) for s in rig.sensors
         ),
     )
 

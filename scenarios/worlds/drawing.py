@@ -1,35 +1,56 @@
 """Draws a case: everything is a function of the world, the seed and the case's number alone."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
 
 import msgspec
 import numpy as np
-from msgspec.structs import replace
 
 from rig.model.description import Rig
 from scenarios.worlds.believed import believed_rig, nominal_machine
+from scenarios.worlds.bench import BENCHES
+from scenarios.worlds.describing import described
+from scenarios.worlds.forces import Excitation, Gaussian
 from scenarios.worlds.kinds import Kind
-from scenarios.worlds.laws import StopLaw
 from scenarios.worlds.library import EFFECTS, UNSEEN
-from scenarios.worlds.machine import MODES, Accelerometer, Link, Machine, Place, TrueBeam, with_hung
+from scenarios.worlds.machine import Machine
 from scenarios.worlds.outside import OUTSIDE
+from scenarios.worlds.tolerances import built, perturbed, with_cables
 from scenarios.worlds.truth import WORLDS, CaseKind, EffectTruth, Expected, World
+from scenarios.worlds.whole import with_wholes
 
 DECK: tuple[CaseKind, ...] = ("null",) * 2 + ("single",) * 3 + ("pair",) * 2 + ("outside",) * 2
 """Every nine cases in a row have these kinds, shuffled."""
+DECKS: dict[World, tuple[CaseKind, ...]] = {
+    "counted": ("null",) + ("several",) * 3,
+    "bench": ("null",) * 3 + ("single",) * 4 + ("pair",) * 3 + ("outside",) * 2,
+}
+"""Of the worlds that have others."""
 DRAWABLE = tuple(name for name in EFFECTS if name not in UNSEEN)
+AT_ONCE = (2, 3, 4)
+"""So many effects at once, each about as often."""
+REPEATED = (
+    "added_mass",
+    "contact_clearance",
+    "contact_damping",
+    "ground_damper",
+    "linear_spring",
+    "sensor_gain",
+    "tone",
+)
+"""Effects of which a machine may have several, at different places."""
+AGAIN = 0.3
+"""The probability that a further effect is one more of those."""
+APART_M = 0.15
+"""Two of one kind on a body are no closer."""
 PAIRS_FROM = 0.35
-"""Effects of pairs leave out so much of the lower end of the logarithmic range."""
-HUNG = 1 / 3
-"""The share of the cases with a small mass or a cable as a tolerance."""
-FORCE_NOISE = 5e-4
-"""N/sqrt(Hz)"""
-HIGHPASS_HZ = (0.05, 0.3)
-"""The corners of the accelerometers' amplifiers, log-uniform."""
+"""Effects that are not alone leave out so much of the lower end of the logarithmic range."""
+TRIES = 200
 
 
 class Drawn(msgspec.Struct, frozen=True, kw_only=True):
-    """The numbers of one case: what is believed and true, and each record's level, seed and begin of the force."""
+    """The numbers of one case: what is believed and true, and each record's excitation and seed."""
 
     kind: CaseKind
     rig: Rig
@@ -39,37 +60,86 @@ class Drawn(msgspec.Struct, frozen=True, kw_only=True):
     effects: tuple[EffectTruth, ...]
     expected: Expected | None
     hung: bool
-    rms_n: tuple[float, float]
+    machine: str
+    excitations: tuple[Excitation, Excitation]
     seeds: tuple[int, int]
-    quiet_s: float
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is believed of a case, how it is excited, and every effect that it may have."""
+
+    rig: Rig
+    nominal: Machine
+    excitations: tuple[Excitation, Excitation]
+    kinds: Mapping[str, Kind]
+    machine: str = ""
 
 
 def drawn_case(world: World, seed: int, number: int, draw: int = 0, nulls_only: bool = False) -> Drawn:
     """A case of a world; another `draw` gives other numbers of the same kind."""
     of_rig, of_tolerances, of_effects, of_records = _rng(world, seed, number, draw).spawn(4)
     kind, names = ("null", ()) if nulls_only else kind_and_names(world, seed, number)
-    rig = believed_rig(world, of_rig)
-    nominal = nominal_machine(rig)
-    drawn = perturbed(nominal, world, of_tolerances)
-    rms_n, quiet_s = _levels(world, of_records)
-    table = OUTSIDE if kind == "outside" else EFFECTS
-    kinds = [table[name] for name in names]
-    least = PAIRS_FROM if kind == "pair" else 0.0
-    effects = tuple(k.drawn(nominal, rms_n[0], of_effects, least) for k in kinds)
+    setting = (
+        _on_a_bench(seed, number, of_rig, of_records) if world == "bench" else _two_beams(world, of_rig, of_records)
+    )
+    nominal = setting.nominal
+    drawn = built(nominal, of_tolerances) if world == "bench" else perturbed(nominal, world, of_tolerances)
+    kinds = [setting.kinds[name] for name in names]
+    effects = _effects(kinds, nominal, setting.excitations[0].level_n, of_effects)
+    cables: tuple[EffectTruth, ...] = ()
+    if world == "counted":
+        drawn, cables = with_cables(drawn, of_tolerances)
+    true = with_effects(drawn, effects, kinds)
     first, second = (int(s) for s in of_records.integers(1, 2**31, 2))
     return Drawn(
         kind=kind,
-        rig=rig,
+        rig=setting.rig,
         nominal=nominal,
         drawn=drawn,
-        true=with_effects(drawn, effects, kinds),
-        effects=effects,
+        true=true,
+        effects=with_wholes((*effects, *cables), nominal, true),
         expected=_expected(effects, kinds),
         hung=bool(drawn.masses),
-        rms_n=rms_n,
+        machine=setting.machine,
+        excitations=setting.excitations,
         seeds=(first, second),
-        quiet_s=quiet_s,
     )
+
+
+def _two_beams(world: World, of_rig: np.random.Generator, of_records: np.random.Generator) -> Setting:
+    rig = believed_rig(world, of_rig)
+    return Setting(rig, nominal_machine(rig), _levels(world, of_records), EFFECTS | OUTSIDE)
+
+
+def _on_a_bench(seed: int, number: int, of_rig: np.random.Generator, of_records: np.random.Generator) -> Setting:
+    bench = BENCHES[bench_name(seed, number)].drawn(of_rig, of_records)
+    rig = described(bench.nominal, bench.name, bench.sample_rate_hz)
+    return Setting(rig, bench.nominal, bench.excitations, bench.kinds, bench.name)
+
+
+def bench_name(seed: int, number: int) -> str:
+    """The machine of a case of the world "bench", every one about as often."""
+    return _dealt(tuple(BENCHES), number, "bench", seed, 1006)
+
+
+def _effects(
+    kinds: Sequence[Kind], nominal: Machine, level_n: float, rng: np.random.Generator
+) -> tuple[EffectTruth, ...]:
+    """One of each kind, two of one kind at different places."""
+    least = PAIRS_FROM if len(kinds) > 1 else 0.0
+    for _ in range(TRIES):
+        effects = tuple(kind.drawn(nominal, level_n, rng, least) for kind in kinds)
+        if not any(a.name == b.name and _same_place(a, b) for a, b in combinations(effects, 2)):
+            break
+    return effects
+
+
+def _same_place(one: EffectTruth, other: EffectTruth) -> bool:
+    if "position_m" in one.place and one.place["body"] == other.place["body"]:
+        return abs(float(one.place["position_m"]) - float(other.place["position_m"])) < APART_M
+    named = [field for field in ("body", "contact", "sensor") if field in one.place]
+    return all("all" in (one.place[f], other.place[f]) or one.place[f] == other.place[f] for f in named)
 
 
 def with_effects(machine: Machine, effects: Sequence[EffectTruth], kinds: Sequence[Kind]) -> Machine:
@@ -81,18 +151,40 @@ def with_effects(machine: Machine, effects: Sequence[EffectTruth], kinds: Sequen
 
 def kind_and_names(world: World, seed: int, number: int) -> tuple[CaseKind, tuple[str, ...]]:
     """The kind of a case and the names of its effects, every name about as often."""
-    deck, place = divmod(number, len(DECK))
-    order = _rng(world, seed, deck, 1001).permutation(len(DECK))
-    kinds = [DECK[k] for k in order]
+    cards = DECKS.get(world, DECK)
+    deck, place = divmod(number, len(cards))
+    order = _rng(world, seed, deck, 1001).permutation(len(cards))
+    kinds = [cards[k] for k in order]
     kind = kinds[place]
-    before = deck * DECK.count(kind) + kinds[:place].count(kind)
+    before = deck * cards.count(kind) + kinds[:place].count(kind)
+    if kind == "null":
+        return kind, ()
+    if world == "bench":
+        return kind, _of_a_bench(kind, seed, number)
     if kind == "single":
         return kind, (_dealt(DRAWABLE, before, world, seed, 1002),)
     if kind == "outside":
         return kind, (_dealt(tuple(OUTSIDE), before, world, seed, 1003),)
-    if kind == "pair":
-        return kind, _pair(before, world, seed)
-    return kind, ()
+    return kind, _several(before, world, seed) if kind == "several" else _pair(before, world, seed)
+
+
+def _of_a_bench(kind: CaseKind, seed: int, number: int) -> tuple[str, ...]:
+    """Names that differ, of the effects that this machine can have."""
+    known = BENCHES[bench_name(seed, number)]
+    names = known.outside if kind == "outside" else known.effects
+    chosen = _rng("bench", seed, number, 1007).choice(len(names), 2 if kind == "pair" else 1, replace=False)
+    return tuple(names[k] for k in chosen)
+
+
+def _several(number: int, world: World, seed: int) -> tuple[str, ...]:
+    """Two to four names; some stand there twice."""
+    rng = _rng(world, seed, number, 1008)
+    names = [_dealt(DRAWABLE, number, world, seed, 1004)]
+    for _ in range(AT_ONCE[number % len(AT_ONCE)] - 1):
+        again = [n for n in names if n in REPEATED and names.count(n) == 1]
+        fresh = [n for n in DRAWABLE if n not in names]
+        names.append(str(rng.choice(again if again and rng.uniform() < AGAIN else fresh)))
+    return tuple(names)
 
 
 def _dealt(names: tuple[str, ...], number: int, world: World, seed: int, stream: int) -> str:
@@ -108,86 +200,14 @@ def _pair(number: int, world: World, seed: int) -> tuple[str, str]:
     return first, str(rng.choice([n for n in DRAWABLE if n != first]))
 
 
-def perturbed(machine: Machine, world: World, rng: np.random.Generator) -> Machine:
-    """The machine as a laboratory builds it.
-
-    own: E +-0.3 %, one damping factor a beam +-20 %, stations +-1 mm, gains +-0.2 %. wide and other: every mode's
-    damping by its own factor 0.75 to 1.3 and frequency +-0.3 %, the force's gain +-0.3 % and noise about 5e-4
-    N/sqrt(Hz), every sensor's high-pass at 0.05 to 0.3 Hz, cross-axis share up to 0.5 % and noise, each contact's rest
-    position within 5 % of its clearance, clearance and stiffness within 1 %, and in a third a small mass or a cable.
-    """
-    wide = world != "own"
-    machine = replace(
-        machine,
-        beams=tuple(_beam(b, wide, rng) for b in machine.beams),
-        sensors=tuple(_sensor(s, machine.beam(s.at.body).length_m, wide, rng) for s in machine.sensors),
-    )
-    if not wide:
-        return machine
-    cell = replace(machine.cell, gain=1 + rng.uniform(-3e-3, 3e-3), noise_density=FORCE_NOISE * 2 ** rng.uniform(-1, 1))
-    machine = replace(machine, cell=cell, contacts=tuple(_contact(c, rng) for c in machine.contacts))
-    return _with_something_hung(machine, rng) if rng.uniform() < HUNG else machine
-
-
-def _beam(beam: TrueBeam, wide: bool, rng: np.random.Generator) -> TrueBeam:
-    stiffer = 1 + rng.uniform(-3e-3, 3e-3)
-    beam = replace(beam, youngs_modulus_pa=beam.youngs_modulus_pa * stiffer)
-    if not wide:
-        return replace(beam, damping_ratio=beam.damping_ratio * (1 + rng.uniform(-0.2, 0.2)))
-    return replace(
-        beam,
-        frequency_factors=tuple((1 + rng.uniform(-3e-3, 3e-3, MODES)).tolist()),
-        damping_factors=tuple(rng.uniform(0.75, 1.3, MODES).tolist()),
-    )
-
-
-def _sensor(sensor: Accelerometer, length_m: float, wide: bool, rng: np.random.Generator) -> Accelerometer:
-    position_m = float(np.clip(sensor.at.position_m + rng.uniform(-1e-3, 1e-3), 0.0, length_m))
-    sensor = replace(sensor, at=Place(sensor.at.body, position_m), gain=1 + rng.uniform(-2e-3, 2e-3))
-    if not wide:
-        return sensor
-    return replace(
-        sensor,
-        highpass_hz=float(HIGHPASS_HZ[0] * (HIGHPASS_HZ[1] / HIGHPASS_HZ[0]) ** rng.uniform()),
-        lateral_share=float(rng.uniform(-5e-3, 5e-3)),
-        noise_density=sensor.noise_density * float(rng.uniform(0.8, 1.25)),
-    )
-
-
-def _contact(contact: Link, rng: np.random.Generator) -> Link:
-    law = contact.law
-    wider, stiffer = 1 + rng.uniform(-0.01, 0.01, 2)
-    return replace(contact, law=_near(law, float(wider), float(stiffer), float(rng.uniform(-0.05, 0.05))))
-
-
-def _near(law: StopLaw, wider: float, stiffer: float, off_centre: float) -> StopLaw:
-    return replace(
-        law,
-        lower_m=law.lower_m * wider,
-        upper_m=law.upper_m * wider,
-        stiffness_below_n_per_m=law.stiffness_below_n_per_m * stiffer,
-        stiffness_above_n_per_m=law.stiffness_above_n_per_m * stiffer,
-        offset_m=off_centre * (law.lower_m + law.upper_m) / 2,
-    )
-
-
-def _with_something_hung(machine: Machine, rng: np.random.Generator) -> Machine:
-    """0.5 to 2 g at 80 to 400 Hz, with 5 to 30 % of critical damping, anywhere on a beam."""
-    beam = machine.beams[int(rng.integers(len(machine.beams)))]
-    mass_kg, omega = float(rng.uniform(0.5e-3, 2e-3)), 2 * np.pi * float(80 * 5 ** rng.uniform())
-    damping = 2 * float(rng.uniform(0.05, 0.3)) * omega * mass_kg
-    law = StopLaw(spring_n_per_m=mass_kg * omega**2, dashpot_n_s_per_m=damping)
-    return with_hung(machine, "hung", Place(beam.name, float(rng.uniform(0.1, 1.0)) * beam.length_m), mass_kg, law)
-
-
-def _levels(world: World, rng: np.random.Generator) -> tuple[tuple[float, float], float]:
-    """The levels of both records, N rms, and when the force begins."""
+def _levels(world: World, rng: np.random.Generator) -> tuple[Gaussian, Gaussian]:
+    """The force of both records: its level and when it begins."""
     louder = float(rng.uniform(1.3, 1.7))
     if world == "other":
-        fit_n = float(8 * (40 / louder / 8) ** rng.uniform())
-        return (fit_n, fit_n * louder), float(rng.integers(2))
-    fit_n = float(rng.uniform(12, 18))
-    return (fit_n, fit_n * louder), 1.0
+        fit_n, begins_s = float(8 * (40 / louder / 8) ** rng.uniform()), float(rng.integers(2))
+    else:
+        fit_n, begins_s = float(rng.uniform(12, 18)), 1.0
+    return Gaussian(rms_n=fit_n, begins_s=begins_s), Gaussian(rms_n=fit_n * louder, begins_s=begins_s)
 
 
 def _expected(effects: Sequence[EffectTruth], kinds: Sequence[Kind]) -> Expected | None:

@@ -25,7 +25,8 @@ class StopLaw(msgspec.Struct, frozen=True, kw_only=True):
         depth = x + lower + g    for x < -lower - g,   k = stiffness_below
         g(t) = wear t + breath sin(2 pi breath_hz t)
 
-    No stop where a clearance is that of NONE_M.
+    No stop where a clearance is that of NONE_M. A stop that cannot pull (pulls = 0) gives no force against its own
+    direction, however fast it is left.
     """
 
     lower_m: float = NONE_M
@@ -47,6 +48,7 @@ class StopLaw(msgspec.Struct, frozen=True, kw_only=True):
     drag_n_s2_per_m2: float = 0.0
     yield_n: float = 0.0
     yield_m: float = 1.0
+    pulls: float = 1.0
 
     def row(self) -> Float[np.ndarray, " fields"]:
         """Every number in the order of the fields, as the compiled loop wants it."""
@@ -78,9 +80,11 @@ def force_of(law, eta_m, rate_m_per_s, time_s):
         if law[4] != 1.0:
             stiffness *= (abs(depth) / law[5]) ** (law[4] - 1.0)
         share = min(1.0, abs(depth) / ONSET_M)
-        force += (stiffness + law[6] * depth * depth) * depth + law[7] * v * share
-        slope += law[4] * stiffness + 3.0 * law[6] * depth * depth
-        viscous += law[7] * share
+        stop = (stiffness + law[6] * depth * depth) * depth + law[7] * v * share
+        if law[19] != 0.0 or stop * depth > 0.0:
+            force += stop
+            slope += law[4] * stiffness + 3.0 * law[6] * depth * depth
+            viscous += law[7] * share
     if law[8] != 0.0:
         turned = np.tanh(v / TURN_M_PER_S)
         force += law[8] * turned

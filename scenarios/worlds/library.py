@@ -11,6 +11,7 @@ from scenarios.worlds.machine import (
     Place,
     Shaking,
     with_beams,
+    with_bodies,
     with_laws,
     with_link,
     with_sensors,
@@ -37,12 +38,12 @@ def _force_gain(machine: Machine, truth: EffectTruth) -> Machine:
 
 def _added_mass(machine: Machine, truth: EffectTruth) -> Machine:
     one = (place_of(truth).position_m, truth.parameters["mass_kg"])
-    return with_beams(machine, place_of(truth).body, lambda b: replace(b, masses=(*b.masses, one)))
+    return with_bodies(machine, place_of(truth).body, lambda b: replace(b, masses=(*b.masses, one)))
 
 
 def _linear_spring(machine: Machine, truth: EffectTruth) -> Machine:
     one = (place_of(truth).position_m, truth.parameters["stiffness_n_per_m"])
-    return with_beams(machine, place_of(truth).body, lambda b: replace(b, springs=(*b.springs, one)))
+    return with_bodies(machine, place_of(truth).body, lambda b: replace(b, springs=(*b.springs, one)))
 
 
 def _asymmetric_clearance(machine: Machine, truth: EffectTruth) -> Machine:
@@ -81,7 +82,9 @@ def _contact_clearance(machine: Machine, truth: EffectTruth) -> Machine:
 
 def _contact_damping(machine: Machine, truth: EffectTruth) -> Machine:
     damping = truth.parameters["damping_n_s_per_m"]
-    return with_laws(machine, _contact(truth), lambda law: replace(law, damping_n_s_per_m=damping))
+    return with_laws(
+        machine, _contact(truth), lambda law: replace(law, damping_n_s_per_m=law.damping_n_s_per_m + damping)
+    )
 
 
 def _contact_position(machine: Machine, truth: EffectTruth) -> Machine:
@@ -120,7 +123,7 @@ def _stiffened(law: StopLaw, below: float, above: float) -> StopLaw:
 
 def _coulomb_friction(machine: Machine, truth: EffectTruth) -> Machine:
     friction_n = truth.parameters["force_n"]
-    return with_laws(machine, _contact(truth), lambda law: replace(law, friction_n=friction_n))
+    return with_laws(machine, _contact(truth), lambda law: replace(law, friction_n=law.friction_n + friction_n))
 
 
 def _hertz_stop(machine: Machine, truth: EffectTruth) -> Machine:
@@ -179,7 +182,7 @@ def _common_gain(machine: Machine, truth: EffectTruth) -> Machine:
 
 def _structural_damping(machine: Machine, truth: EffectTruth) -> Machine:
     factor = truth.parameters["factor"]
-    return with_beams(machine, str(truth.place["body"]), lambda b: replace(b, damping_ratio=b.damping_ratio * factor))
+    return with_bodies(machine, str(truth.place["body"]), lambda b: replace(b, damping_ratio=b.damping_ratio * factor))
 
 
 def _youngs_modulus(machine: Machine, truth: EffectTruth) -> Machine:

@@ -63,6 +63,7 @@ def made(plan: Planned) -> Case:
             effects=drawn.effects,
             expected=drawn.expected,
             hung=drawn.hung,
+            machine=drawn.machine,
             records=records,
             nominal=drawn.nominal,
             drawn=drawn.drawn,
@@ -80,14 +81,10 @@ def _recorded(plan: Planned, drawn: Drawn) -> tuple[tuple[RecordTruth, ...], dic
     samples = round(plan.duration_s * rate_hz)
     work = Path(plan.folder, "sealed", "work")
     names = (f"{plan.case}.mcap", f"{plan.case}_validate.mcap")
-    for name, seed, rms_n in zip(names, drawn.seeds, drawn.rms_n, strict=True):
-        record = measured(drawn.true, rms_n, drawn.quiet_s, samples, rate_hz, seed)
+    for name, seed, excitation in zip(names, drawn.seeds, drawn.excitations, strict=True):
+        record = measured(drawn.true, excitation, samples, rate_hz, seed)
         write(work / name, drawn.rig, record)
-        records.append(
-            RecordTruth(
-                file=name, rms_n=rms_n, seed=seed, quiet_s=drawn.quiet_s, closed_fraction=record.closed_fraction
-            )
-        )
+        records.append(RecordTruth(file=name, excitation=excitation, seed=seed, closed_fraction=record.closed_fraction))
     for name in names:
         (work / name).replace(Path(plan.folder, "recordings", name))
     return tuple(records), {name: sha256_of(Path(plan.folder, "recordings", name)) for name in names}
@@ -95,7 +92,9 @@ def _recorded(plan: Planned, drawn: Drawn) -> tuple[tuple[RecordTruth, ...], dic
 
 def write(path: Path, rig: Rig, record: Measured) -> None:
     """A recording of what was measured on a machine that is believed to be `rig`."""
-    rows = {"force": record.force_n[None, :], "acceleration": record.acceleration_m_per_s2}
+    rows = {"force": record.force_n[None, :]}
+    for quantity in dict.fromkeys(s.quantity for s in rig.sensors):
+        rows[quantity] = record.delivered[[s.quantity == quantity for s in rig.sensors]]
     for name, values in rows.items():
         if not np.isfinite(values).all():
             raise RigError(f"{path}: the {name} is no finite number; draw a weaker effect")

@@ -10,6 +10,7 @@ from scipy.optimize import minimize
 from rig.errors import RigError
 from scenarios.worlds.beams import modes_of
 from scenarios.worlds.laws import StopLaw, energy_j, force_of
+from scenarios.worlds.lumped import lumped_modes
 from scenarios.worlds.machine import Link, Machine, Place
 from scenarios.worlds.stepping import advance
 
@@ -55,7 +56,7 @@ class SimulatedBlock:
 
 def model_of(machine: Machine) -> Model:
     """The machine's modes and what acts on them."""
-    modes = {beam.name: modes_of(beam) for beam in machine.beams}
+    modes = {b.name: modes_of(b) for b in machine.beams} | {b.name: lumped_modes(b) for b in machine.lumped}
     names = [*modes, *(m.name for m in machine.masses)]
     sizes = [len(m.omega_rad_per_s) for m in modes.values()] + [1] * len(machine.masses)
     ends = np.cumsum(sizes)
@@ -75,10 +76,11 @@ def model_of(machine: Machine) -> Model:
     gains = [row(machine.force_at), *(row(tone.at) for tone in machine.tones), loaded, -carried]
     falls = [np.full(len(modes[b.name].omega_rad_per_s), b.fall / b.fall_s) for b in machine.beams]
     none = np.zeros(len(machine.masses))
+    steady = np.zeros(sum(len(b.masses_kg) for b in machine.lumped) + len(machine.masses))
     return Model(
         omega=np.concatenate([*(m.omega_rad_per_s for m in modes.values()), none]),
         zeta=np.concatenate([*(m.damping_ratio for m in modes.values()), none]),
-        fall_per_s=np.concatenate([*falls, none]),
+        fall_per_s=np.concatenate([*falls, steady]),
         gains=np.array(gains),
         rows=np.array(rows).reshape(len(rows), ends[-1]),
         links=links,
@@ -87,9 +89,13 @@ def model_of(machine: Machine) -> Model:
     )
 
 
-def at_rest(model: Model) -> Float[np.ndarray, " coordinates"]:
-    """Where the machine rests under its static loads: the least of its energy; raises RigError if there is none."""
-    if not model.loaded.any():
+def at_rest(model: Model, held_n: float = 0.0) -> Float[np.ndarray, " coordinates"]:
+    """Where the machine rests under its static loads and the exciting force: the least of its energy.
+
+    Raises RigError if there is none.
+    """
+    loaded = model.loaded + held_n * model.gains[0]
+    if not loaded.any():
         return np.zeros(len(model.omega))
     table = np.array([link.law.row() for link in model.links])
     scale = 1 / np.sqrt(model.omega**2 + 100.0**2)
@@ -97,14 +103,14 @@ def at_rest(model: Model) -> Float[np.ndarray, " coordinates"]:
     def energy(y: Float[np.ndarray, " n"]) -> float:
         q = scale * y
         stored = sum(energy_j(link.law, float(x)) for link, x in zip(model.links, model.rows @ q, strict=True))
-        return float((model.omega * q) @ (model.omega * q) / 2 - model.loaded @ q + stored)
+        return float((model.omega * q) @ (model.omega * q) / 2 - loaded @ q + stored)
 
     def parts(y: Float[np.ndarray, " n"]) -> Float[np.ndarray, "two links"]:
         etas = model.rows @ (scale * y)
         return np.array([force_of(law, x, 0.0, 0.0)[:2] for law, x in zip(table, etas, strict=True)]).reshape(-1, 2).T
 
     def gradient(y: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        return scale * (model.omega**2 * scale * y - model.loaded + parts(y)[0] @ model.rows)
+        return scale * (model.omega**2 * scale * y - loaded + parts(y)[0] @ model.rows)
 
     def hessian(y: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n n"]:
         within = (model.rows.T * parts(y)[1]) @ model.rows
@@ -113,7 +119,7 @@ def at_rest(model: Model) -> Float[np.ndarray, " coordinates"]:
     guess = np.zeros(len(scale))
     options = {"gtol": 1e-9, "maxiter": 500, "initial_trust_radius": 0.3, "max_trust_radius": 3.0}
     found = minimize(energy, guess, jac=gradient, hess=hessian, method="trust-exact", options=options)
-    if np.abs(gradient(found.x)).max() > 1e-5 * np.abs(scale * model.loaded).max():
+    if np.abs(gradient(found.x)).max() > 1e-5 * np.abs(scale * loaded).max():
         raise RigError(f"the machine does not come to rest under its loads ({found.message}); draw others")
     return np.asarray(scale * found.x)
 

@@ -4,15 +4,22 @@ from typing import Literal
 
 import msgspec
 
+from scenarios.worlds.forces import Excitation
 from scenarios.worlds.machine import Machine
 
-World = Literal["own", "wide", "other"]
-WORLDS: tuple[World, ...] = ("own", "wide", "other")
-CaseKind = Literal["null", "single", "pair", "outside"]
+World = Literal["own", "wide", "other", "counted", "bench"]
+WORLDS: tuple[World, ...] = ("own", "wide", "other", "counted", "bench")
+CaseKind = Literal["null", "single", "pair", "several", "outside"]
+"""`several`: two to four effects of the library at once."""
 
 
 class EffectTruth(msgspec.Struct, frozen=True, kw_only=True):
     """An effect as it was put in. Parameters bear their unit in the name; a factor is one of what is believed.
+
+    `parameters` is as drawn. `whole` is how the machine differs from rig.json there, the tolerance that was drawn and
+    the effect together (a clearance factor: true over believed), with the same fields: what a diagnosis of the law as
+    it is finds. Of an uncounted one (a cable) nobody speaks unless it shows. `stand_ins` are the effects of the library
+    that come nearest to one outside it, at its place.
 
     place: contact ("all" or a name), body, beam, sensor, side, each where there is one, and position_m. A strength is
     the distance from no effect in that of the effect's default; of factors in logarithms.
@@ -22,6 +29,9 @@ class EffectTruth(msgspec.Struct, frozen=True, kw_only=True):
     parameters: dict[str, float]
     place: dict[str, str | float]
     strength: float
+    whole: dict[str, float] = {}
+    uncounted: bool = False
+    stand_ins: tuple[str, ...] = ()
 
     @property
     def text(self) -> str:
@@ -43,17 +53,18 @@ class Expected(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class RecordTruth(msgspec.Struct, frozen=True, kw_only=True):
-    """One record: its force's level and seed, when the force begins, and each contact's share of time pressed."""
+    """One record: what excites it, the seed, and each contact's share of time pressed."""
 
     file: str
-    rms_n: float
+    excitation: Excitation
     seed: int
-    quiet_s: float
     closed_fraction: dict[str, float]
 
 
 class Case(msgspec.Struct, frozen=True, kw_only=True):
     """The answer to one case; `draw` counts from 0 and is above if earlier draws could not be simulated.
+
+    `machine` names its kind in the world "bench".
 
     `nominal` is the machine as believed, `drawn` with every tolerance, `true` with the effects too. `hung` tells
     whether a small mass or a cable hangs somewhere as a tolerance.
@@ -65,6 +76,7 @@ class Case(msgspec.Struct, frozen=True, kw_only=True):
     effects: tuple[EffectTruth, ...]
     expected: Expected | None
     hung: bool
+    machine: str = ""
     records: tuple[RecordTruth, ...]
     nominal: Machine
     drawn: Machine

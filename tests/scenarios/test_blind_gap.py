@@ -4,13 +4,15 @@ import shutil
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from rig.errors import RigError
 from rig.model.tolerances import EXACT, LABORATORY
+from rig.recording import read as read_recording
 from scenarios import blind_comparison, blind_diagnosis
-from scenarios.blind_comparison import opened, pairs_of
+from scenarios.blind_comparison import opened, pairs_of, refused_in
 from scenarios.blind_diagnosis import Found, NullReferenceMade, NullReferenceToMake, without_curves
 from scenarios.blind_gap import app
 from scenarios.scoreboard import Score
@@ -203,3 +205,48 @@ def test_a_diagnosis_of_other_recordings_is_refused(cases, tmp_path):
 def test_sealed_cases_are_not_overwritten(cases):
     with pytest.raises(RigError, match=r"key\.sha256: exists already"):
         ran("make", "--out", cases)
+
+
+def test_a_refused_diagnosis_is_counted_and_told(cases, quick, tmp_path, monkeypatch):
+    """One of three is refused: it stands beside what was found, and the others are scored without it."""
+    del quick
+    of_one = read_recording(cases / "recordings" / "case_001.mcap").force_n
+
+    def some_refused(fit, *_):
+        if np.array_equal(fit.force_n, of_one):
+            raise RigError("velocity sensors are not read")
+        return gap("no_gap", nothing=0.9)
+
+    monkeypatch.setattr(blind_diagnosis, "gap_of", some_refused)
+    folder = tmp_path / "found"
+    said = ran("diagnose", "--cases", cases, "--out", folder)
+    assert "2 diagnoses" in said
+    assert "case_001 was refused: velocity sensors are not read" in said
+    assert [f.case for f in read(folder)] == ["case_000", "case_002"]
+    assert [r.case for r in refused_in(folder)] == ["case_001"]
+    text = ran("score", "--cases", cases, "--found", folder, "--out", tmp_path / "score")
+    assert "wide, 2 cases" in text
+    assert "case_001 was refused: velocity sensors are not read" in text
+
+
+def test_a_recording_that_no_diagnosis_can_read_is_refused_before_it_begins(cases, quick, tmp_path, monkeypatch):
+    def unreadable(*_):
+        raise RigError("the force is zero throughout")
+
+    monkeypatch.setattr(blind_diagnosis, "sound", unreadable)
+    ran("diagnose", "--cases", cases, "--out", tmp_path / "found")
+    assert not quick
+    assert read(tmp_path / "found") == []
+    assert {r.sentence for r in refused_in(tmp_path / "found")} == {"the force is zero throughout"}
+    assert [r.case for r in refused_in(tmp_path / "found")] == CASES
+
+
+@pytest.mark.parametrize("world", ["counted", "bench"])
+def test_every_world_is_sealed_by_its_hash(world, tmp_path):
+    ran("make", "--out", tmp_path / world, "--world", world, "--cases", 2, "--duration", 1.5, "--seed", 3)
+    key = opened(tmp_path / world)
+    assert (key.world, len(key.cases)) == (world, 2)
+    sealed = tmp_path / world / "sealed" / "key.json"
+    sealed.write_bytes(sealed.read_bytes().replace(b'"whole"', b'"whule"', 1))
+    with pytest.raises(RigError, match="is not what was sealed"):
+        opened(tmp_path / world)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scenarios.worlds.machine import Accelerometer, Link, Machine, Place, TrueBeam
+from scenarios.worlds.machine import Link, Machine, MotionSensor, Place, TrueBeam
 from scenarios.worlds.simulator import STEP_S, model_of, simulate
 
 
@@ -16,7 +16,7 @@ def beam(name="bar", clamped=True, **changes):
 def alone(bar, position_m=1.0, links=(), **changes):
     """A machine of one beam with a sensor and the force at a place."""
     at = Place(bar.name, position_m)
-    sensors = (Accelerometer(name="tip", at=at),)
+    sensors = (MotionSensor(name="tip", at=at),)
     return Machine(beams=(bar,), contacts=tuple(links), force_at=at, sensors=sensors, **changes)
 
 

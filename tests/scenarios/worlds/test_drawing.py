@@ -14,7 +14,7 @@ from scenarios.worlds.truth import WORLDS
 MANY = 36
 
 
-@pytest.fixture(scope="module", params=WORLDS)
+@pytest.fixture(scope="module", params=("own", "wide", "other"))
 def drawn(request):
     return request.param, [drawn_case(request.param, 5, k) for k in range(MANY)]
 
@@ -117,9 +117,9 @@ def test_believed_rigs_are_what_the_world_says(drawn):
 def test_levels_and_quiet_starts(drawn):
     world, cases = drawn
     for case in cases:
-        fit_n, validate_n = case.rms_n
+        fit_n, validate_n = (e.rms_n for e in case.excitations)
         assert 1.3 <= validate_n / fit_n <= 1.7
         low, high = (8, 40) if world == "other" else (12, 18 * 1.7)
         assert low <= fit_n < validate_n <= high
-    quiet = {c.quiet_s for c in cases}
+    quiet = {e.begins_s for c in cases for e in c.excitations}
     assert quiet == ({0.0, 1.0} if world == "other" else {1.0})

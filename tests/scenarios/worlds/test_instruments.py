@@ -5,6 +5,7 @@ import pytest
 from msgspec.structs import replace
 from scipy.signal import welch
 
+from scenarios.worlds.forces import Gaussian
 from scenarios.worlds.instruments import measured
 from scenarios.worlds.machine import ForceCell, MachineTone, Place, Shaking, with_sensors
 from scenarios.worlds.simulator import model_of
@@ -15,7 +16,8 @@ BAR = alone(beam(damping_ratio=0.03), 0.8)
 
 
 def record(machine, seconds=4.0, rms_n=2.0, quiet_s=1.0, seed=5):
-    return measured(machine, rms_n, quiet_s, round(seconds * RATE_HZ), RATE_HZ, seed)
+    excitation = Gaussian(rms_n=rms_n, begins_s=quiet_s)
+    return measured(machine, excitation, round(seconds * RATE_HZ), RATE_HZ, seed)
 
 
 def test_the_force_has_its_level_its_band_and_a_quiet_start():
@@ -37,7 +39,7 @@ def test_a_cantilever_answers_as_its_receptance_says():
     ratios = []
     for hertz in (19.9375, 20.0, 20.0625):
         line = round(hertz * found.force_n.size / RATE_HZ)
-        a, f = (np.fft.rfft(window * x)[line] for x in (found.acceleration_m_per_s2[0], found.force_n))
+        a, f = (np.fft.rfft(window * x)[line] for x in (found.delivered[0], found.force_n))
         ratios.append((a * np.conj(f), abs(f) ** 2))
     cross, power = np.sum(ratios, axis=0)
     assert cross / power == pytest.approx(-(omega**2) * lines, rel=0.02)
@@ -49,9 +51,7 @@ def test_gain_and_delay_of_a_sensor_and_of_the_force():
     changed = replace(changed, cell=ForceCell(gain=0.7, delay_s=-3 / RATE_HZ))
     other = record(changed)
     here, late, early = slice(100, -100), slice(98, -102), slice(103, -97)
-    np.testing.assert_allclose(
-        other.acceleration_m_per_s2[0, here], 1.2 * plain.acceleration_m_per_s2[0, late], atol=1e-9
-    )
+    np.testing.assert_allclose(other.delivered[0, here], 1.2 * plain.delivered[0, late], atol=1e-9)
     np.testing.assert_allclose(other.force_n[here], 0.7 * plain.force_n[early], atol=1e-9)
 
 
@@ -60,10 +60,10 @@ def test_an_amplifier_turns_the_phase_as_a_first_order_high_pass():
     corner_hz = 0.3
     shaken = replace(BAR, shaking=Shaking(acceleration_rms_m_per_s2=1.0, low_hz=0.4, high_hz=3.0))
     quiet = {"rms_n": 1e-9, "seconds": 32.0}
-    plain = record(shaken, **quiet).acceleration_m_per_s2[0]
+    plain = record(shaken, **quiet).delivered[0]
     passed = record(with_sensors(shaken, "all", lambda s: replace(s, highpass_hz=corner_hz)), **quiet)
     window = np.hanning(plain.size)
-    spectra = [np.fft.rfft(window * x) for x in (passed.acceleration_m_per_s2[0], plain)]
+    spectra = [np.fft.rfft(window * x) for x in (passed.delivered[0], plain)]
     hertz = np.fft.rfftfreq(plain.size, 1 / RATE_HZ)
     for low, high in ((0.5, 0.7), (1.9, 2.1)):
         some = (hertz > low) & (hertz < high)
@@ -77,16 +77,16 @@ def test_noise_has_its_density():
     noisy = replace(noisy, cell=ForceCell(noise_density=5e-4))
     plain, other = record(BAR), record(noisy)
     for difference, density in (
-        (other.acceleration_m_per_s2[0] - plain.acceleration_m_per_s2[0], 1e-3),
+        (other.delivered[0] - plain.delivered[0], 1e-3),
         (other.force_n - plain.force_n, 5e-4),
     ):
         assert np.sqrt(np.mean(welch(difference, RATE_HZ)[1])) == pytest.approx(density, rel=0.03)
 
 
 def test_a_lateral_motion_adds_its_share_and_is_not_the_motion():
-    plain = record(BAR, 8.0).acceleration_m_per_s2[0]
+    plain = record(BAR, 8.0).delivered[0]
     sideways = with_sensors(BAR, "all", lambda s: replace(s, lateral_share=0.1))
-    added = record(sideways, 8.0).acceleration_m_per_s2[0] - plain
+    added = record(sideways, 8.0).delivered[0] - plain
     assert np.std(added) == pytest.approx(0.1 * np.std(plain), rel=0.15)
     assert abs(np.corrcoef(added, plain)[0, 1]) < 0.3
     assert np.abs(added[:3000]).max() < 1e-3 * np.abs(added).max()
@@ -94,7 +94,7 @@ def test_a_lateral_motion_adds_its_share_and_is_not_the_motion():
 
 def test_a_tone_is_there_from_the_start():
     tone = MachineTone(at=Place("bar", 0.8), cosine_n=0.3, sine_n=-0.4, frequency_hz=50.0)
-    found = record(replace(BAR, tones=(tone,)), 1.5).acceleration_m_per_s2[0, : int(0.9 * RATE_HZ)]
+    found = record(replace(BAR, tones=(tone,)), 1.5).delivered[0, : int(0.9 * RATE_HZ)]
     spectrum = np.abs(np.fft.rfft(found * np.hanning(found.size)))
     assert np.argmax(spectrum) * RATE_HZ / found.size == pytest.approx(50.0, abs=1.2)
     assert np.std(found[:800]) == pytest.approx(np.std(found[-800:]), rel=0.1)

@@ -7,6 +7,7 @@ from msgspec.structs import replace
 from rig.effects import effect_named, effects
 from scenarios.worlds.believed import believed_rig, nominal_machine
 from scenarios.worlds.drawing import DRAWABLE
+from scenarios.worlds.forces import Gaussian
 from scenarios.worlds.instruments import measured
 from scenarios.worlds.library import EFFECTS, UNSEEN
 from scenarios.worlds.machine import with_sensors
@@ -23,7 +24,7 @@ def put_in(name, place=None, **parameters):
 
 
 def record(machine, seconds=1.6, rms_n=RMS_N):
-    return measured(machine, rms_n, 0.1, round(seconds * 4096), 4096.0, 3)
+    return measured(machine, Gaussian(rms_n=rms_n, begins_s=0.1), round(seconds * 4096), 4096.0, 3)
 
 
 @pytest.fixture(scope="module")
@@ -71,8 +72,8 @@ def test_its_text_is_that_of_the_library(name):
 def test_every_effect_changes_what_is_measured(name, plain):
     kind, rng = EFFECTS[name], np.random.default_rng(7)
     changed = record(kind.change(MACHINE, kind.drawn(MACHINE, RMS_N, rng, least=0.9)))
-    assert np.isfinite(changed.acceleration_m_per_s2).all()
-    rows = [np.vstack([r.force_n, r.acceleration_m_per_s2])[:, 600:] for r in (plain, changed)]
+    assert np.isfinite(changed.delivered).all()
+    rows = [np.vstack([r.force_n, r.delivered])[:, 600:] for r in (plain, changed)]
     assert np.linalg.norm(rows[1] - rows[0]) > 1e-3 * np.linalg.norm(rows[0])
 
 
@@ -96,7 +97,7 @@ def test_one_stop_softens_on_its_side_alone():
 def test_a_shift_shows_the_force_before_it_acts(plain):
     """The measured force of one sample ago is the true one; the motion is as it was."""
     late = record(put_in("force_shift", shift_s=1 / 4096))
-    np.testing.assert_allclose(late.acceleration_m_per_s2, plain.acceleration_m_per_s2, atol=1e-9)
+    np.testing.assert_allclose(late.delivered, plain.delivered, atol=1e-9)
     np.testing.assert_allclose(late.force_n[500:-1], plain.force_n[501:], atol=1e-9)
 
 
@@ -118,5 +119,5 @@ def test_a_compliant_clamp_has_the_stiffness_of_its_share():
 
 def test_gains_multiply(plain):
     both = record(put_in("common_gain", factor=1.1)), record(put_in("force_gain", factor=0.8))
-    np.testing.assert_allclose(both[0].acceleration_m_per_s2, 1.1 * plain.acceleration_m_per_s2, atol=1e-9)
+    np.testing.assert_allclose(both[0].delivered, 1.1 * plain.delivered, atol=1e-9)
     np.testing.assert_allclose(both[1].force_n, 0.8 * plain.force_n, atol=1e-9)

@@ -48,8 +48,8 @@ def test_levels_and_closed_contacts_are_told(tmp_path):
     case = made(plan(tmp_path, 0, "other", nulls_only=True))
     for told in case.records:
         force = read(tmp_path / "recordings" / told.file).force_n
-        excited = force[round(told.quiet_s * 4096) :]
-        assert np.sqrt(np.mean(excited**2)) == pytest.approx(told.rms_n, rel=0.02)
+        excited = force[round(told.excitation.begins_s * 4096) :]
+        assert np.sqrt(np.mean(excited**2)) == pytest.approx(told.excitation.level_n, rel=0.02)
         assert set(told.closed_fraction) == {"contact_1", "contact_2"}
         assert all(0 <= share <= 1 for share in told.closed_fraction.values())
 

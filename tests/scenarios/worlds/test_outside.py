@@ -5,6 +5,7 @@ import pytest
 from msgspec.structs import replace
 
 from scenarios.worlds.believed import believed_rig, nominal_machine
+from scenarios.worlds.forces import Gaussian
 from scenarios.worlds.instruments import measured
 from scenarios.worlds.machine import with_sensors
 from scenarios.worlds.outside import OUTSIDE
@@ -16,6 +17,7 @@ MACHINE = with_sensors(
     nominal_machine(believed_rig("own", np.random.default_rng(1))), "all", lambda s: replace(s, noise_density=0.0)
 )
 BAR = alone(beam())
+FORCE = Gaussian(rms_n=20.0, begins_s=0.1)
 TIP = {"body": "bar", "position_m": 1.0}
 
 
@@ -37,7 +39,7 @@ def test_each_changes_what_is_measured_and_is_described(name):
     kind, rng = OUTSIDE[name], np.random.default_rng(2)
     truth = kind.drawn(MACHINE, 20.0, rng, least=0.9)
     changed = kind.change(MACHINE, truth)
-    records = [measured(m, 20.0, 0.1, 6000, 4096.0, 3).acceleration_m_per_s2 for m in (MACHINE, changed)]
+    records = [measured(m, FORCE, 6000, 4096.0, 3).delivered for m in (MACHINE, changed)]
     assert np.isfinite(records[1]).all()
     assert np.linalg.norm(records[1] - records[0]) > 1e-3 * np.linalg.norm(records[0])
     told = kind.expected(truth)
@@ -100,7 +102,7 @@ def test_a_loose_sensor_is_alone():
     machine = put_in(
         "loose_sensor", MACHINE, {"sensor": MACHINE.sensors[4].name}, frequency_hz=100.0, damping_ratio=0.03
     )
-    one, other = (measured(m, 20.0, 0.1, 4096, 4096.0, 3).acceleration_m_per_s2 for m in (MACHINE, machine))
+    one, other = (measured(m, FORCE, 4096, 4096.0, 3).delivered for m in (MACHINE, machine))
     changed = np.linalg.norm(one - other, axis=1) > 1e-9
     assert np.flatnonzero(changed).tolist() == [4]
     assert machine.sensors[4].at == MACHINE.sensors[4].at
