@@ -55,16 +55,16 @@ def gross(rig: Rig, spectra: Spectra, usable: list[int], fine: Callable[[], Spec
         return Gross(tuple(wrong), usable, not wrong)
     trials = [
         *forces,
-        *_channels(rig, spectra, usable, fine),
-        *_swaps(rig, spectra, usable),
-        *_gains(rig, spectra, usable),
+        *_channels(rig, check, usable, fine),
+        *_swaps(check, usable),
+        *_gains(rig, check, usable),
         *rig_trials(rig, spectra, usable),
     ]
     best = min(trials, key=lambda t: t.misfit * t.allowance)
     if misfit < SOUND and best.misfit * best.allowance > MUCH * misfit:
         return Gross((), usable, True)
     if best.misfit >= SOUND:
-        found = _several(rig, spectra, usable, fine)
+        found = _several(rig, check, usable, fine)
         if found is not None:
             return found
         if best.misfit >= CURED * misfit:
@@ -81,14 +81,14 @@ def _nothing(misfit: float) -> Finding:
     )
 
 
-def _channels(rig: Rig, spectra: Spectra, usable: list[int], fine: Callable[[], Spectra]) -> Iterator[Trial]:
+def _channels(rig: Rig, check: LinearCheck, usable: list[int], fine: Callable[[], Spectra]) -> Iterator[Trial]:
     for channel in usable:
         kept = [i for i in usable if i != channel]
-        check = linear_check(rig, spectra, kept)
-        found = check.predicted(kept)
+        others = check.beside(check.spectra, kept)
+        found = others.predicted(kept)
         if np.isfinite(found.misfit):
             yield Trial(
-                found.misfit, kept, partial(_of_channel, rig, check, found, channel, kept, fine), allowance=LEFT_OUT
+                found.misfit, kept, partial(_of_channel, rig, others, found, channel, kept, fine), allowance=LEFT_OUT
             )
 
 
@@ -123,21 +123,22 @@ def _forces(check: LinearCheck, usable: list[int]) -> Iterator[Trial]:
 
 
 def _of_force(check: LinearCheck, usable: list[int], number: int, found: Predicted) -> tuple[Finding, ...]:
-    shown = (check.accelerance[number] / check.scale)[usable]
+    by_force = check.accelerance[number][usable]
+    shown = by_force / check.scale[usable]
     if len(check.spectra.forces) > 1:  # what no contact force does too
-        basis = np.linalg.qr((check.of_contacts / check.scale)[:, usable].transpose(2, 1, 0))[0]
-        shown = shown - np.einsum("lsi,lti,tl->sl", basis, basis.conj(), shown, optimize=True)
+        shown = check.projection(usable).of(by_force)[0]
     weight = np.sqrt(np.mean(np.abs(shown) ** 2, axis=0))
     return (force_finding(check.spectra, number, found.forces[number], weight),)
 
 
-def _swaps(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]:
+def _swaps(check: LinearCheck, usable: list[int]) -> Iterator[Trial]:
+    spectra = check.spectra
     for one, other in combinations(usable, 2):
         rows = spectra.acceleration.copy()
         rows[[one, other]] = rows[[other, one]]
         names = spectra.sensors[one].name, spectra.sensors[other].name
         yield Trial(
-            linear_check(rig, spectra.with_rows(rows), usable).predicted(usable).misfit,
+            check.beside(spectra.with_rows(rows), usable).predicted(usable).misfit,
             [i for i in usable if i not in (one, other)],
             partial(_swapped, names),
         )
@@ -145,7 +146,7 @@ def _swaps(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]:
         forces = spectra.forces.copy()
         forces[[*pair]] = forces[[*pair[::-1]]]
         names = spectra.force_names[pair[0]], spectra.force_names[pair[1]]
-        left = linear_check(rig, replace(spectra, forces=forces), usable).predicted(usable).misfit
+        left = check.beside(replace(spectra, forces=forces), usable).predicted(usable).misfit
         yield Trial(left, usable, partial(_swapped, names), False)
 
 
@@ -160,30 +161,26 @@ def _swapped(names: tuple[str, str]) -> tuple[Finding, ...]:
     )
 
 
-def _gains(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]:
+def _gains(rig: Rig, check: LinearCheck, usable: list[int]) -> Iterator[Trial]:
     """All channels' gains by linear least squares: the factors of the channels that bring the projected residual down.
 
     Polarities, units and gains of several channels at once. Two rounds, the second in the scale of the first.
     """
-    rows, gains = spectra.acceleration, np.ones(len(spectra.sensors))
+    spectra, gains = check.spectra, np.ones(len(check.spectra.sensors))
+    rows = spectra.acceleration
     for _ in range(3):
-        check = linear_check(rig, spectra.with_rows(rows), usable)
-        by_force = (check.by_force / check.scale)[usable]
-        basis = np.linalg.qr((check.of_contacts[:, usable] / check.scale[usable]).transpose(2, 1, 0))[0]
-        columns = np.zeros((spectra.omega.size, len(usable), len(usable)), dtype=complex)
-        index = np.arange(len(usable))
-        columns[:, index, index] = (rows / check.scale)[usable].T
-        columns -= basis @ (basis.conj().transpose(0, 2, 1) @ columns)
-        target = by_force.T - np.einsum("lsi,lti,lt->ls", basis, basis.conj(), by_force.T)
-        normal = np.einsum("lsi,lsk->ik", columns.conj(), columns).real
-        wanted = np.einsum("lsi,ls->i", columns.conj(), target).real
+        check = check.beside(spectra.with_rows(rows), usable)
+        projection = check.projection(usable)
+        columns = np.array([projection.of(rows[[i]], [k])[0].ravel() for k, i in enumerate(usable)])
+        target = projection.of(check.by_force[usable])[0].ravel()
+        normal, wanted = (columns.conj() @ columns.T).real, (columns.conj() @ target).real
         factors = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(len(usable)), wanted)
         if not np.all(np.isfinite(factors)) or np.any(np.abs(factors) < 1e-9):
             return
         rows = rows.copy()
         rows[usable] *= factors[:, None]
         gains[usable] /= factors
-    left = linear_check(rig, spectra.with_rows(rows), usable).predicted(usable).misfit
+    left = check.beside(spectra.with_rows(rows), usable).predicted(usable).misfit
     off = [i for i in usable if abs(gains[i] - 1) > GAIN]
     if off:
         yield Trial(
@@ -194,18 +191,18 @@ def _gains(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]:
         )
 
 
-def _several(rig: Rig, spectra: Spectra, usable: list[int], fine: Callable[[], Spectra]) -> Gross | None:
+def _several(rig: Rig, check: LinearCheck, usable: list[int], fine: Callable[[], Spectra]) -> Gross | None:
     """Channel after channel is left out, the worst first, while three more than the contacts are left."""
     kept, left_out = list(usable), list[int]()
     while len(kept) > len(rig.contacts) + 3 and len(left_out) < len(usable) / 2:
         trials = []
         for channel in kept:
             rest = [i for i in kept if i != channel]
-            trials.append((linear_check(rig, spectra, rest).predicted(rest).misfit, channel))
+            trials.append((check.beside(check.spectra, rest).predicted(rest).misfit, channel))
         misfit, worst = min(trials)
         kept, left_out = [i for i in kept if i != worst], [*left_out, worst]
         if misfit < SOUND:
-            check = linear_check(rig, spectra, kept)
+            check = check.beside(check.spectra, kept)
             predicted = check.predicted(kept)
             found = [f for c in sorted(left_out) for f in _of_channel(rig, check, predicted, c, kept, fine)]
             return Gross(merged(found, rig), kept, True)

@@ -13,7 +13,8 @@ from jaxtyping import Bool, Complex, Float
 from scipy.ndimage import uniform_filter1d
 
 from identify.checks.spectra import SMOOTHED, Spectra
-from identify.linear.model import across, response_of, times
+from identify.linear.model import ResponseCache, accelerances, input_shapes, response_of, times
+from identify.linear.projection import Projection, projection
 from rig.model.description import Rig, Station
 
 ROUGH = 0.03
@@ -70,33 +71,43 @@ class LinearCheck:
         """The accelerations by all measured forces."""
         return np.asarray(self.by_each_force.sum(axis=0))
 
+    def beside(self, spectra: Spectra, kept: list[int]) -> "LinearCheck":
+        """Other spectra of the same sensors and lines beside the same accelerances; see `linear_check`."""
+        return LinearCheck(spectra, self.accelerance, _scale(spectra, kept), driven_by(spectra.forces))
+
+    def projection(self, kept: list[int], doubted: int | None = None) -> Projection:
+        """Of the contact forces, and a force that is doubted, from the channels kept."""
+        unknown, scale = self.unknown(doubted)[:, kept], self.scale[kept]
+        return projection(unknown / scale, scale, len(unknown))
+
     def predicted(self, kept: list[int], doubted: int | None = None) -> Predicted:
         """From the channels kept and the measured forces, but for the one of that number if one is doubted."""
-        own, unknown = self.spectra, self.unknown(doubted)
+        spectra, unknown = self.spectra, self.unknown(doubted)
         known = self.by_force if doubted is None else np.delete(self.by_each_force, doubted, axis=0).sum(axis=0)
-        weighted = ((own.acceleration - known) / self.scale)[kept]
-        columns = (unknown / self.scale)[:, kept].transpose(2, 1, 0)
-        adjoint = columns.conj().transpose(0, 2, 1)
-        normal = adjoint @ columns
-        size = np.trace(normal, axis1=1, axis2=2).real
-        ridge = 1e-9 * np.maximum(size, 1e-300)[:, None, None] * np.eye(len(unknown))
-        inputs = np.linalg.solve(normal + ridge, adjoint @ weighted.T[..., None])[..., 0].T
-        left = weighted - np.einsum("lsi,il->sl", columns, inputs)
+        residual, inputs = self.projection(kept, doubted).of((spectra.acceleration - known)[kept])
         freedom = len(kept) - len(unknown)
-        per_line = np.sum(np.abs(left) ** 2, axis=0)
+        per_line = np.sum(np.abs(residual) ** 2, axis=0)
         driven = (per_line[lines] for lines in self.driven if lines.any())
         worst = max(float(np.median(x)) for x in (per_line, *driven))
         misfit = worst / freedom if freedom > 0 else np.nan
-        forces, contacts = own.forces, inputs
+        forces, contacts = spectra.forces, inputs
         if doubted is not None:
             forces, contacts = forces.copy(), inputs[1:]
             forces[doubted] = inputs[0]
         return Predicted(misfit, known + np.einsum("isl,il->sl", unknown, inputs), forces, contacts)
 
 
-def linear_check(rig: Rig, spectra: Spectra, kept: list[int] | None = None) -> LinearCheck:
-    """The scale is that of the median channel of each body (of those kept), so that no single one rules it."""
+def linear_check(
+    rig: Rig, spectra: Spectra, kept: list[int] | None = None, cache: ResponseCache | None = None
+) -> LinearCheck:
+    """A rig beside spectra, in the scale of the channels kept. `cache` is that of whoever tries many rigs."""
     kept = list(range(len(spectra.sensors))) if kept is None else kept
+    made = _accelerances(rig, spectra, cache or ResponseCache(spectra.omega, 0))
+    return LinearCheck(spectra, made, _scale(spectra, kept), driven_by(spectra.forces))
+
+
+def _scale(spectra: Spectra, kept: list[int]) -> Float[np.ndarray, "sensors lines"]:
+    """That of the median channel of each body (of those kept), so that no single one rules it."""
     bodies = [s.station.body for s in spectra.sensors]
     scale = np.empty(spectra.noise.shape)
     for body in dict.fromkeys(bodies):
@@ -104,21 +115,19 @@ def linear_check(rig: Rig, spectra: Spectra, kept: list[int] | None = None) -> L
         told = [i for i in own if i in kept] or own
         scale[own] = ROUGH * np.median(spectra.level[told], axis=0)
     scale = np.hypot(scale, spectra.noise)
-    scale = np.maximum(scale, 1e-9 * float(scale.max()) or 1.0)
-    return LinearCheck(spectra, accelerances(rig, spectra), scale, driven_by(spectra.forces))
+    return np.asarray(np.maximum(scale, 1e-9 * float(scale.max()) or 1.0))
 
 
 def by_forces(
     rig: Rig, predicted: Predicted, omega: Float[np.ndarray, " lines"], stations: list[Station]
 ) -> Complex[np.ndarray, "stations lines"]:
-    """The accelerations at any stations by the forces and the contact forces that were found."""
-    forces = np.concatenate([predicted.forces, predicted.contacts])
-    found = np.zeros((len(stations), omega.size), dtype=complex)
-    for body in rig.bodies:
-        r = response_of(rig, body, omega)
-        pushed = np.concatenate([r.shapes([*rig.forces]), -across(rig, r)])
-        found += times(r.shapes(stations), r.accelerance * times(pushed.T, forces))
-    return found
+    """The accelerations at any stations by the forces and the estimated contact forces."""
+    forces, cache = np.concatenate([predicted.forces, predicted.contacts]), ResponseCache(omega, 0)
+    responses = (response_of(rig, body, cache) for body in rig.bodies)
+    rows = (
+        times(r.shapes(stations), r.accelerance * times(input_shapes(rig, r, rig.forces).T, forces)) for r in responses
+    )
+    return np.asarray(sum(rows))
 
 
 def driven_by(forces: Complex[np.ndarray, "forces lines"]) -> Bool[np.ndarray, "forces lines"]:
@@ -127,11 +136,7 @@ def driven_by(forces: Complex[np.ndarray, "forces lines"]) -> Bool[np.ndarray, "
     return np.asarray(level > DRIVEN * level.max(axis=1, keepdims=True))
 
 
-def accelerances(rig: Rig, spectra: Spectra) -> Complex[np.ndarray, "inputs sensors lines"]:
+def _accelerances(rig: Rig, spectra: Spectra, cache: ResponseCache) -> Complex[np.ndarray, "inputs sensors lines"]:
     """Of each force, then of each contact (which drives by minus its force)."""
-    stations = [s.station for s in spectra.sensors]
-    found = np.zeros((len(rig.forces) + len(rig.contacts), len(stations), spectra.omega.size), dtype=complex)
-    for body in rig.bodies:
-        r = response_of(rig, body, spectra.omega)
-        found += r.transfer(r.shapes(stations), np.concatenate([r.shapes([*rig.forces]), -across(rig, r)]))
-    return found
+    responses = [response_of(rig, body, cache) for body in rig.bodies]
+    return accelerances(rig, responses, rig.forces, [s.station for s in spectra.sensors])

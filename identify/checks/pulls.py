@@ -17,8 +17,9 @@ from scipy.ndimage import uniform_filter1d
 
 from identify.checks.candidates import Suspect, candidates_of
 from identify.checks.prediction import ROUGH, LinearCheck, Predicted
-from identify.linear.model import Response, across, forget, response_of, times
-from identify.linear.nuisance import BodyMotion, Change, Observed, changes_of
+from identify.linear.model import Response, ResponseCache, input_shapes, response_of, times
+from identify.linear.nuisance import BodyMotion, Observed, changes_of, elastic_modes
+from identify.linear.projection import projection
 from rig.model.description import Rig
 from rig.model.tolerances import Tolerances
 
@@ -54,7 +55,8 @@ def broken(
         return [], np.zeros(0)
     sensors = tuple(check.spectra.sensors[i] for i in kept)
     omega, measured = check.spectra.omega, check.spectra.acceleration[kept]
-    responses = [response_of(rig, body, omega) for body in rig.bodies]
+    cache = ResponseCache(omega, 0)
+    responses = [response_of(rig, body, cache) for body in rig.bodies]
     by_force = check.by_each_force[:, kept]
     modelled = check.predicted(kept)
     bodies = tuple(_body(rig, r, check, kept, modelled) for r in responses)
@@ -69,13 +71,12 @@ def broken(
         displaced=np.zeros_like(measured),
         bodies=bodies,
     )
-    forget()
     project = Projector(check, kept)
     left = project(measured - by_force.sum(axis=0))
     parameters, columns = [], []
     for change in changes_of(observed):
         parameters.append(change.parameter)
-        columns.append(_Column.of(project(_whole(change, measured.shape))))
+        columns.append(_Column.of(project(change.at_all(len(measured)))))
     if not parameters:
         return [], np.zeros(0)
     candidates, added = candidates_of(parameters, bodies, sensors, by_force, omega, tolerances)
@@ -173,8 +174,8 @@ class Projector:
         level = np.sqrt(np.maximum(check.scale[kept] ** 2 - noise**2, 0)) / ROUGH
         self._scale = np.hypot(FLOOR * level, noise)
         self._scale = np.maximum(self._scale, 1e-9 * self._scale.max())
-        unknown = (check.unknown(doubted)[:, kept] / self._scale).transpose(2, 1, 0)
-        self._basis = np.linalg.qr(unknown)[0] if unknown.shape[2] else None
+        unknown = check.unknown(doubted)[:, kept]
+        self._projection = projection(unknown / self._scale, self._scale, len(unknown))
         self._spectra = check.spectra
         moving = self._spectra.in_time(check.spectra.acceleration[kept] / self._scale)
         self._counted = np.float32(
@@ -182,11 +183,7 @@ class Projector:
         )
 
     def __call__(self, rows: Complex[np.ndarray, "sensors lines"]) -> Float[np.ndarray, "sensors times"]:
-        weighted = rows / self._scale
-        if self._basis is not None:
-            inputs = np.einsum("lsi,sl->il", self._basis.conj(), weighted, optimize=True)
-            weighted = weighted - np.einsum("lsi,il->sl", self._basis, inputs, optimize=True)
-        return np.asarray(self._spectra.in_time(weighted) * self._counted)
+        return np.asarray(self._spectra.in_time(self._projection.of(rows)[0]) * self._counted)
 
 
 def lasting_s(moving: Float[np.ndarray, "sensors times"], per_s: float) -> float:
@@ -198,16 +195,10 @@ def lasting_s(moving: Float[np.ndarray, "sensors times"], per_s: float) -> float
     return float(min(power.size, STEADY * np.sum(power) ** 2 / np.sum(power**2)) / per_s)
 
 
-def _whole(change: Change, shape: tuple[int, ...]) -> Complex[np.ndarray, "sensors lines"]:
-    found = np.zeros(shape, dtype=complex)
-    found[change.sensors] = change.delivered
-    return found
-
-
 def _body(rig: Rig, response: Response, check: LinearCheck, kept: list[int], modelled: Predicted) -> BodyMotion:
     """Modal accelerations as the forces and the contact forces make them; as many modes as sensors may be off."""
-    pushed = np.concatenate([response.shapes([*rig.forces]), -across(rig, response)])
+    inputs = input_shapes(rig, response, rig.forces)
     forces = np.concatenate([modelled.forces, modelled.contacts])
-    told = sum(check.spectra.sensors[i].station.body == response.body.name for i in kept)
-    elastic = np.arange(response.body.rigid_modes, min(told, response.count))
-    return BodyMotion(response, response.accelerance * times(pushed.T, forces), elastic)
+    sensors = sum(check.spectra.sensors[i].station.body == response.body.name for i in kept)
+    elastic = elastic_modes(response, min(sensors, response.count))
+    return BodyMotion(response, response.accelerance * times(inputs.T, forces), elastic)

@@ -12,6 +12,7 @@ from identify.checks.findings import Finding, spoken
 from identify.checks.prediction import linear_check
 from identify.checks.spectra import Spectra
 from identify.checks.trial import Trial
+from identify.linear.model import ResponseCache
 from rig.model.description import Body, Rig, Station
 
 FACTOR = 3.0
@@ -22,8 +23,10 @@ PLACES = 21
 def rig_trials(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]:
     """Every change of rig.json that is usual, each by its best value."""
 
+    cache = ResponseCache(spectra.omega)
+
     def misfit(other: Rig, own: Spectra = spectra) -> float:
-        return linear_check(other, own, usable).predicted(usable).misfit
+        return linear_check(other, own, usable, cache).predicted(usable).misfit
 
     def trial(left: float, finding: Callable[[], Finding]) -> Trial:
         return Trial(left, usable, lambda: (finding(),), False)

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Complex, Float
 
 from identify.contacts.lines import Lines
 from identify.contacts.station_errors import StationErrors
-from identify.linear.free_motion import InitialStates, estimated, motions_of, spectra_of
+from identify.linear.free_motion import InitialStates, estimated_states, free_motions, free_spectra
 from identify.linear.model import Response
 from identify.signals.kinematics import CORNER_HZ, Kinematics
 from rig.model.description import Rig
@@ -50,21 +50,21 @@ def initial_states(
     """
     sharp = replace(lines, tapered=False)
     samples, behind, forces = motion.samples, lines.length - motion.samples, len(motion.forces_n)
-    motions, at_start, at_end = motions_of(responses, motion, float(lines.omega[-1]) / (2 * np.pi), lines.length)
+    motions, at_start, at_end = free_motions(responses, motion, float(lines.omega[-1]) / (2 * np.pi), lines.length)
     orders = [s.measures.order for s in motion.sensors]
-    of_start = spectra_of(motions, orders, in_metres, lines.omega, lambda rows: sharp.spectra(rows[:, :samples]))
-    of_end = spectra_of(motions, orders, in_metres, lines.omega, lambda rows: sharp.spectra(rows[:, :behind]))
+    of_start = free_spectra(motions, orders, in_metres, lines.omega, lambda rows: sharp.spectra(rows[:, :samples]))
+    of_end = free_spectra(motions, orders, in_metres, lines.omega, lambda rows: sharp.spectra(rows[:, :behind]))
     late = np.exp(-1j * lines.omega * samples / lines.rate_hz)
     measured = np.where(in_metres, sharp.spectra(motion.displacement_m), as_sensed(motion, sharp))
     held = np.array([m.held for m in motions])
-    found = estimated(
+    found = estimated_states(
         np.concatenate([of_start, late * of_end]),
         np.concatenate([at_start[0], at_end[0]]),
         np.concatenate([at_start[1], at_end[1]]),
         measured - np.sum(delivered[:forces] * sharp.spectra(motion.forces_n)[:, None], axis=0),
-        -delivered[forces:],
+        delivered[forces:],
         errors.parts(0 if motion.zero_known else int(np.count_nonzero(lines.omega < 2 * 2 * np.pi * CORNER_HZ))),
         alike=lines.alike,
     )
-    tapered = spectra_of(motions, orders, in_metres, lines.omega, lambda rows: lines.spectra(rows[:, :samples]))
+    tapered = free_spectra(motions, orders, in_metres, lines.omega, lambda rows: lines.spectra(rows[:, :samples]))
     return found.of(tapered, np.flatnonzero(held))

@@ -11,8 +11,8 @@ from identify.contacts.lines import Lines
 from identify.contacts.modal_motion import has_hidden_modes, told_motion, whole_motion
 from identify.contacts.nuisance_signals import NuisanceSignals, drawn_noise, nuisance_signals, weighed
 from identify.contacts.station_errors import StationErrors, forces_by_stations
-from identify.linear.model import Response, across, forget, responses_of, slow_damping, slow_stiffness
-from identify.linear.nuisance import Observed, changes_of
+from identify.linear.model import Response, ResponseCache, accelerances, responses_of, slow_damping, slow_stiffness
+from identify.linear.nuisance import NuisanceKind, Observed, changes_of
 from identify.signals.kinematics import TAPER_S, Kinematics
 from identify.signals.spectra import decimated
 from rig.model.description import Rig
@@ -64,11 +64,11 @@ def separated_forces(
     samples, rate, known = motion.samples, motion.sample_rate_hz, len(rig.forces)
     length = factor * next_fast_len(-(-(samples + round(RING_S * rate)) // factor), real=True)
     lines = Lines(length, factor, rate)
-    responses = responses_of(rig, lines.omega, motion.zero_known)
+    responses = responses_of(rig, ResponseCache(lines.omega, 0), motion.zero_known)
     floats = {r.body.name: bool(np.any(r.dynamics.natural_hz == 0)) for r in responses}
     in_metres = np.array([[motion.zero_known and not floats[s.body]] for s in motion.stations]) & lines.slow
-    drives, forces = _accelerances(rig, motion, responses), lines.spectra(motion.forces_n)
-    forget()
+    drives = accelerances(rig, responses, rig.forces, motion.stations)
+    forces = lines.spectra(motion.forces_n)
     observed = _observed(
         rig, motion, lines, responses, in_metres, tolerances, drives[:known] * forces[:, None], from_rest
     )
@@ -80,7 +80,7 @@ def separated_forces(
     for again in (True, False) if any(has_hidden_modes(r, motion) for r in responses) else (False,):
         changes = tuple(change.in_single_precision for change in changes_of(observed))
         errors = StationErrors(noises, floor, changes, lines.alike)
-        to_force = forces_by_stations(-drives[known:] * scale, errors)
+        to_force = forces_by_stations(drives[known:] * scale, errors)
         rest = measured - scale * observed.by_force.sum(axis=0)
         if not from_rest:
             begun = initial_states(responses, motion, in_metres, lines, scale * drives, errors)
@@ -104,7 +104,7 @@ def separated_forces(
         by_values = lines.in_time(np.einsum("jsf,isf->ijf", to_force, begun.spectra), kept)
         by_values = np.tensordot(begun.root.T, by_values, 1)
         felt = np.sqrt(np.mean(by_values[..., begin:] ** 2, axis=(1, 2))) > LEFT_SHARE * found.std()
-        nuisances = nuisances.beside("initial state", by_values[felt])
+        nuisances = nuisances.beside(NuisanceKind.INITIAL_STATE, by_values[felt])
     return ContactForces(
         force_n=found,
         factor=factor,
@@ -173,15 +173,3 @@ def _on_mass(mass: Modes, motion: Kinematics, factor: int) -> Float[np.ndarray, 
     natural, ratio = 2 * np.pi * float(mass.frequencies_hz(1)[0]), float(mass.damping_ratios(1)[0])
     own = motion.acceleration_m_per_s2[:1] + 2 * ratio * natural * motion.velocity_m_per_s[:1]
     return decimated(motion.forces_n.sum(axis=0) - (own + natural**2 * motion.displacement_m[:1]) / per_mass, factor)
-
-
-def _accelerances(
-    rig: Rig, motion: Kinematics, responses: tuple[Response, ...]
-) -> Complex[np.ndarray, "inputs stations lines"]:
-    """Acceleration of every station per newton at each exciting force (first) and in each contact's direction."""
-    return np.asarray(
-        sum(
-            r.transfer(r.shapes(motion.stations), np.concatenate([r.shapes([*rig.forces]), across(rig, r)]))
-            for r in responses
-        )
-    )

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Complex
 
 from identify.linear.modal import transformation
-from identify.linear.model import Response, across, times
-from identify.linear.nuisance import BodyMotion
+from identify.linear.model import Response, input_shapes, times
+from identify.linear.nuisance import BodyMotion, elastic_modes
 from identify.signals.kinematics import Kinematics
 from rig.model.description import Rig
 
@@ -21,7 +21,7 @@ def told_motion(
     """The modal accelerations that the stations tell; those of higher modes are left out."""
     transform = transformation(rig, response.body, motion)
     found = times(transform.inverse, accelerated[list(transform.rows)])
-    return BodyMotion(response, found, np.arange(response.body.rigid_modes, len(found)))
+    return BodyMotion(response, found, elastic_modes(response, len(found)))
 
 
 def has_hidden_modes(response: Response, motion: Kinematics) -> bool:
@@ -44,14 +44,14 @@ def whole_motion(
     and the stations' less these.
     """
     told = len(transformation(rig, response.body, motion).inverse)
-    modal_force = times(response.shapes([*rig.forces]).T, forces) - times(across(rig, response).T, contact_forces)
+    modal_force = times(input_shapes(rig, response, rig.forces).T, np.concatenate([forces, contact_forces]))
     hidden = response.accelerance[told:] * modal_force[told:]
     rest = accelerated - times(response.shapes(motion.stations)[:, told:], hidden)
     found = told_motion(rig, response, motion, rest)
     return replace(
         found,
         acceleration=np.concatenate([found.acceleration, hidden]),
-        elastic=np.arange(response.body.rigid_modes, max(told, _near(response))),
+        elastic=elastic_modes(response, max(told, _near(response))),
     )
 
 

@@ -7,7 +7,7 @@ from jaxtyping import Complex, Float
 
 from identify.contacts.lines import Lines
 from identify.linear.model import times
-from identify.linear.nuisance import THE_RECORD, Kind, Nuisance, Observed, changes_of
+from identify.linear.nuisance import THE_RECORD, Nuisance, NuisanceKind, Observed, changes_of
 from identify.signals.drift import KNOT_S
 
 ToForce = Complex[np.ndarray, "contacts stations lines"]
@@ -28,7 +28,7 @@ class NuisanceSignals:
     noise_in_n: Float[np.ndarray, "nuisances contacts"]
     noise_in_m: Float[np.ndarray, "nuisances contacts"]
 
-    def beside(self, kind: Kind, force_n: Float[np.ndarray, "more contacts fewer"]) -> "NuisanceSignals":
+    def beside(self, kind: NuisanceKind, force_n: Float[np.ndarray, "more contacts fewer"]) -> "NuisanceSignals":
         """With further ones of the record itself, which move no displacement."""
         none = np.zeros(force_n.shape[:2])
         return NuisanceSignals(

@@ -9,12 +9,15 @@ from jaxtyping import Complex, Float
 from scipy.ndimage import uniform_filter1d
 
 from identify.linear.nuisance import Change
+from identify.linear.projection import to_free_inputs
 from rig.errors import RigError
 
 CHUNK = 1024
 """Lines that are worked on at once."""
 LEAST = 1e-9
 """No station is believed to err less, of the mean variance."""
+CONDITION = 1e12
+"""Of the normal equations: contact forces are told apart up to this condition number."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,7 @@ class StationErrors:
         changed = sum(np.linalg.norm(change.delivered) ** 2 for change in self.changes)
         return float(np.sum(self.noise) + changed) / self.noise.size
 
-    def parts(self, begin: int = 0) -> Iterator[tuple[slice, Complex[np.ndarray, "some stations stations"]]]:
+    def parts(self, begin: int = 0) -> Iterator[tuple[slice, Complex[np.ndarray, "_ stations stations"]]]:
         """The covariance chunk by chunk of all lines from `begin` on."""
         lines = self.noise.shape[1]
         for first in range(begin, lines, CHUNK):
@@ -56,22 +59,13 @@ class StationErrors:
 
 
 def forces_by_stations(
-    to_contacts: Complex[np.ndarray, "contacts stations lines"], errors: StationErrors
+    by_contacts: Complex[np.ndarray, "contacts stations lines"], errors: StationErrors
 ) -> Complex[np.ndarray, "contacts stations lines"]:
-    """Generalised least squares, line by line, of all stations' accelerations A on the contact forces f:
-
-        A = G_F F - sum_j G_j f_j + error
-
-    with G the accelerances of the rig's description (all modes): what each station's A - G_F F adds to each force.
+    """What each station's A - G_F F adds to each contact force, line by line, with its accelerations by each.
 
     Raises RigError if the stations cannot tell the contact forces apart.
     """
-    found = np.empty_like(to_contacts)
-    for part, covariance in errors.parts():
-        by_contact = np.ascontiguousarray(np.transpose(to_contacts[..., part], (2, 1, 0)))
-        weighted = np.linalg.solve(covariance, by_contact).conj().transpose(0, 2, 1)
-        normal = weighted @ by_contact
-        if not np.isfinite(normal).all() or not np.max(np.linalg.cond(normal)) <= 1e12:
-            raise RigError("the sensors cannot tell the contact forces apart; measure more stations on the bodies")
-        found[..., part] = np.transpose(np.linalg.inv(normal) @ weighted, (1, 2, 0))
-    return found
+    to_contacts, condition = to_free_inputs(by_contacts, errors.parts())
+    if not condition <= CONDITION:
+        raise RigError("the sensors cannot tell the contact forces apart; measure more stations on the bodies")
+    return to_contacts

@@ -5,16 +5,24 @@ With the poles p of q'' + 2 zeta omega q' + omega^2 q = 0, a mode moves by q_0 u
     u = (p_2 exp(p_1 t) - p_1 exp(p_2 t)) / (p_2 - p_1),   v = (exp(p_2 t) - exp(p_1 t)) / (p_2 - p_1)
 
 in addition to what the forces cause from rest. All q_0 and q_0' are linear in what the sensors deliver.
+
+Of a record that does not fade in, as a free decay of elastic bodies, what they add to the second derivative of the
+displacements, the jump at the first sample included, is, with the accelerance A_m = -omega^2 / D_m,
+
+    q_0 (i omega + 2 zeta_m omega_m) A_m + q_0' A_m
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
-from identify.linear.model import Response
+from identify.linear.model import Response, times
+from identify.linear.nuisance import Change, Nuisance, NuisanceKind
+from identify.linear.projection import Covariances, Projection, without_free_inputs
 from identify.signals.kinematics import Kinematics
+from rig.model.description import Station
 
 TOLD = 10.0
 """What tells no more than a tenth of that, as a multiple of the prior, is hardly believed."""
@@ -66,7 +74,7 @@ def free_motion(
     return np.asarray(np.real(rows))
 
 
-def motions_of(
+def free_motions(
     responses: Sequence[Response], motion: Kinematics, highest_hz: float, length: int
 ) -> tuple[list[FreeMotion], Prior, Prior]:
     """The free motions of the modes that lie in the band and still ring after the first seconds; with the priors of
@@ -143,7 +151,7 @@ class Estimated:
         return InitialStates(delivered, spectra[wanted], root)
 
 
-def spectra_of(
+def free_spectra(
     motions: list[FreeMotion],
     orders: list[int],
     in_metres: Bool[np.ndarray, "stations lines"],
@@ -162,36 +170,114 @@ def spectra_of(
     return found
 
 
-def estimated(
+def estimated_states(
     spectra: Complex[np.ndarray, "values stations lines"],
     mean: Float[np.ndarray, " values"],
     deviation: Float[np.ndarray, " values"],
     rest: Complex[np.ndarray, "stations lines"],
-    to_contacts: Complex[np.ndarray, "contacts stations lines"],
-    errors: Iterable[tuple[slice, Complex[np.ndarray, "some stations stations"]]],
+    by_contacts: Complex[np.ndarray, "contacts stations lines"],
+    errors: Covariances,
     alike: int,
 ) -> Estimated:
     """The initial values by generalised least squares from what no contact forces explain.
 
-    rest = sum_i theta_i spectra_i + sum_j to_contacts_j f_j + error, with the contact forces f_j free at every line and
+    rest = sum_i theta_i spectra_i + sum_j by_contacts_j f_j + error, with the contact forces f_j free at every line and
     the prior mean and deviation of theta. errors are the lines that are used, part by part, with their covariances; so
     many neighbouring lines err alike.
     """
     normal, gradient = np.diag(deviation**-2), np.zeros_like(mean)
     rest = rest - np.einsum("i,isf->sf", mean, spectra)
-    for now, covariance in errors:
-        root = np.linalg.cholesky(covariance)
-        columns = np.concatenate([spectra[..., now], rest[None, :, now], to_contacts[..., now]]).transpose(2, 1, 0)
-        white = np.linalg.solve(root, columns)
-        known, by_contact = white[..., : len(spectra) + 1], white[..., len(spectra) + 1 :]
-        basis = np.linalg.qr(by_contact)[0]
-        free = known - basis @ (basis.conj().transpose(0, 2, 1) @ known)
-        flat = free.reshape(-1, free.shape[-1])
-        flat = np.concatenate([flat.real, flat.imag])
+    for rows in without_free_inputs([spectra, rest[None]], by_contacts, errors):
+        flat = np.concatenate([rows.real, rows.imag])
         normal += 2 / alike * flat[:, :-1].T @ flat[:, :-1]
         gradient += 2 / alike * flat[:, :-1].T @ flat[:, -1]
     sizes, directions = np.linalg.eigh(normal * deviation[:, None] * deviation)
     root = deviation[:, None] * directions
     sizes = np.maximum(sizes, 1.0)  # less is rounding: the prior alone gives one
-    told = (sizes - 1) / (sizes + TOLD)
-    return Estimated(mean + root @ (told / sizes * (root.T @ gradient)), (root / sizes) @ root.T)
+    believed = (sizes - 1) / (sizes + TOLD)
+    return Estimated(mean + root @ (believed / sizes * (root.T @ gradient)), (root / sizes) @ root.T)
+
+
+@dataclass(frozen=True, eq=False)
+class FreeMode:
+    """Of one mode (from 0) of a body: its shape at the sensors, and its accelerations by a unit of its displacement and
+    of its velocity at the beginning; state is how large these were, times the sample rate, as spectra are sums."""
+
+    body: int
+    mode: int
+    shape: Float[np.ndarray, " sensors"]
+    units: Complex[np.ndarray, "2 lines"]
+    state: Float[np.ndarray, " 2"]
+
+    @property
+    def acceleration(self) -> Complex[np.ndarray, " lines"]:
+        return np.asarray(self.state @ self.units)
+
+
+def free_modes(
+    responses: Sequence[Response], modes: Sequence[Int[np.ndarray, "_"]], places: Sequence[Station | None]
+) -> tuple[FreeMode, ...]:
+    """Those of some modes of each body, with nothing in them."""
+    free = []
+    for k, (response, chosen) in enumerate(zip(responses, modes, strict=True)):
+        turning = 1j * response.dynamics.omega
+        damped = 4 * np.pi * response.dynamics.natural_hz * response.dynamics.damping_ratios
+        shapes = response.shapes(places)
+        for m in chosen.tolist():
+            units = np.stack([(turning + damped[m]) * response.accelerance[m], response.accelerance[m]])
+            free.append(FreeMode(k, m, shapes[:, m], units, np.zeros(2)))
+    return tuple(free)
+
+
+def fitted_modes(
+    motions: Sequence[FreeMode],
+    projection: Projection,
+    sensed: Complex[np.ndarray, "sensors lines"],
+    residual: Complex[np.ndarray, "sensors lines"],
+) -> tuple[FreeMode, ...]:
+    """The states at the beginning that leave least of a linear residual.
+
+    sensed is what accelerations are in standard deviations. With the shapes Phi at the sensors and the projection B T,
+
+        N = Phi sensed* (1 - B T) sensed Phi'
+
+    is what any two modes' accelerations are weighed by, line by line.
+    """
+    shapes, units = np.array([m.shape for m in motions]), np.array([m.units for m in motions])
+    both = (shapes[:, None] * shapes).reshape(-1, shapes.shape[1])
+    weights = (both @ np.abs(sensed) ** 2).reshape(len(shapes), *units.shape[::2]).astype(complex)
+    for by_input, to_input in zip(projection.by_input, projection.to_inputs, strict=True):
+        weights -= times(shapes, sensed.conj() * by_input)[:, None] * times(shapes, sensed * to_input)
+    normal, gradient = (
+        np.concatenate([_products(unit, rows) for unit, rows in zip(units, of_modes, strict=True)])
+        for of_modes in (
+            (weights[:, :, None] * units).reshape(len(units), -1, sensed.shape[1]),
+            times(shapes, sensed.conj() * residual)[:, None],
+        )
+    )
+    size = np.sqrt(np.diag(normal))
+    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
+    states = scale * (np.linalg.pinv(scale[:, None] * normal * scale, hermitian=True) @ (scale * gradient[:, 0]))
+    return tuple(replace(m, state=state) for m, state in zip(motions, states.reshape(-1, 2), strict=True))
+
+
+def _products(
+    rows: Complex[np.ndarray, "some lines"], others: Complex[np.ndarray, "more lines"]
+) -> Float[np.ndarray, "some more"]:
+    """The real parts of the scalar products."""
+    return np.asarray(rows.view(float) @ np.ascontiguousarray(others).view(float).T)
+
+
+def state_changes(
+    motions: Sequence[FreeMode],
+    bodies: Sequence[str],
+    sensor_response: Complex[np.ndarray, "sensors lines"],
+    size: float,
+) -> Iterator[Change]:
+    """Of each mode's displacement and velocity at the beginning, as much as moves the sensors by this norm."""
+    for motion in motions:
+        parameter = Nuisance(NuisanceKind.INITIAL_STATE, bodies[motion.body], motion.mode + 1)
+        for unit in motion.units:
+            delivered = sensor_response * np.outer(motion.shape, unit)
+            scale = size / max(float(np.linalg.norm(delivered)), 1e-300)
+            yield Change(parameter, list(range(len(delivered))), delivered * scale)

@@ -1,15 +1,17 @@
-"""The linear model of one body: accelerations at some places by forces at others, and what its modes are uncertain by.
+"""The linear model of a rig: accelerations at some places by forces at others, and across its contacts.
 
 With modes of natural frequency omega_m, damping ratio zeta_m and mass-normalised shapes phi_m,
 
-    a(x) = sum_m phi_m(x) A_m phi_m(x_F) F
+    a(x) = sum_k G(x, x_k) F_k - sum_j G_j(x) f_j,   G(x, x_k) = sum_m phi_m(x) A_m phi_m(x_k)
     A_m = -omega^2 / D_m,   D_m = omega_m^2 - omega^2 + 2 i zeta_m omega_m omega
+
+Slow motion, which accelerations do not show, is in it too: where springs then act, and how stiffly they hold contacts.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Literal
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Generic, Literal, TypeVar
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -25,10 +27,28 @@ SLOPE = 1e-4
 RANK = 1e-9
 """A mode that moves a contact by a smaller share of the largest does not move it."""
 
+Value = TypeVar("Value")
+
+
+class Recent(Generic[Value]):
+    """The values used last, no more than `size` of them."""
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._values: OrderedDict[Hashable, Value] = OrderedDict()
+
+    def get(self, key: Hashable, make: Callable[[], Value]) -> Value:
+        """The value of a key, made if it is not there."""
+        value = self._values.pop(key) if key in self._values else make()
+        self._values[key] = value
+        if len(self._values) > self._size:
+            self._values.popitem(last=False)
+        return value
+
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """Modes on the lines of a record; one object for the same modes, so that products of theirs are kept.
+    """Modes on the lines of a record; one object for the same modes of one cache.
 
     The springs of those that are high_passed act on the high-passed displacement alone.
     """
@@ -38,8 +58,47 @@ class Dynamics:
     omega: Float[np.ndarray, " lines"]
     high_passed: tuple[int, ...]
 
-    def with_high_passed(self, modes: tuple[int, ...]) -> "Dynamics":
-        return _dynamics(self.natural_hz.tobytes(), self.damping_ratios.tobytes(), self.omega.tobytes(), modes)
+
+class ResponseCache:
+    """Modal accelerances, and transfers between places, on the lines `omega`: those used last.
+
+    Whoever lays many rigs against one record makes one, hands it to every model and drops it with the models: most of
+    them change one body at most. Of `size` zero it keeps nothing, for a single model of many lines.
+    """
+
+    def __init__(self, omega: Float[np.ndarray, " lines"], size: int = 4) -> None:
+        self.omega = omega
+        self._dynamics = Recent[Dynamics](4 * size)
+        self._accelerances = Recent[Complex[np.ndarray, "modes lines"]](size)
+        self._transfers = Recent[Complex[np.ndarray, "inputs outputs lines"]](2 * size)
+
+    def dynamics(
+        self,
+        natural_hz: Float[np.ndarray, " modes"],
+        damping_ratios: Float[np.ndarray, " modes"],
+        high_passed: tuple[int, ...] = (),
+    ) -> Dynamics:
+        key = (*natural_hz.tolist(), *damping_ratios.tolist(), high_passed)
+        return self._dynamics.get(key, lambda: Dynamics(natural_hz, damping_ratios, self.omega, high_passed))
+
+    def accelerance(self, dynamics: Dynamics) -> Complex[np.ndarray, "modes lines"]:
+        return self._accelerances.get(dynamics, lambda: _accelerance(dynamics))
+
+    def transfer(
+        self,
+        dynamics: Dynamics,
+        outputs: Float[np.ndarray, "outputs modes"],
+        inputs: Float[np.ndarray, "inputs modes"],
+    ) -> Complex[np.ndarray, "inputs outputs lines"]:
+        """Accelerations along some shapes per force along others: sum over modes of output, accelerance and input."""
+
+        def make() -> Complex[np.ndarray, "inputs outputs lines"]:
+            both = (inputs[:, None, :] * outputs).reshape(-1, outputs.shape[1])
+            transfer = times(both, self.accelerance(dynamics)).reshape(len(inputs), len(outputs), -1)
+            transfer.flags.writeable = False
+            return transfer
+
+        return self._transfers.get((dynamics, outputs.tobytes(), inputs.tobytes(), len(inputs)), make)
 
 
 @dataclass(frozen=True)
@@ -50,19 +109,20 @@ class Response:
     modes: Modes
     count: int
     dynamics: Dynamics
+    cache: ResponseCache = field(repr=False)
 
     @property
     def accelerance(self) -> Complex[np.ndarray, "modes lines"]:
-        return _accelerance(self.dynamics)
+        return self.cache.accelerance(self.dynamics)
 
     def shapes(self, stations: Sequence[Station | None]) -> Float[np.ndarray, "stations modes"]:
         """Zero at stations of other bodies and at the ground."""
-        found = np.zeros((len(stations), self.count))
-        own = [(i, s.position_m) for i, s in enumerate(stations) if s is not None and s.body == self.body.name]
-        if own:
-            rows, places = zip(*own, strict=True)
-            found[list(rows)] = self.modes.shapes(np.array(places), self.count)
-        return found
+        shapes = np.zeros((len(stations), self.count))
+        on_body = [(i, s.position_m) for i, s in enumerate(stations) if s is not None and s.body == self.body.name]
+        if on_body:
+            rows, places = zip(*on_body, strict=True)
+            shapes[list(rows)] = self.modes.shapes(np.array(places), self.count)
+        return shapes
 
     def slopes(self, stations: Sequence[Station]) -> Float[np.ndarray, "stations modes"]:
         """The shapes' derivatives along the body, 1/m, at stations on it; zero of a single mass."""
@@ -71,7 +131,7 @@ class Response:
             return np.zeros((len(stations), self.count))
         step = SLOPE * length
         right, left = np.minimum(places + step, length), np.maximum(places - step, 0.0)
-        beside = [self.modes.shapes(at, self.count) for at in (right, left)]
+        beside = [self.modes.shapes(x, self.count) for x in (right, left)]
         return np.asarray((beside[0] - beside[1]) / (right - left)[:, None])
 
     def sensitivity(
@@ -92,56 +152,53 @@ class Response:
     def transfer(
         self, outputs: Float[np.ndarray, "outputs modes"], inputs: Float[np.ndarray, "inputs modes"]
     ) -> Complex[np.ndarray, "inputs outputs lines"]:
-        """Accelerations along some shapes per force along others: sum over the modes of output, accelerance and input.
+        """Accelerations along some shapes per force along others."""
+        return self.cache.transfer(self.dynamics, outputs, inputs)
 
-        Kept, as most effects change one body at most.
-        """
-        return _transfer(self.dynamics, outputs.tobytes(), inputs.tobytes())
+    def with_high_passed(self, modes: tuple[int, ...]) -> "Response":
+        """With springs of some modes that act on the high-passed displacement alone."""
+        return replace(
+            self, dynamics=self.cache.dynamics(self.dynamics.natural_hz, self.dynamics.damping_ratios, modes)
+        )
 
 
-def response_of(rig: Rig, body: Body, omega: Float[np.ndarray, " lines"]) -> Response:
+def response_of(rig: Rig, body: Body, cache: ResponseCache) -> Response:
     """Of a body with what the rig attaches to it."""
     modes, count = modes_of(rig, body), body.max_modes
-    natural_hz, zeta = modes.frequencies_hz(count), modes.damping_ratios(count)
-    return Response(body, modes, count, _dynamics(natural_hz.tobytes(), zeta.tobytes(), omega.tobytes(), ()))
+    return Response(body, modes, count, cache.dynamics(modes.frequencies_hz(count), modes.damping_ratios(count)), cache)
 
 
-@lru_cache(maxsize=16)
-def _dynamics(
-    natural_hz: bytes, damping_ratios: bytes, omega_rad_per_s: bytes, high_passed: tuple[int, ...]
-) -> Dynamics:
-    """Of the modes whose doubles are given."""
-    hz, zeta, omega = (np.frombuffer(values) for values in (natural_hz, damping_ratios, omega_rad_per_s))
-    return Dynamics(hz, zeta, omega, high_passed)
-
-
-@lru_cache(maxsize=4)
-def _accelerance(modes: Dynamics) -> Complex[np.ndarray, "modes lines"]:
-    hz, zeta, omega = modes.natural_hz, modes.damping_ratios, modes.omega
-    found = -(omega**2) * receptance(hz, zeta, omega / (2 * np.pi))
-    for mode in modes.high_passed:
+def _accelerance(dynamics: Dynamics) -> Complex[np.ndarray, "modes lines"]:
+    hz, zeta, omega = dynamics.natural_hz, dynamics.damping_ratios, dynamics.omega
+    accelerance = -(omega**2) * receptance(hz, zeta, omega / (2 * np.pi))
+    for mode in dynamics.high_passed:
         natural = 2 * np.pi * hz[mode]
         held = natural**2 * integrated(omega, -2, CORNER_HZ)
-        found[mode] = 1 / (1 + held + 2 * zeta[mode] * natural * integrated(omega, -1, CORNER_HZ))
-    found[hz == 0] = 1.0
-    found.flags.writeable = False
+        accelerance[mode] = 1 / (1 + held + 2 * zeta[mode] * natural * integrated(omega, -1, CORNER_HZ))
+    accelerance[hz == 0] = 1.0
+    accelerance.flags.writeable = False
+    return accelerance
+
+
+def accelerances(
+    rig: Rig, responses: Sequence[Response], forces: Sequence[Station], stations: Sequence[Station | None]
+) -> Complex[np.ndarray, "inputs stations lines"]:
+    """The accelerations at some stations per newton: of each force at a place, then of each contact force f_j, -G_j."""
+    lines = responses[0].cache.omega.size
+    found = np.zeros((len(forces) + len(rig.contacts), len(stations), lines), dtype=complex)
+    for response in responses:
+        rows = [i for i, s in enumerate(stations) if s is not None and s.body == response.body.name]
+        inputs = input_shapes(rig, response, forces)
+        driven = np.flatnonzero(np.any(inputs, axis=1))
+        if rows and driven.size:
+            outputs = response.shapes([stations[i] for i in rows])
+            found[driven[:, None], rows] = response.transfer(outputs, inputs[driven])
     return found
 
 
-@lru_cache(maxsize=8)
-def _transfer(dynamics: Dynamics, outputs: bytes, inputs: bytes) -> Complex[np.ndarray, "inputs outputs lines"]:
-    accelerance = _accelerance(dynamics)
-    modes, lines = accelerance.shape
-    to, by = (np.frombuffer(shapes).reshape(-1, modes) for shapes in (outputs, inputs))
-    found = times((by[:, None, :] * to[None]).reshape(-1, modes), accelerance)
-    found.flags.writeable = False
-    return found.reshape(len(by), len(to), lines)
-
-
-def forget() -> None:
-    """Frees what is kept of a record that is done with."""
-    for kept in (_transfer, _accelerance, _dynamics):
-        kept.cache_clear()
+def input_shapes(rig: Rig, response: Response, forces: Sequence[Station]) -> Float[np.ndarray, "inputs modes"]:
+    """How forces at some places, and contact forces, drive a body's modes."""
+    return np.concatenate([response.shapes([*forces]), -across(rig, response)])
 
 
 def across(rig: Rig, response: Response) -> Float[np.ndarray, "contacts modes"]:
@@ -169,7 +226,7 @@ def times(
     return np.asarray((real @ np.ascontiguousarray(spectra).view(spectra.real.dtype)).view(complex))
 
 
-def responses_of(rig: Rig, omega: Float[np.ndarray, " lines"], zero_known: bool) -> tuple[Response, ...]:
+def responses_of(rig: Rig, cache: ResponseCache, zero_known: bool) -> tuple[Response, ...]:
     """Of every body. Where no sensor shows the zero of displacements, the springs of some modes act on the high-passed
     displacement alone.
 
@@ -179,7 +236,7 @@ def responses_of(rig: Rig, omega: Float[np.ndarray, " lines"], zero_known: bool)
 
     Raises RigError if no number of modes tells every contact force.
     """
-    found = tuple(response_of(rig, body, omega) for body in rig.bodies)
+    found = tuple(response_of(rig, body, cache) for body in rig.bodies)
     over = np.concatenate([across(rig, r) for r in found], axis=1)
     own = [(k, m) for k, r in enumerate(found) for m in range(r.count)]
     least = RANK * float(np.max(np.abs(over), initial=0.0))
@@ -195,11 +252,15 @@ def responses_of(rig: Rig, omega: Float[np.ndarray, " lines"], zero_known: bool)
     if zero_known:
         return found
     chosen = [i for i, (k, m) in enumerate(own) if m < max(found[k].body.rigid_modes, found[k].body.is_mass)]
+    rank = told(chosen)
     for i in sorted(range(len(own)), key=lambda i: found[own[i][0]].dynamics.natural_hz[own[i][1]]):
-        if told(chosen) < len(rig.contacts) and told([*chosen, i]) > told(chosen):
+        if rank == len(rig.contacts):
+            break
+        if told([*chosen, i]) > rank:
             chosen.append(i)
+            rank = told(chosen)
     loose = [tuple(sorted(own[i][1] for i in chosen if own[i][0] == k)) for k in range(len(found))]
-    return tuple(replace(r, dynamics=r.dynamics.with_high_passed(m)) for r, m in zip(found, loose, strict=True))
+    return tuple(r.with_high_passed(m) for r, m in zip(found, loose, strict=True))
 
 
 def slow_damping(

@@ -1,12 +1,13 @@
 """Nuisance parameters: what a laboratory never knows exactly, and what each would change in what sensors deliver.
 
 With D = omega_m^2 - omega^2 + 2 i zeta_m omega_m omega of a mode, an error dD of it changes its acceleration by
--dD / D of the true one exactly: so the measured modal accelerations stand in these changes.
+-dD / D of the true one exactly: so the measured modal accelerations stand in these changes. All are in units of one
+standard deviation, as the tolerances state it.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from enum import StrEnum
 
 import numpy as np
 from jaxtyping import Complex, Float, Int
@@ -19,15 +20,27 @@ from rig.model.tolerances import Tolerances
 THE_FORCE = "the force"
 THE_RECORD = "the record"
 
-ChainKind = Literal["gain", "delay", "high-pass"]
-Kind = Literal["gain", "position", "delay", "high-pass", "force gain", "mass", "frequency", "damping", "initial state"]
+
+class NuisanceKind(StrEnum):
+    """What is not known exactly: of a sensor, of a force, of a body or one of its modes, of a record."""
+
+    GAIN = "gain"
+    POSITION = "position"
+    DELAY = "delay"
+    HIGH_PASS = "high-pass"
+    FORCE_GAIN = "force gain"
+    MASS = "mass"
+    FREQUENCY = "frequency"
+    DAMPING = "damping"
+    INITIAL_STATE = "initial state"
+    MODULUS_DRIFT = "modulus drift"
 
 
 @dataclass(frozen=True)
 class Nuisance:
     """One nuisance parameter: of a sensor, a body or (mode counts from 1) a mode of a body, of force or record."""
 
-    kind: Kind
+    kind: NuisanceKind
     of: str
     mode: int | None = None
 
@@ -40,12 +53,14 @@ class Nuisance:
 class BodyMotion:
     """A body's modes and their accelerations, of the first ones alone where the others are taken to rest.
 
-    `elastic` are the modes with parameters of their own, from 0.
+    `elastic` are the modes with parameters of their own, from 0. Where `by_sensors` is known, the accelerations of the
+    first modes are those of all sensors times it, plus what the model adds.
     """
 
     response: Response
     acceleration: Complex[np.ndarray, "modes lines"]
     elastic: Int[np.ndarray, " some"]
+    by_sensors: Float[np.ndarray, "lowest sensors"] | None = None
 
     @property
     def moving(self) -> slice:
@@ -71,96 +86,139 @@ class Observed:
     displaced: Complex[np.ndarray, "sensors lines"]
     bodies: tuple[BodyMotion, ...]
 
+    @property
+    def is_read(self) -> bool:
+        """Whether it is known how all bodies' motion follows from the sensors."""
+        return all(body.by_sensors is not None for body in self.bodies)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How a change follows from what was measured: `pattern` times the sensors' accelerations, weighted."""
+
+    pattern: Complex[np.ndarray, "some lines"]
+    weights: Float[np.ndarray, " sensors"]
+
 
 @dataclass(frozen=True)
 class Change:
-    """What one standard deviation of a parameter adds to what some sensors deliver, and to the displacements there."""
+    """What one standard deviation of a parameter adds to what some sensors deliver, and to the displacements there.
+
+    reading is None where nothing measured enters, or where it is not known how.
+    """
 
     parameter: Nuisance
     sensors: list[int]
     delivered: Complex[np.ndarray, "some lines"]
     displaced: Complex[np.ndarray, "some lines"] | None = None
+    reading: Reading | None = None
 
     @property
     def in_single_precision(self) -> "Change":
         displaced = None if self.displaced is None else self.displaced.astype(np.complex64)
         return replace(self, delivered=self.delivered.astype(np.complex64), displaced=displaced)
 
+    def at_all(self, sensors: int) -> Complex[np.ndarray, "sensors lines"]:
+        """What all sensors deliver of it, so many."""
+        delivered = np.zeros((sensors, self.delivered.shape[1]), dtype=complex)
+        delivered[self.sensors] = self.delivered
+        return delivered
 
-def changes_of(observed: Observed) -> Iterator[Change]:
-    """Of every tolerance above zero."""
+
+def elastic_modes(response: Response, count: int) -> Int[np.ndarray, " some"]:
+    """The modes of the first `count` that bend a body; none of a single mass."""
+    body = response.body
+    return np.arange(body.rigid_modes, max(count, body.rigid_modes) if not body.is_mass else body.rigid_modes)
+
+
+def changes_of(observed: Observed, common: bool = True) -> Iterator[Change]:
+    """Of every tolerance above zero; those that all modes of a body have in common only if asked for."""
     yield from _of_sensors(observed)
-    yield from _of_force(observed)
+    yield from _of_forces(observed)
     for body in observed.bodies:
         rows = [i for i, s in enumerate(observed.sensors) if s.station.body == body.response.body.name]
         yield from _of_positions(observed, body, rows)
-        yield from _of_modes(observed, body, rows)
+        yield from _of_modes(observed, body, rows, common)
 
 
 def _of_sensors(observed: Observed) -> Iterator[Change]:
     """Of each sensor's chain."""
-    for i, (sensor, other) in enumerate(zip(observed.sensors, observed.displaced_by, strict=True)):
-        for one in dict.fromkeys((sensor, other)):
-            for kind, factor in chain_sensitivities(one, observed.tolerances, observed.omega).items():
+    single = np.eye(len(observed.sensors))
+    for i, (sensor, displacement) in enumerate(zip(observed.sensors, observed.displaced_by, strict=True)):
+        for channel in dict.fromkeys((sensor, displacement)):
+            for kind, factor in _of_chain(channel, observed.tolerances, observed.omega).items():
                 if np.any(factor):
-                    delivered = factor * observed.explained[[i]] * (one == sensor)
-                    displaced = factor * observed.displaced[[i]] if one == other else None
-                    yield Change(Nuisance(kind, one.name), [i], delivered, displaced)
+                    delivered = factor * observed.explained[[i]] * (channel == sensor)
+                    displaced = factor * observed.displaced[[i]] if channel == displacement else None
+                    reading = Reading(factor * observed.sensor_response[[i]], single[i]) if observed.is_read else None
+                    yield Change(Nuisance(kind, channel.name), [i], delivered, displaced, reading)
 
 
-def _of_force(observed: Observed) -> Iterator[Change]:
+def _of_chain(
+    sensor: Sensor, tolerances: Tolerances, omega: Float[np.ndarray, " lines"]
+) -> dict[NuisanceKind, Complex[np.ndarray, " lines"]]:
+    """The relative change of what a sensor delivers by one tolerance each of its gain g, its delay tau, and the corner
+    w of a first-order high-pass i omega / (i omega + w) that an AC-coupled one has: g, -i omega tau, -w / (i omega + w)
+    """
+    tolerance, turning = tolerances.of_sensor(sensor.name), 1j * omega
+    corner = 2 * np.pi * tolerance.high_pass_hz if sensor.measures.ac_coupled else 0.0
+    return {
+        NuisanceKind.GAIN: np.full(omega.size, tolerance.gain, dtype=complex),
+        NuisanceKind.DELAY: -tolerance.delay_s * turning,
+        NuisanceKind.HIGH_PASS: -corner / (turning + corner) if corner else np.zeros_like(turning),
+    }
+
+
+def _of_forces(observed: Observed) -> Iterator[Change]:
     """A measured force is gain times the true one."""
     names = force_names(len(observed.by_force)) if len(observed.by_force) > 1 else (THE_FORCE,)
     if gain := observed.tolerances.force_gain:
         for name, by_force in zip(names, observed.by_force, strict=True):
-            change = -gain * observed.sensor_response * by_force
-            yield Change(Nuisance("force gain", name), list(range(len(change))), change)
+            delivered = -gain * observed.sensor_response * by_force
+            yield Change(Nuisance(NuisanceKind.FORCE_GAIN, name), list(range(len(delivered))), delivered)
 
 
-def _of_positions(observed: Observed, body: BodyMotion, rows: list[int]) -> Iterator[Change]:
-    if not (body.response.body.length_m and rows):
+def _of_positions(observed: Observed, motion: BodyMotion, rows: list[int]) -> Iterator[Change]:
+    if not (motion.response.body.length_m and rows):
         return
-    slopes = body.response.slopes([observed.sensors[i].station for i in rows])[:, body.moving]
+    slopes = motion.response.slopes([observed.sensors[i].station for i in rows])[:, motion.moving]
     twice = integrated(observed.omega, -2, CORNER_HZ)
-    for i, slope in zip(rows, slopes @ body.acceleration, strict=True):
-        sensor, other = observed.sensors[i], observed.displaced_by[i]
-        for one in dict.fromkeys((sensor, other)):
-            if tolerance := observed.tolerances.of_sensor(one.name).position_m:
-                change = tolerance * slope[None]
-                delivered = observed.sensor_response[i] * change * (one == sensor)
-                yield Change(Nuisance("position", one.name), [i], delivered, twice * change if one == other else None)
+    for i, slope, turned in zip(rows, slopes, slopes @ motion.acceleration, strict=True):
+        sensor, displacement = observed.sensors[i], observed.displaced_by[i]
+        for channel in dict.fromkeys((sensor, displacement)):
+            if tolerance_m := observed.tolerances.of_sensor(channel.name).position_m:
+                change = tolerance_m * turned[None]
+                delivered = observed.sensor_response[i] * change * (channel == sensor)
+                displaced = twice * change if channel == displacement else None
+                reading = None
+                if motion.by_sensors is not None:
+                    weights = slope[: len(motion.by_sensors)] @ motion.by_sensors
+                    reading = Reading(tolerance_m * observed.sensor_response[[i]], weights)
+                yield Change(Nuisance(NuisanceKind.POSITION, channel.name), [i], delivered, displaced, reading)
 
 
-def _of_modes(observed: Observed, motion: BodyMotion, rows: list[int]) -> Iterator[Change]:
+def _of_modes(observed: Observed, motion: BodyMotion, rows: list[int], common: bool) -> Iterator[Change]:
     """The mass of a body; its frequencies and its damping together, and of each mode by itself."""
-    response, believed = motion.response, observed.tolerances
+    response, tolerances = motion.response, observed.tolerances
     body, sensor_response = response.body, observed.sensor_response[rows]
     shapes = response.shapes([observed.sensors[i].station for i in rows])[:, motion.moving]
-    if believed.mass:
-        change = -believed.mass * sensor_response * times(shapes, motion.acceleration)
-        yield Change(Nuisance("mass", body.name), rows, change)
-    kinds: tuple[Literal["frequency", "damping"], ...] = ("frequency", "damping")
-    for kind in kinds:
-        change = response.sensitivity(kind, motion.moving)
-        change *= motion.acceleration
-        if common := float(getattr(believed, kind)):
-            yield Change(Nuisance(kind, body.name), rows, common * sensor_response * times(shapes, change))
-        for m in motion.elastic if not body.is_mass else []:
-            if own := float(getattr(believed.of_mode(body.name, int(m) + 1), kind)):
-                moved = own * sensor_response * (shapes[:, m, None] * change[m])
-                yield Change(Nuisance(kind, body.name, int(m) + 1), rows, moved)
+    if common and tolerances.mass:
+        delivered = -tolerances.mass * sensor_response * times(shapes, motion.acceleration)
+        yield Change(Nuisance(NuisanceKind.MASS, body.name), rows, delivered)
+    for kind in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING):
+        factors = response.sensitivity("frequency" if kind is NuisanceKind.FREQUENCY else "damping", motion.moving)
+        if common and (tolerance := _relative(tolerances, kind)):
+            delivered = tolerance * sensor_response * times(shapes, factors * motion.acceleration)
+            yield Change(Nuisance(kind, body.name), rows, delivered)
+        for m in motion.elastic.tolist():
+            if tolerance := _relative(tolerances.of_mode(body.name, m + 1), kind):
+                pattern = tolerance * sensor_response * (shapes[:, m, None] * factors[m])
+                reading = None
+                if motion.by_sensors is not None:
+                    reading = Reading(pattern, motion.by_sensors[m]) if m < len(motion.by_sensors) else None
+                delivered = pattern * motion.acceleration[m]
+                yield Change(Nuisance(kind, body.name, m + 1), rows, delivered, reading=reading)
 
 
-def chain_sensitivities(
-    sensor: Sensor, tolerances: Tolerances, omega: Float[np.ndarray, " lines"]
-) -> dict[ChainKind, Complex[np.ndarray, " lines"]]:
-    """The relative change of what a sensor delivers by one tolerance each of its gain g, its delay tau, and the corner
-    w of a first-order high-pass i omega / (i omega + w) that an AC-coupled one has: g, -i omega tau, -w / (i omega + w)
-    """
-    own, turning = tolerances.of_sensor(sensor.name), 1j * omega
-    corner = 2 * np.pi * own.high_pass_hz if sensor.measures.ac_coupled else 0.0
-    return {
-        "gain": np.full(omega.size, own.gain, dtype=complex),
-        "delay": -own.delay_s * turning,
-        "high-pass": -corner / (turning + corner) if corner else np.zeros_like(turning),
-    }
+def _relative(tolerances: Tolerances, kind: NuisanceKind) -> float:
+    return tolerances.frequency if kind is NuisanceKind.FREQUENCY else tolerances.damping

@@ -1,72 +1,155 @@
-"""The unknown inputs of a linear model, found by least squares line by line, and what they leave."""
+"""The one solution of the linear model: unknown inputs by generalised least squares, and what they leave.
 
+At every line, of the sensors' accelerations y beyond those by known forces,
+
+    y = B x + e,   cov(e) = C,   var(x_i) = 1 of inputs with a prior, any of free ones
+    x = T y,   T = N^-1 B^H C^-1,   N = B^H C^-1 B + P,   r = y - B x
+
+with the accelerations B by a unit of each input, and P one for inputs with a prior, zero for free ones. The first
+`free` inputs are the free ones.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Complex, Float
 
+RIDGE, LEAST = 1e-13, 1e-300
+"""Added to the diagonal of N, as a share of it and for inputs that no sensor feels: inputs that the sensors do not tell
+apart share what they make."""
 
-@dataclass(frozen=True)
+Covariances = Iterable[tuple[slice, Complex[np.ndarray, "_ sensors sensors"]]]
+"""Lines, part by part, and the covariance of the sensors' errors on each: what all lines would take is too much."""
+
+
+@dataclass(frozen=True, eq=False)
 class Projection:
-    """What the unknown inputs explain best of accelerations, line by line: `to_inputs` gives them from accelerations in
-    standard deviations, `by_input` the accelerations that they make; the first are the contact forces."""
+    """T of sensors that err independently, each by its standard `deviation`: `by_input` is B over it, `to_inputs` gives
+    the inputs of y over it."""
 
     by_input: Complex[np.ndarray, "inputs sensors lines"]
     to_inputs: Complex[np.ndarray, "inputs sensors lines"]
     deviation: Float[np.ndarray, "sensors lines"]
-    contacts: int
+    free: int
 
     def of(
         self, change: Complex[np.ndarray, "some lines"], sensors: list[int] | slice = slice(None)
-    ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
-        """The residual and the contact forces that something makes which some sensors deliver beside what is known."""
-        weighted = (change / self.deviation[sensors]).astype(self.by_input.dtype, copy=False)
-        inputs = np.einsum("isl,sl->il", self.to_inputs[:, sensors], weighted)
-        left = left_by(self.by_input, inputs, weighted, sensors)
-        return np.concatenate([left, inputs[self.contacts :]]), inputs[: self.contacts]
+    ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "free lines"]]:
+        """The residual in standard deviations, with inputs that have a prior as last rows, and the free inputs, of
+        something that some sensors deliver."""
+        standard = (change / self.deviation[sensors]).astype(self.by_input.dtype, copy=False)
+        inputs = np.einsum("isl,sl->il", self.to_inputs[:, sensors], standard)
+        residual = unexplained(self.by_input, inputs, standard, sensors)
+        return np.concatenate([residual, inputs[self.free :]]), inputs[: self.free]
 
     def single(self) -> "Projection":
         """In single precision, half as large: enough for derivatives."""
         return replace(self, by_input=self.by_input.astype(np.complex64), to_inputs=self.to_inputs.astype(np.complex64))
 
 
-def least_squares(
-    by_input: Complex[np.ndarray, "inputs sensors lines"],
-    right: Complex[np.ndarray, "inputs many lines"],
-    contacts: int,
-) -> tuple[Complex[np.ndarray, "inputs many lines"], float]:
-    """The solution of the normal equations of the inputs, line by line; those behind the contacts have a prior of one.
-
-    By elimination: the matrix is Hermitian and positive. The logarithm is that of the determinant by which the inputs
-    with a prior widen the residual's distribution: of their pivots.
-    """
-    inputs = len(by_input)
-    normal = np.empty((inputs, *by_input.shape[::2]), dtype=complex)
-    for i, column in enumerate(by_input.conj()):
-        normal[i, i:] = np.einsum("sl,jsl->jl", column, by_input[i:])
-        normal[i, i] += 1e-10 * normal[i, i].real + 1e-300 + (i >= contacts)
-    found, log_determinant = right.copy(), 0.0
-    for i in range(inputs):
-        for j in range(i + 1, inputs):
-            ratio = normal[i, j].conj() / normal[i, i]
-            normal[j, j:] -= ratio * normal[i, j:]
-            found[j] -= ratio * found[i]
-    for i in reversed(range(inputs)):
-        for j in range(i + 1, inputs):
-            found[i] -= normal[i, j] * found[j]
-        found[i] /= normal[i, i]
-        if i >= contacts:
-            log_determinant += float(np.sum(np.log(normal[i, i].real)))
-    return found, log_determinant
+def projection(
+    by_input: Complex[np.ndarray, "inputs sensors lines"], deviation: Float[np.ndarray, "sensors lines"], free: int
+) -> Projection:
+    """With `by_input` in standard deviations."""
+    to_inputs = _solved(_normal(by_input, by_input, free), by_input.conj())
+    return Projection(by_input, to_inputs, deviation, free)
 
 
-def left_by(
+def estimated_inputs(
+    by_input: Complex[np.ndarray, "inputs sensors lines"], standard: Complex[np.ndarray, "sensors lines"], free: int
+) -> tuple[Complex[np.ndarray, "inputs lines"], float]:
+    """The inputs of one set of accelerations, both in standard deviations; and the logarithm of the determinant by
+    which those with a prior widen the residual's distribution, det N over that of the free inputs alone."""
+    normal = _normal(by_input, by_input, free)
+    inputs = _solved(normal, np.einsum("isl,sl->il", by_input.conj(), standard)[:, None])[:, 0]
+    if free == len(by_input):
+        return inputs, 0.0
+    wide, narrow = (np.linalg.slogdet(part)[1].sum() for part in (normal, normal[:, :free, :free]))
+    return inputs, float(wide - narrow)
+
+
+def unexplained(
     by_input: Complex[np.ndarray, "inputs sensors lines"],
     inputs: Complex[np.ndarray, "inputs lines"],
-    weighted: Complex[np.ndarray, "some lines"],
+    standard: Complex[np.ndarray, "some lines"],
     sensors: list[int] | slice = slice(None),
 ) -> Complex[np.ndarray, "sensors lines"]:
-    """What some weighted accelerations are without that of the inputs."""
-    left = -np.einsum("isl,il->sl", by_input, inputs)
-    left[sensors] += weighted
-    return left
+    """r = y - B x of accelerations that some sensors deliver."""
+    residual = -np.einsum("isl,il->sl", by_input, inputs)
+    residual[sensors] += standard
+    return residual
+
+
+def to_free_inputs(
+    by_input: Complex[np.ndarray, "inputs sensors lines"], covariances: Covariances
+) -> tuple[Complex[np.ndarray, "inputs sensors lines"], float]:
+    """T of free inputs where the sensors' errors have a covariance; and the largest condition number of N over all
+    lines, infinite where the sensors cannot tell the inputs apart."""
+    to_inputs, condition = np.empty_like(by_input), 1.0
+    for part, covariance in covariances:
+        columns = by_input[..., part]
+        weighted = np.linalg.solve(covariance, _line_by_line(columns)).transpose(2, 1, 0)
+        normal = _normal(columns, weighted, len(columns))
+        if not np.isfinite(normal).all():
+            return to_inputs, np.inf
+        condition = float(np.maximum(condition, np.max(np.linalg.cond(normal))))
+        to_inputs[..., part] = _solved(normal, weighted.conj())
+    return to_inputs, condition
+
+
+def without_free_inputs(
+    columns: Sequence[Complex[np.ndarray, "_ sensors lines"]],
+    by_input: Complex[np.ndarray, "inputs sensors lines"],
+    covariances: Covariances,
+) -> Iterator[Complex[np.ndarray, "rows columns"]]:
+    """The residuals of some columns in standard deviations, part of the lines by part: with C = L L^H, those of
+    y = L^-1 column and B = L^-1 by_input."""
+    inputs = len(by_input)
+    for part, covariance in covariances:
+        root = np.linalg.cholesky(covariance)
+        rows = _line_by_line(np.concatenate([by_input[..., part], *(c[..., part] for c in columns)]))
+        standard = np.linalg.solve(root, rows)
+        made, known = standard[..., :inputs], standard[..., inputs:]
+        right = (made.conj().transpose(0, 2, 1) @ known).transpose(1, 2, 0)
+        normal = _normal(made.transpose(2, 1, 0), made.transpose(2, 1, 0), inputs)
+        residual = known - made @ _solved(normal, right).transpose(2, 0, 1)
+        yield residual.reshape(-1, residual.shape[-1])
+
+
+def complement(
+    by_input: Complex[np.ndarray, "inputs sensors lines"],
+) -> Complex[np.ndarray, "lines rows sensors"]:
+    """Orthonormal rows that no input reaches, line by line: with them, |rows y|^2 = |r|^2 of free inputs."""
+    inputs, sensors, lines = by_input.shape
+    if not inputs:
+        return np.broadcast_to(np.eye(sensors, dtype=complex), (lines, sensors, sensors))
+    if inputs >= sensors:
+        return np.zeros((lines, 0, sensors), dtype=complex)
+    whole = np.linalg.qr(by_input.transpose(2, 1, 0), mode="complete")[0]
+    return np.ascontiguousarray(whole[:, :, inputs:].conj().transpose(0, 2, 1))
+
+
+def _normal(
+    by_input: Complex[np.ndarray, "inputs sensors lines"],
+    weighted: Complex[np.ndarray, "inputs sensors lines"],
+    free: int,
+) -> Complex[np.ndarray, "lines inputs inputs"]:
+    """N = weighted^H B + P, weighted = C^-1 B, line by line."""
+    inputs, _, lines = by_input.shape
+    normal = np.empty((lines, inputs, inputs), dtype=complex)
+    for i, column in enumerate(weighted.conj()):
+        normal[:, i, i:] = np.einsum("sl,jsl->lj", column, by_input[i:])
+        normal[:, i:, i] = normal[:, i, i:].conj()
+        normal[:, i, i] += RIDGE * normal[:, i, i].real + LEAST + (i >= free)
+    return normal
+
+
+def _solved(
+    normal: Complex[np.ndarray, "lines inputs inputs"], right: Complex[np.ndarray, "inputs many lines"]
+) -> Complex[np.ndarray, "inputs many lines"]:
+    return np.ascontiguousarray(np.linalg.solve(normal, right.transpose(2, 0, 1)).transpose(1, 2, 0))
+
+
+def _line_by_line(rows: Complex[np.ndarray, "columns sensors lines"]) -> Complex[np.ndarray, "lines sensors columns"]:
+    return np.ascontiguousarray(rows.transpose(2, 1, 0))

@@ -8,9 +8,10 @@ from identify.gaps.decision.untold import untold
 from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.residual.scales import BAND_HZ
 from identify.gaps.residual.spectra import Record
-from identify.gaps.results import Band, Cause, Left, Matters, Value
+from identify.gaps.results import Band, Cause, Left, Matters
 from identify.linear.joined import joined
 from rig.model.description import Rig
+from rig.model.unmeasured_force import Value
 
 ALIKE = 0.05
 """Causes that are likelier than this beside the best one cannot be told apart from it."""
@@ -68,6 +69,8 @@ def bands_of(without: Misfit, after: Misfit, null_reference: NullReference) -> t
 
 def equivalent(causes: tuple[Cause, ...]) -> tuple[tuple[str, ...], ...]:
     """Each effect of the likeliest cause with those that stand in its place in causes that are likely too."""
+    if not causes:
+        return ()
     best, *likely = dict.fromkeys(frozenset(c.effects) for i, c in enumerate(causes) if not i or c.probability > ALIKE)
     classes = []
     for effect in causes[0].effects:

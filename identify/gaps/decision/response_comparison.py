@@ -7,9 +7,8 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.signal import csd, welch
 
-from identify.gaps.decision.familiar import familiar_figures
-from identify.gaps.decision.null_reference import NullReference, Simulate
-from identify.gaps.residual.residual import Linearization, forget, linearized
+from identify.gaps.decision.null_reference import NullReference, Simulate, familiar_figures
+from identify.gaps.residual.residual import Linearization, linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Curve, Figure
 from identify.linear.joined import joined
@@ -29,7 +28,6 @@ def compared(
     Contacts are seen by the rig that each run is of, the measured by the corrected one. Two records of the same chaotic
     machine differ too, by as much as null simulations scatter: nothing is decided by these figures.
     """
-    forget()
     observed = []
     for simulated, rig in ((None, corrected), (believed, believed), (corrected, corrected)):
         run = measured if simulated is None else simulate(believed, simulated, measured.forces_n, 1)

@@ -16,16 +16,26 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Complex, Float, Int
 
-from identify.gaps.residual.free_motion import FreeMode, fitted_modes, free_modes
 from identify.gaps.residual.grounded import ground_force_changes, ground_forces, pushed_by_motion
 from identify.gaps.residual.spectra import Record
+from identify.linear.free_motion import FreeMode, fitted_modes, free_modes
 from identify.linear.joined import joined
-from identify.linear.model import Response, across, responses_of, slow_stiffness, times, weights_of
-from identify.linear.projection import Projection, least_squares, left_by
+from identify.linear.model import (
+    Response,
+    ResponseCache,
+    accelerances,
+    across,
+    input_shapes,
+    responses_of,
+    slow_stiffness,
+    times,
+    weights_of,
+)
+from identify.linear.projection import Projection, estimated_inputs, projection, unexplained
 from rig.model.description import Rig, Station
-from rig.model.modes import participation
+from rig.model.modes import modes_of, participation
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,29 +62,17 @@ class Linear:
     free: tuple[FreeMode, ...]
     log_determinant: float
 
-    @property
-    def unknown(self) -> Complex[np.ndarray, "lines sensors inputs"]:
-        """`by_input`, line by line."""
-        return self.by_input.transpose(2, 1, 0)
-
-    @property
-    def solve(self) -> Complex[np.ndarray, "lines inputs sensors"]:
-        """The inputs from the accelerations in standard deviations, line by line."""
-        return self.projection.to_inputs.transpose(2, 0, 1)
-
     @cached_property
     def projection(self) -> Projection:
         """Of what the sensors deliver."""
-        contacts = len(self.rig.contacts)
-        to_inputs = least_squares(self.by_input, self.by_input.conj(), contacts)[0]
-        return Projection(self.by_input, to_inputs, self.deviation, contacts)
+        return projection(self.by_input, self.deviation, len(self.rig.contacts))
 
     @property
     def modal(self) -> tuple[Complex[np.ndarray, "modes lines"], ...]:
         """The accelerations of each body's modes."""
         forces = np.stack([*(force_n for _, force_n in self.pushes), *self.contact_n])
         pushed = [station for station, _ in self.pushes]
-        found = tuple(r.accelerance * times(self._into(r, pushed).T, forces) for r in self.responses)
+        found = tuple(r.accelerance * times(input_shapes(self.rig, r, pushed).T, forces) for r in self.responses)
         for motion in self.free:
             found[motion.body][motion.mode] += motion.acceleration
         return found
@@ -101,7 +99,8 @@ class Linear:
         places, forces = places_of(self.record, self.rig), np.stack([*(force_n for _, force_n in pushes), *contact_n])
         moved = np.zeros((len(self.rig.contacts), forces.shape[1]), dtype=complex)
         for response in self.responses:
-            into, missed = self._into(response, [station for station, _ in pushes]), self._missed(response, places)
+            into = input_shapes(self.rig, response, [station for station, _ in pushes])
+            missed = self._missed(response, places)
             moved += np.einsum("icl,il->cl", response.transfer(missed, into), forces)
         return moved * self.record.twice_integrated
 
@@ -118,52 +117,51 @@ class Linear:
     def slow_n_per_m(self) -> Float[np.ndarray, "contacts contacts"]:
         return slow_stiffness(self.rig, self.responses)
 
-    def _into(self, response: Response, pushed: list[Station]) -> Float[np.ndarray, "inputs modes"]:
-        """How forces at some places, and contact forces, drive a body's modes."""
-        return np.concatenate([response.shapes(pushed), -across(self.rig, response)])
-
     def open_n(self, record: Record) -> Float[np.ndarray, " contacts"]:
         """Standard deviation over time of each contact force, by the errors of the accelerations."""
         variance = np.sum(np.abs(self.projection.to_inputs[: len(self.rig.contacts)]) ** 2, axis=(1, 2))
         return np.asarray(np.sqrt(2 * variance / (record.length * record.samples)))
 
 
-def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray, "sensors lines"]) -> Linear:
+def linear_model(
+    record: Record,
+    rig: Rig,
+    model_error: float | Float[np.ndarray, "sensors lines"],
+    cache: ResponseCache | None = None,
+) -> Linear:
     """The linear residual of a rig that has the record's sensors and contacts, whatever else it has.
 
     model_error is the share of each acceleration that no model of this kind explains. The noise of the measured force
-    is a further unknown input, with a prior of its own size. Contacts between the same places are one.
+    is a further unknown input, with a prior of its own size. Contacts between the same places are one. `cache` is that
+    of whoever lays many rigs against the record.
     """
     rig = joined(rig)
     sensor_response = sensor_response_of(record, rig)
-    responses = responses_of(rig, record.omega, record.zero_known)
+    responses = responses_of(rig, cache or ResponseCache(record.omega), record.zero_known)
     places = places_of(record, rig)
     pushes = _pushes(record, rig, responses, places, sensor_response)
     contacts = len(rig.contacts)
-    made = _accelerations(rig, responses, places, [at for at, _ in pushes], record.omega.size)
+    made = accelerances(rig, responses, [station for station, _ in pushes], places)
     by_contacts, per_newton = made[len(pushes) :], made[: len(rig.forces)]
-    by_push = [one * force_n for one, (_, force_n) in zip(made, pushes, strict=False)]
+    by_push = [per_push * force_n for per_push, (_, force_n) in zip(made, pushes, strict=False)]
     by_force, known = np.stack(by_push[: len(rig.forces)]), sum(by_push[1:], by_push[0])
     deviation = np.sqrt(record.noise + model_error**2 * record.power)
     deviation = np.maximum(deviation, 1e-9 * deviation.max())
     sensed = sensor_response / deviation
-    unknown = [-by_contacts]
+    unknown = [by_contacts]
     if rig.base_motion is not None:
         unknown.append(_base(record, rig, responses, places)[None])
     noisy = record.force_noise > 0
     unknown.append(np.sqrt(record.force_noise[noisy, None, None]) / rig.force_sensor.gain * per_newton[noisy])
     by_input = np.concatenate(unknown) * sensed
     weighted = record.delivered / deviation - known * sensed
-    free = free_modes(record, responses, places)
+    free = () if record.forced else free_modes(responses, _free_modes(record, responses), places)
     if free:
-        to_inputs = least_squares(by_input, by_input.conj(), contacts)[0]
-        projection = Projection(by_input, to_inputs, deviation, contacts)
-        left = projection.of(weighted * deviation)[0][: len(places)]
-        free = fitted_modes(free, projection, sensed, left)
-        weighted = weighted - sensed * sum(np.outer(one.shape, one.acceleration) for one in free)
-    adjoint = np.einsum("isl,sl->il", by_input.conj(), weighted)
-    inputs, log_determinant = least_squares(by_input, adjoint[:, None], contacts)
-    left = left_by(by_input, inputs[:, 0], weighted)
+        projected = projection(by_input, deviation, contacts)
+        free = fitted_modes(free, projected, sensed, projected.of(weighted * deviation)[0][: len(places)])
+        weighted = weighted - sensed * sum(np.outer(mode.shape, mode.acceleration) for mode in free)
+    inputs, log_determinant = estimated_inputs(by_input, weighted, contacts)
+    residual = unexplained(by_input, inputs, weighted)
     return Linear(
         record=record,
         rig=rig,
@@ -171,8 +169,8 @@ def linear_model(record: Record, rig: Rig, model_error: float | Float[np.ndarray
         sensor_response=sensor_response,
         deviation=deviation,
         by_input=by_input,
-        residual=np.concatenate([left, inputs[contacts:, 0]]),
-        contact_n=inputs[:contacts, 0],
+        residual=np.concatenate([residual, inputs[contacts:]]),
+        contact_n=inputs[:contacts],
         by_force=by_force,
         pushes=pushes,
         free=free,
@@ -219,19 +217,16 @@ def _pushes(
     return (*zip(rig.forces, lagged, strict=True), *tones, *held)
 
 
-def _accelerations(
-    rig: Rig, responses: tuple[Response, ...], places: list[Station | None], pushed: list[Station], lines: int
-) -> Complex[np.ndarray, "inputs sensors lines"]:
-    """At the sensors per newton, of forces at some places and then across the contacts."""
-    found = np.zeros((len(pushed) + len(rig.contacts), len(places), lines), dtype=complex)
-    for response in responses:
-        own = [i for i, place in enumerate(places) if place is not None and place.body == response.body.name]
-        into = np.concatenate([response.shapes(pushed), across(rig, response)])
-        driven = np.flatnonzero(np.any(into, axis=1))
-        if own and driven.size:
-            outputs = response.shapes([places[i] for i in own])
-            found[driven[:, None], own] = response.transfer(outputs, into[driven])
-    return found
+def _free_modes(record: Record, responses: tuple[Response, ...]) -> list[Int[np.ndarray, "_"]]:
+    """The modes of elastic bodies that ring freely at the beginning of a record without a force.
+
+    They are those in the band by the nominal rig, so that all rigs have the same unknowns.
+    """
+    nominal = [modes_of(record.rig, record.rig.body(r.body.name)).frequencies_hz(r.count) for r in responses]
+    return [
+        np.flatnonzero((hz < record.highest_hz) & (not r.body.is_mass))
+        for hz, r in zip(nominal, responses, strict=True)
+    ]
 
 
 def _holding(rig: Rig, responses: tuple[Response, ...]) -> Float[np.ndarray, " contacts"]:

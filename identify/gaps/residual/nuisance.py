@@ -1,6 +1,5 @@
 """Nuisance parameters: what a laboratory never knows exactly, as columns of the residual with a prior of one."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +9,18 @@ from msgspec.structs import replace
 from identify.gaps.residual.grounded import pushed_by_motion
 from identify.gaps.residual.linear import Linear, bent
 from identify.gaps.residual.spectra import Record
+from identify.linear.free_motion import state_changes
 from identify.linear.model import Response, times
-from identify.linear.nuisance import THE_FORCE, BodyMotion, Change, Kind, Nuisance, Observed, changes_of
+from identify.linear.nuisance import (
+    THE_FORCE,
+    BodyMotion,
+    Change,
+    Nuisance,
+    NuisanceKind,
+    Observed,
+    changes_of,
+    elastic_modes,
+)
 from identify.linear.projection import Projection
 from rig.model.description import Body, Rig, Sensor
 from rig.model.modes import modes_of
@@ -49,7 +58,9 @@ class Columns:
 
 def columns_of(record: Record, model: Linear) -> Columns:
     """The columns of all tolerances above zero."""
-    changes = [*changes_of(_observed(record, model)), *_of_free_motion(record, model)]
+    bodies = [r.body.name for r in model.responses]
+    states = state_changes(model.free, bodies, model.sensor_response, float(np.linalg.norm(record.delivered)))
+    changes = [*changes_of(_observed(record, model)), *states]
     count, contacts, samples = len(changes), len(model.rig.contacts), record.taken.stop - record.taken.start
     residual = np.empty((count, len(model.residual), samples), np.float32)
     forces, eta = (np.zeros((count, contacts, samples), np.float32) for _ in range(2))
@@ -62,16 +73,6 @@ def columns_of(record: Record, model: Linear) -> Columns:
             moved = at_contacts(record, model, change.displaced, change.sensors)
             eta[i] = record.in_time(moved.astype(np.complex64))
     return Columns(tuple(c.parameter for c in changes), residual, forces, eta)
-
-
-def _of_free_motion(record: Record, model: Linear) -> Iterator[Change]:
-    """Of each mode's initial displacement and velocity, as much as moves the sensors like the whole record."""
-    whole, everywhere = np.linalg.norm(record.delivered), list(range(len(record.sensors)))
-    for motion in model.free:
-        parameter = Nuisance("initial state", model.responses[motion.body].body.name, motion.mode + 1)
-        for unit in motion.units:
-            change = model.sensor_response * np.outer(motion.shape, unit)
-            yield Change(parameter, everywhere, change * (whole / max(float(np.linalg.norm(change)), 1e-300)))
 
 
 def _projected(
@@ -104,11 +105,10 @@ def _observed(record: Record, model: Linear) -> Observed:
 
 def _elastic(record: Record, response: Response) -> Int[np.ndarray, " some"]:
     """The modes with parameters of their own: by the believed rig, so that all rigs have the same parameters."""
-    body, count = response.body, response.count
-    natural_hz = modes_of(record.rig, record.rig.body(body.name)).frequencies_hz(count)
-    near = natural_hz < BEYOND * record.omega[-1] / (2 * np.pi)
-    flexing = np.arange(count) >= body.rigid_modes  # no matter which springs hold the body
-    return np.flatnonzero(flexing & near)
+    count = response.count
+    natural_hz = modes_of(record.rig, record.rig.body(response.body.name)).frequencies_hz(count)
+    bending = elastic_modes(response, count)  # no matter which springs hold the body
+    return bending[natural_hz[bending] < BEYOND * record.omega[-1] / (2 * np.pi)]
 
 
 def _measured(record: Record, model: Linear) -> list[Complex[np.ndarray, "modes lines"]]:
@@ -137,8 +137,8 @@ def apply_nuisance(
     that lies off by a part of its width is no linear matter. The modes of other bodies are not moved one by one.
     """
     single = {b.name for b in rig.bodies if b.is_mass}
-    bends = {Nuisance(kind, name) for name in single for kind in ("frequency", "damping")}
-    bends |= {Nuisance("gain", s.name) for s in rig.sensors if s.station.body in single}
+    bends = {Nuisance(kind, name) for name in single for kind in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)}
+    bends |= {Nuisance(NuisanceKind.GAIN, s.name) for s in rig.sensors if s.station.body in single}
     put = np.where([p in bends for p in parameters], values, 0.0)
     return with_nuisance(rig, parameters, put, tolerances), put
 
@@ -156,20 +156,22 @@ def with_nuisance(
     """
     fitted = dict(zip(parameters, values.tolist(), strict=True))
 
-    def factor(kind: Kind, of: str, tolerance: float) -> float:
+    def factor(kind: NuisanceKind, of: str, tolerance: float) -> float:
         return float(max(0.1, 1 + tolerance * fitted.get(Nuisance(kind, of), 0.0)))
 
     def body(one: Body) -> Body:
-        heavier = one.scale_mass(factor("mass", one.name, tolerances.mass))
-        tuned = heavier.scale_frequencies(factor("frequency", one.name, tolerances.frequency))
-        return tuned.scale_damping(factor("damping", one.name, tolerances.damping))
+        heavier = one.scale_mass(factor(NuisanceKind.MASS, one.name, tolerances.mass))
+        tuned = heavier.scale_frequencies(factor(NuisanceKind.FREQUENCY, one.name, tolerances.frequency))
+        return tuned.scale_damping(factor(NuisanceKind.DAMPING, one.name, tolerances.damping))
 
     def sensor(one: Sensor) -> Sensor:
         own = tolerances.of_sensor(one.name)
-        later_s = own.delay_s * fitted.get(Nuisance("delay", one.name), 0.0)
-        return replace(one, gain=one.gain * factor("gain", one.name, own.gain), delay_s=one.delay_s + later_s)
+        later_s = own.delay_s * fitted.get(Nuisance(NuisanceKind.DELAY, one.name), 0.0)
+        return replace(
+            one, gain=one.gain * factor(NuisanceKind.GAIN, one.name, own.gain), delay_s=one.delay_s + later_s
+        )
 
-    force_gain = rig.force_sensor.gain * factor("force gain", THE_FORCE, tolerances.force_gain)
+    force_gain = rig.force_sensor.gain * factor(NuisanceKind.FORCE_GAIN, THE_FORCE, tolerances.force_gain)
     return replace(
         rig,
         bodies=tuple(body(b) for b in rig.bodies),

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from identify.gaps.residual.linear import Linear
 from identify.gaps.residual.spectra import Record
@@ -57,7 +57,6 @@ def seen_contacts(
     trusted = believed.clearance, believed.stiffness, believed.contact_damping_s
     for force, open_n, law, drift, level in zip(forces, spreads, laws, record.drifts, levels, strict=True):
         loud = np.abs(force) > CLOSED * open_n
-        closed = loud & (np.abs(force) > STRUCK * np.sqrt(np.mean(force**2)))
         fast_m = 0.0 if drift is None else drift.unfollowed_m
         stiffness = sum(one.stiffness_n_per_m for one in law.laws)
         moving = record.time_s > record.excited_s  # at rest nothing tells on which side of a stop it rests
@@ -77,10 +76,21 @@ def seen_contacts(
             slow = replace(drift, acceleration_m_per_s2=drift.acceleration_m_per_s2[at])
         found.append(
             ContactObservation(
-                weights, closed.astype(float), spline(force.size, record.rate_hz, slow), record.sample_ratio, trusted
+                weights,
+                is_closed(force, open_n).astype(float),
+                spline(force.size, record.rate_hz, slow),
+                record.sample_ratio,
+                trusted,
             )
         )
     return tuple(found)
+
+
+def is_closed(
+    force_n: Float[np.ndarray, " times"], open_n: float | Float[np.ndarray, " times"]
+) -> Bool[np.ndarray, " times"]:
+    """Whether a contact is closed: its force exceeds the error of an open one, open_n, and a share of its rms."""
+    return np.abs(force_n) > np.maximum(CLOSED * open_n, STRUCK * np.sqrt(np.mean(force_n**2)))
 
 
 def _ringing(record: Record, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:

@@ -3,10 +3,8 @@
 cost = |linear residual|^2 + sum over contacts |contact residual|^2 + sample_ratio |nuisance|^2 + log determinant
 """
 
-import ctypes
-from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -26,10 +24,22 @@ from identify.gaps.residual.nuisance import Columns, apply_nuisance, columns_of,
 from identify.gaps.residual.observation import ContactObservation, seen_contacts
 from identify.gaps.residual.scales import Scales, estimated_scales, prior_scales
 from identify.gaps.residual.spectra import Record
-from identify.linear import model as response
 from identify.linear.joined import joined_contacts, joined_laws
+from identify.linear.model import Recent, ResponseCache
 from identify.linear.nuisance import Nuisance
 from rig.model.description import Rig
+
+
+class SearchCache:
+    """What the models of one search share on one record: responses of its bodies, and the columns used last, as they
+    are large. It lives as long as the linearisations that hold it."""
+
+    def __init__(self, record: Record) -> None:
+        self.responses = ResponseCache(record.omega)
+        self._columns = Recent[Columns](2)
+
+    def columns(self, model: Linear) -> Columns:
+        return self._columns.get(model, lambda: columns_of(model.record, model))
 
 
 @dataclass(frozen=True)
@@ -45,6 +55,17 @@ class Linearization:
     model: Linear
     seen: tuple[ContactObservation, ...]
     put: Float[np.ndarray, " nuisances"] | None
+    cache: SearchCache
+
+    def about(
+        self,
+        rig: Rig,
+        at: "Residual | None" = None,
+        scales: Scales | None = None,
+        seen: tuple[ContactObservation, ...] | None = None,
+    ) -> "Linearization":
+        """The linearisation of the same record about another rig, as `linearized`, with the same cache."""
+        return linearized(self.record, rig, at, scales, seen, self.cache)
 
     @cached_property
     def expansion_point(self) -> Float[np.ndarray, " nuisances"]:
@@ -67,8 +88,8 @@ class Linearization:
 
     @property
     def columns(self) -> Columns:
-        """Kept for those that were used last, as they are large: those of others are computed again."""
-        return _columns(self.model)
+        """Computed again if others were used since."""
+        return self.cache.columns(self.model)
 
 
 @dataclass(frozen=True)
@@ -135,34 +156,22 @@ def linearized(
     at: Residual | None = None,
     scales: Scales | None = None,
     seen: tuple[ContactObservation, ...] | None = None,
+    cache: SearchCache | None = None,
 ) -> Linearization:
     """The linearisation about a rig, with the nuisance parameters of a residual of the record in it, if one is given.
 
     `scales` and `seen` of another linearisation of the record keep their costs comparable.
     """
-    scales = scales or prior_scales(record)
+    scales, cache = scales or prior_scales(record), cache or SearchCache(record)
     there, put = apply_nuisance(rig, at.parameters, at.nuisance, record.tolerances) if at else (rig, None)
-    model = linear_model(record, there, scales.discrepancy)
+    model = linear_model(record, there, scales.discrepancy, cache.responses)
     seen = seen or seen_contacts(record, model, joined_laws(there), scales.contacts)
-    return Linearization(record, rig, scales, model, seen, put)
-
-
-def forget() -> None:
-    """Frees what is kept of records that are done with, and gives it back to the system where that can be asked for."""
-    _columns.cache_clear()
-    response.forget()
-    with suppress(AttributeError, OSError, TypeError):  # glibc alone can
-        ctypes.CDLL(None).malloc_trim(0)
-
-
-@lru_cache(maxsize=2)
-def _columns(model: Linear) -> Columns:
-    return columns_of(model.record, model)
+    return Linearization(record, rig, scales, model, seen, put, cache)
 
 
 def rescaled(linearization: Linearization, at: Residual) -> Linearization:
     """The linearisation with the scales that a residual of it shows."""
-    return linearized(linearization.record, linearization.rig, at, scales_at(linearization, at))
+    return linearization.about(linearization.rig, at, scales_at(linearization, at))
 
 
 def scales_at(linearization: Linearization, at: Residual) -> Scales:
@@ -175,7 +184,7 @@ def linear_of(linearization: Linearization, rig: Rig) -> Linear:
     record = linearization.record
     if linearization.expansion_point.any():
         rig, _ = apply_nuisance(rig, linearization.columns.parameters, linearization.expansion_point, record.tolerances)
-    return linear_model(record, rig, linearization.scales.discrepancy)
+    return linear_model(record, rig, linearization.scales.discrepancy, linearization.cache.responses)
 
 
 def residual_of(

@@ -9,8 +9,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import periodogram
 
-from identify.contacts.estimates import drift_of
-from identify.contacts.unforced import driven_to_hz, is_unforced
+from identify.contacts.separation import drift_of, driven_to_hz, is_unforced
 from identify.linear.joined import joined
 from identify.signals.beginning import QUIET_S
 from identify.signals.drift import Drift
@@ -48,8 +47,6 @@ DECAYED, LEAST_S = 0.03, 4.0
 """A record counts until its last second with more than this share of the loudest one's acceleration, and at least for
 so long: what contacts of a rig do that has come to rest, accelerometers do not show."""
 SMOOTHED_HZ = 1.0
-FINE_HZ = 8000.0
-"""Contact laws are evaluated at no less; at twice that nothing changes."""
 
 
 @dataclass(frozen=True)
@@ -144,14 +141,38 @@ class Record:
         """How much more the tolerances weigh than samples do, as model errors last: samples for each that counts."""
         return max(1.0, len(self.sensors) * self.rate_hz / COUNTED_HZ)
 
-    @property
-    def finer(self) -> int:
-        return max(1, round(FINE_HZ / self.sample_rate_hz))
-
     def in_time(self, spectra: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows times"]:
         """Back to time, at `rate_hz`, the samples that count."""
         whole = irfft(spectra, self.length // self.factor) / self.factor
         return np.asarray(whole[..., self.taken])
+
+
+@dataclass(frozen=True)
+class _Transform:
+    """Samples under a window with silence behind, so many together, and the lines that stand for every `factor`-th."""
+
+    sample_rate_hz: float
+    length: int
+    factor: int
+    window: Float[np.ndarray, " samples"]
+
+    @property
+    def lines(self) -> int:
+        return self.length // self.factor // 2 + 1
+
+    @property
+    def omega(self) -> Float[np.ndarray, " lines"]:
+        omega = 2 * np.pi * np.arange(self.lines) * self.sample_rate_hz / self.length
+        omega[0] = 0.01 * omega[1]  # stands for the mean, which powers of omega would lose
+        return omega
+
+    @property
+    def omega_beyond(self) -> Float[np.ndarray, " morelines"]:
+        """From the last of the lines to half the sample rate."""
+        return 2 * np.pi * self.sample_rate_hz / self.length * np.arange(self.lines - 1, self.length // 2 + 1)
+
+    def spectrum(self, signal: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows all"]:
+        return np.asarray(rfft(signal * self.window, self.length))
 
 
 def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Tolerances | None = None) -> Record:
@@ -161,9 +182,52 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
 
     Raises RigError if it is too short or has no sensors.
     """
-    rig, rate = recording.rig, recording.rig.sample_rate_hz
-    joint = joined(rig)
-    tolerances = tolerances or rig.tolerances or LABORATORY
+    rig, rate, samples = recording.rig, recording.rig.sample_rate_hz, recording.samples
+    joint, tolerances = joined(rig), tolerances or rig.tolerances or LABORATORY
+    sensors, decays = _sensors_of(recording)
+    motion = kinematics(recording, sensors[0].quantity, least_order=2 if np.any(recording.forces_n) else 0)
+    high_hz = _high_hz(recording.forces_n, motion, tolerances, low_hz)
+    transform = _transform(motion, samples, high_hz, decays)
+    omega = transform.omega
+    measured, eta_beyond = _spectra(recording, transform, joint, sensors)
+    turned, twice_less = (
+        np.stack([integrated(omega, order - s.measures.order, low_hz) for s in sensors]) for order in (2, 0)
+    )
+    smooth = uniform_filter1d(np.abs(measured) ** 2, max(1, round(SMOOTHED_HZ * transform.length / rate)), axis=1)
+    noise = acceleration_noise(motion, rig)
+    period = _period_of(recording.forces_n[:, motion.excited_from :])
+    size = np.stack([omega ** (2 - s.measures.order) for s in sensors])
+    return Record(
+        rig=rig,
+        sensors=sensors,
+        zero_known=motion.zero_known,
+        sample_rate_hz=rate,
+        length=transform.length,
+        samples=samples,
+        factor=transform.factor,
+        window=transform.window,
+        omega=omega,
+        forces=transform.spectrum(recording.forces_n)[:, : omega.size],
+        delivered=measured * turned,
+        displaced=measured * twice_less,
+        force_noise=samples * _force_noise_n(motion, tolerances) ** 2,
+        noise=samples * (_densities(sensors, motion)[:, None] * size) ** 2 * rate / 2,
+        power=smooth * np.abs(turned) ** 2,
+        eta_beyond=eta_beyond,
+        drifts=tuple(drift_of(joint, motion, j, noise, tolerances, samples) for j in range(len(joint.contacts))),
+        excited_s=motion.excited_from / rate,
+        period_s=None if period is None else period / rate,
+        tolerances=tolerances,
+        taken=_taken(motion, samples, transform.factor, decays),
+    )
+
+
+def _sensors_of(recording: Recording) -> tuple[tuple[Sensor, ...], bool]:
+    """The sensors of the quantity that the diagnosis reads, and whether the record is a free decay of elastic bodies.
+
+    Raises RigError if the record is too short or has no sensors of motion.
+    """
+    rig = recording.rig
     if recording.duration_s < SHORTEST_S:
         raise RigError(
             f"the record lasts {recording.duration_s:.3g} s; the diagnosis needs {SHORTEST_S:g} s, better 30 s or more"
@@ -171,73 +235,63 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     moving = [s for s in rig.sensors if s.measures.translates]
     if not moving:
         raise RigError("the recording has no sensors of motion; the diagnosis needs them, best accelerometers")
-    free = not np.any(recording.forces_n) and not any(b.is_mass for b in rig.bodies)
-    quantity = (min if free else max)(moving, key=lambda s: s.measures.order).quantity
-    sensors = sensors_of(rig, quantity)
-    motion = kinematics(recording, quantity, least_order=2 if np.any(recording.forces_n) else 0)
-    excited_hz = REACH * driven_to_hz(motion) if is_unforced(motion) else _excited_hz(recording.forces_n, rate)
+    decays = not np.any(recording.forces_n) and not any(b.is_mass for b in rig.bodies)
+    quantity = (min if decays else max)(moving, key=lambda s: s.measures.order).quantity
+    return sensors_of(rig, quantity), decays
+
+
+def _high_hz(
+    forces_n: Float[np.ndarray, "forces samples"], motion: Kinematics, tolerances: Tolerances, low_hz: float
+) -> float:
+    """Up to where the diagnosis looks; raises RigError if the force excites nothing above `low_hz`."""
+    rate = motion.sample_rate_hz
+    excited_hz = REACH * driven_to_hz(motion) if is_unforced(motion) else _excited_hz(forces_n, rate)
     high_hz = min(excited_hz, motion.trusted_hz[1], tolerances.highest_hz or np.inf)
     if high_hz <= low_hz:
         raise RigError(
             f"the force excites the rig up to {high_hz:.2g} Hz alone; the diagnosis needs more than {low_hz:g} Hz: "
             "look at the force's channel"
         )
+    return high_hz
+
+
+def _transform(motion: Kinematics, samples: int, high_hz: float, decays: bool) -> _Transform:
+    """With the lines up to a frequency; the record fades in, unless it begins quiet, and out."""
+    rate = motion.sample_rate_hz
     factor = max(1, int(rate / (2 * high_hz)))
-    samples = recording.samples
     length = factor * next_fast_len(-(-(samples + round(RING_S * rate)) // factor), real=True)
-    lines = length // factor // 2 + 1
-    omega = 2 * np.pi * np.arange(lines) * rate / length
-    omega[0] = 0.01 * omega[1]  # stands for the mean, which powers of omega would lose
-    quiet = motion.excited_from > QUIET_S * rate
-    shape = taper(samples, round(TAPER_S * rate))
-    if free:
-        shape[0] = 0.5  # half a sample: what begins there has no value before
-    elif not quiet:
-        shape = shape * shape[::-1]
+    window = taper(samples, round(TAPER_S * rate))
+    if decays:
+        window[0] = 0.5  # half a sample: what begins there has no value before
+    elif not _begins_quiet(motion):
+        window = window * window[::-1]
+    return _Transform(rate, length, factor, window)
 
-    def spectrum(signal: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows all"]:
-        return np.asarray(rfft(signal * shape, length))
 
-    beyond_rad = 2 * np.pi * rate / length * np.arange(lines - 1, length // 2 + 1)
-    eta_beyond = np.zeros((len(joint.contacts), beyond_rad.size), dtype=complex)
-    measured = np.empty((len(sensors), lines), dtype=complex)
+def _begins_quiet(motion: Kinematics) -> bool:
+    return motion.excited_from > QUIET_S * motion.sample_rate_hz
+
+
+def _spectra(
+    recording: Recording, transform: _Transform, joint: Rig, sensors: tuple[Sensor, ...]
+) -> tuple[Complex[np.ndarray, "sensors lines"], Complex[np.ndarray, "contacts morelines"]]:
+    """What each sensor gave, on the lines; and beyond them, the relative displacements by sensors at the contacts."""
+    omega_beyond = transform.omega_beyond
+    eta_beyond = np.zeros((len(joint.contacts), omega_beyond.size), dtype=complex)
+    measured = np.empty((len(sensors), transform.lines), dtype=complex)
     for row, sensor in zip(measured, sensors, strict=True):
-        whole = spectrum(recording.values_of(sensor))
-        row[:] = whole[:lines]
-        _add_beyond(eta_beyond, joint, sensor, whole[lines - 1 :], beyond_rad)
-    turned, twice_less = (
-        np.stack([integrated(omega, order - s.measures.order, low_hz) for s in sensors]) for order in (2, 0)
-    )
-    smooth = uniform_filter1d(np.abs(measured) ** 2, max(1, round(SMOOTHED_HZ * length / rate)), axis=1)
-    noise = acceleration_noise(motion, rig)
-    period = _period_of(recording.forces_n[:, motion.excited_from :])
-    densities = _densities(sensors, motion)
-    size = np.stack([omega ** (2 - s.measures.order) for s in sensors])
-    begin_s = 0.0 if quiet else RELEASED_S if free else LEFT_OUT_S
+        whole = transform.spectrum(recording.values_of(sensor))
+        row[:] = whole[: transform.lines]
+        _add_beyond(eta_beyond, joint, sensor, whole[transform.lines - 1 :], omega_beyond)
+    return measured, eta_beyond
+
+
+def _taken(motion: Kinematics, samples: int, factor: int, decays: bool) -> slice:
+    """The samples that count, of every `factor`-th: neither the ends nor what follows when the rig has come to rest."""
+    rate = motion.sample_rate_hz
+    begin_s = 0.0 if _begins_quiet(motion) else RELEASED_S if decays else LEFT_OUT_S
     end_s = min(samples / rate - LEFT_OUT_S, max(_decayed_s(motion), begin_s + LEAST_S))
-    return Record(
-        rig=rig,
-        sensors=sensors,
-        zero_known=motion.zero_known,
-        sample_rate_hz=rate,
-        length=length,
-        samples=samples,
-        factor=factor,
-        window=shape,
-        omega=omega,
-        forces=spectrum(recording.forces_n)[:, :lines],
-        delivered=measured * turned,
-        displaced=measured * twice_less,
-        force_noise=samples * _force_noise_n(motion, tolerances) ** 2,
-        noise=samples * (densities[:, None] * size) ** 2 * rate / 2,
-        power=smooth * np.abs(turned) ** 2,
-        eta_beyond=eta_beyond,
-        drifts=tuple(drift_of(joint, motion, j, noise, tolerances, samples) for j in range(len(joint.contacts))),
-        excited_s=motion.excited_from / rate,
-        period_s=None if period is None else period / rate,
-        tolerances=tolerances,
-        taken=slice(round(begin_s * rate / factor), int(end_s * rate / factor)),
-    )
+    return slice(round(begin_s * rate / factor), int(end_s * rate / factor))
 
 
 def _excited_hz(forces_n: Float[np.ndarray, "forces samples"], rate_hz: float) -> float:

@@ -13,6 +13,7 @@ integration loses and the fit of the rig to the record estimates. Last, the disp
 until the relative displacements are those of the fit, which the contacts' laws tell to some hundredths of a millimetre.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,9 +23,9 @@ from scipy.fft import irfft, rfft
 from identify.gaps.residual.residual import Residual
 from identify.gaps.residual.spectra import Record
 from identify.linear.joined import joined
-from identify.linear.model import across, response_of
 from identify.signals.kinematics import CORNER_HZ, kinematics
-from rig.model.description import Rig, Station
+from rig.model.description import Body, Rig, Station
+from rig.model.modes import Modes, modes_of
 from rig.recording import Recording
 
 CROSSOVER = 0.3
@@ -128,21 +129,24 @@ class _Modes:
 
 def _modes_of(rig: Rig, at: Residual, stations: tuple[Station, ...]) -> _Modes:
     """Of a rig, with the displacements that the fitted one's forces make, in the order of its bodies' modes."""
-    record, places, parts = at.model.record, joined(rig), []
-    accelerations = dict(zip((r.body.name for r in at.model.responses), at.model.modal, strict=True))
-    loose = {r.body.name: r.dynamics.high_passed for r in at.model.responses}
+    record, parts = at.model.record, []
+    by_body = zip(at.model.responses, at.model.modal, strict=True)
+    fitted = {response.body.name: (motion, response.dynamics.high_passed) for response, motion in by_body}
+    ends: list[list[Station | None]] = [[c.at for c in joined(rig).contacts], [c.against for c in joined(rig).contacts]]
     for body in rig.bodies:
-        response = response_of(rig, body, record.omega)
-        count = min(sum(s.body == body.name for s in stations), response.count)
-        natural_hz = response.dynamics.natural_hz[:count]
-        slow = np.array([m in loose[body.name] for m in range(count)], dtype=bool)
-        displaced = -accelerations[body.name][:count] / record.omega**2
+        modes = modes_of(rig, body)
+        count = min(sum(s.body == body.name for s in stations), body.max_modes)
+        acceleration, loose = fitted[body.name]
+        natural_hz = modes.frequencies_hz(count)
+        above, below = (_shapes(body, modes, count, places) for places in ends)
+        slow = np.isin(np.arange(count), loose)
+        displaced = -acceleration[:count] / record.omega**2
         displaced[:, 0] = 0.0
         parts.append(
             (
                 natural_hz,
-                response.shapes(stations)[:, :count],
-                across(places, response)[:, :count],
+                _shapes(body, modes, count, stations),
+                above - below,
                 ~slow & (CROSSOVER * natural_hz > 2 * CORNER_HZ),
                 displaced,
             )
@@ -155,6 +159,17 @@ def _modes_of(rig: Rig, at: Residual, stations: tuple[Station, ...]) -> _Modes:
         np.concatenate(forced),
         np.concatenate(displaced),
     )
+
+
+def _shapes(
+    body: Body, modes: Modes, count: int, places: Sequence[Station | None]
+) -> Float[np.ndarray, "places modes"]:
+    """Of the lowest modes; zero at places on other bodies and on the ground."""
+    rows = np.zeros((len(places), count))
+    for row, place in zip(rows, places, strict=True):
+        if place is not None and place.body == body.name:
+            row[:] = modes.shapes(np.array([place.position_m]), count)[0]
+    return rows
 
 
 def _completed(

@@ -36,7 +36,8 @@ def fit_base_excitation(
     hz = record.omega / (2 * np.pi)
     low, high = float(hz[1]), float(hz[-1])
     everywhere = BaseMotion(acceleration_rms_m_per_s2=float(np.sqrt(high - low)), low_hz=low, high_hz=high)
-    model = linear_model(record, changed(linearization.rig, base_motion=everywhere), linearization.scales.discrepancy)
+    shaken = changed(linearization.rig, base_motion=everywhere)
+    model = linear_model(record, shaken, linearization.scales.discrepancy, linearization.cache.responses)
     contacts = len(linearization.seen)
     pattern = model.by_input[contacts]
     by_contacts = linearization.model.projection.of(pattern * linearization.model.deviation)[1]

@@ -16,6 +16,7 @@ from identify.gaps.residual.residual import Linearization, Residual, residual_of
 from identify.gaps.residual.spectra import Record
 from identify.gaps.search.attached import attached
 from identify.gaps.search.candidates import Candidate
+from identify.linear.model import ResponseCache
 from rig.errors import RigError
 from rig.model.description import Rig
 
@@ -103,8 +104,13 @@ def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]
     Of effects that change the linear model.
     """
     thin = _thinned(linearization.record)
-    discrepancy = linearization.scales.discrepancy[:, 1::THINNED]
-    before = _linear_cost(thin, linearization.rig, discrepancy)
+    discrepancy, cache = linearization.scales.discrepancy[:, 1::THINNED], ResponseCache(thin.omega)
+
+    def cost(rig: Rig) -> float:
+        model = linear_model(thin, rig, discrepancy, cache)
+        return THINNED * float(np.sum(np.abs(model.residual) ** 2))
+
+    before = cost(linearization.rig)
     found = []
     for candidate in candidates:
         changed = candidate.applied(linearization.rig, candidate.default)
@@ -114,7 +120,7 @@ def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]
         costs = []
         for values in _grid(candidate):
             try:
-                costs.append((_linear_cost(thin, candidate.applied(linearization.rig, values), discrepancy), values))
+                costs.append((cost(candidate.applied(linearization.rig, values)), values))
             except RigError:
                 continue
         if costs:
@@ -170,8 +176,3 @@ def _thinned(record: Record) -> Record:
         omega=record.omega[some],
         **{name: getattr(record, name)[..., some] for name in ("forces", "delivered", "displaced", "noise", "power")},
     )
-
-
-def _linear_cost(thin: Record, rig: Rig, discrepancy: Float[np.ndarray, "sensors lines"]) -> float:
-    model = linear_model(thin, rig, discrepancy)
-    return THINNED * float(np.sum(np.abs(model.residual) ** 2))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from identify.gaps.decision.drawing import drawn
-from identify.gaps.residual.residual import Residual, forget
+from identify.gaps.decision.null_reference import drawn
+from identify.gaps.residual.residual import Residual
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.rollout.windows import null_errors
 from identify.gaps.search.nominal import fit_nuisance
@@ -47,9 +47,7 @@ def machine(seed):
 def recorded(actual, seed):
     settings = BarrelCradle(sensors="acceleration", duration_s=30.0, rms_n=18.0, seed=seed)
     force_n = force_history(settings.force(), settings.duration_s, 1 / BELIEVED.sample_rate_hz)
-    made = replay.modal(BELIEVED, actual, force_n, seed)
-    forget()
-    return made
+    return replay.modal(BELIEVED, actual, force_n, seed)
 
 
 def with_effects(rig, *effects):
@@ -80,5 +78,4 @@ def nulls():
     for seed in (11, 12, 13):
         case = Case(recorded(machine(seed), seed))
         found.append(null_errors(case.recording, case.fitted(), prediction.modal))
-        forget()
     return found

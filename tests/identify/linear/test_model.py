@@ -1,0 +1,71 @@
+"""Responses of bodies on spectral lines, against the equation of motion, and what a cache keeps of them."""
+
+import weakref
+
+import numpy as np
+import pytest
+
+from identify.linear.model import Recent, ResponseCache, accelerances, response_of
+from rig.model.description import Station
+from rig.simulation.reference import BarrelCradle, Sdof
+
+OMEGA = 2 * np.pi * np.linspace(1.0, 60.0, 40)
+
+
+def test_a_mass_on_a_spring_accelerates_as_its_equation_of_motion_says():
+    rig = Sdof().rig()
+    (body,) = rig.bodies
+    response = response_of(rig, body, ResponseCache(OMEGA))
+    natural, ratio = 2 * np.pi * response.dynamics.natural_hz[0], response.dynamics.damping_ratios[0]
+    mass_kg = body.mass_kg
+    dynamic_stiffness = mass_kg * (natural**2 - OMEGA**2 + 2j * ratio * natural * OMEGA)
+    by_force, by_contact = accelerances(rig, [response], rig.forces, [Station(body.name, 0.0)])[:, 0]
+    np.testing.assert_allclose(by_force, -(OMEGA**2) / dynamic_stiffness, rtol=1e-12)
+    np.testing.assert_allclose(by_contact, -by_force, rtol=1e-12)  # a contact pushes back
+
+
+def test_forces_and_places_change_places():
+    """Maxwell and Betti: G(x, y) = G(y, x); and a contact between two bodies pushes each as a force there would."""
+    rig = BarrelCradle().rig()
+    cache = ResponseCache(OMEGA)
+    responses = [response_of(rig, body, cache) for body in rig.bodies]
+    contact = rig.contacts[0]
+    places = [contact.at, contact.against]
+    assert all(place is not None for place in places)
+    made = accelerances(rig, responses, places, places)
+    np.testing.assert_allclose(made[0, 1], made[1, 0], rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(made[2], made[1] - made[0], rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("size", [0, 4])
+def test_a_cache_changes_no_number(size):
+    rig = BarrelCradle().rig()
+    stations = [s.station for s in rig.sensors]
+    cache = ResponseCache(OMEGA, size)
+    made = [
+        accelerances(rig, [response_of(rig, body, c) for body in rig.bodies], rig.forces, stations)
+        for c in (cache, cache, ResponseCache(OMEGA))
+    ]
+    np.testing.assert_array_equal(made[0], made[1])
+    np.testing.assert_array_equal(made[0], made[2])
+
+
+def test_a_cache_makes_each_body_once_and_goes_with_its_owner():
+    rig = BarrelCradle().rig()
+    cache = ResponseCache(OMEGA)
+    first, again = (response_of(rig, rig.bodies[0], cache) for _ in range(2))
+    assert first.dynamics is again.dynamics
+    assert first.accelerance is again.accelerance
+    gone = weakref.ref(cache)
+    del cache, first, again
+    assert gone() is None
+
+
+def test_the_value_used_longest_ago_is_forgotten():
+    made, recent = [], Recent[int](2)
+
+    def value(key: int) -> int:
+        return recent.get(key, lambda: made.append(key) or key)
+
+    assert [value(k) for k in (1, 2, 1, 3, 1, 2)] == [1, 2, 1, 3, 1, 2]
+    assert made == [1, 2, 3, 2]

@@ -1,0 +1,136 @@
+"""Nuisance parameters: what each adds to what sensors deliver, in standard deviations of the tolerances."""
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from identify.linear.model import ResponseCache, response_of, times
+from identify.linear.nuisance import BodyMotion, NuisanceKind, Observed, changes_of, elastic_modes
+from rig.model.tolerances import EXACT, LABORATORY, Tolerances
+from rig.simulation.reference import BarrelCradle, Sdof
+
+OMEGA = 2 * np.pi * np.linspace(2.0, 40.0, 30)
+
+
+def observed(rig, tolerances: Tolerances = LABORATORY, read: bool = True) -> Observed:
+    """Random accelerations at all sensors, and the motion of as many modes as each body has sensors."""
+    rng = np.random.default_rng(2)
+    sensors, cache = rig.sensors, ResponseCache(OMEGA)
+    accelerations = rng.standard_normal((len(sensors), OMEGA.size)) + 1j * rng.standard_normal(
+        (len(sensors), OMEGA.size)
+    )
+    sensor_response = np.stack([s.response(OMEGA) for s in sensors])
+    bodies = []
+    for body in rig.bodies:
+        rows = [i for i, s in enumerate(sensors) if s.station.body == body.name]
+        response = response_of(rig, body, cache)
+        count = min(len(rows), response.count)
+        inverse = np.zeros((count, len(sensors)))
+        inverse[:, rows] = np.linalg.pinv(response.shapes([sensors[i].station for i in rows])[:, :count])
+        motion = times(inverse, accelerations)
+        bodies.append(BodyMotion(response, motion, elastic_modes(response, count), inverse if read else None))
+    return Observed(
+        sensors=sensors,
+        displaced_by=sensors,
+        tolerances=tolerances,
+        omega=OMEGA,
+        sensor_response=sensor_response,
+        explained=sensor_response * accelerations,
+        by_force=accelerations[None] / 3,
+        displaced=accelerations / -(OMEGA**2),
+        bodies=tuple(bodies),
+    )
+
+
+@pytest.fixture(scope="module")
+def beams():
+    return BarrelCradle(sensors="acceleration").rig()
+
+
+def test_every_parameter_has_one_key_and_one_column(beams):
+    parameters = [change.parameter for change in changes_of(observed(beams))]
+    assert len(set(parameters)) == len(parameters)
+    assert len({p.name for p in parameters}) == len(parameters)
+    whole = {p for p in parameters if p.mode is None}
+    sensors = [s.name for s in beams.sensors]
+    for kind, of in (
+        (NuisanceKind.GAIN, sensors),
+        (NuisanceKind.DELAY, sensors),
+        (NuisanceKind.POSITION, sensors),
+        (NuisanceKind.MASS, [b.name for b in beams.bodies]),
+        (NuisanceKind.FREQUENCY, [b.name for b in beams.bodies]),
+        (NuisanceKind.DAMPING, [b.name for b in beams.bodies]),
+        (NuisanceKind.FORCE_GAIN, ["the force"]),
+    ):
+        assert sorted(p.of for p in whole if p.kind == kind) == sorted(of)
+
+
+def test_what_all_modes_share_is_the_sum_of_what_each_does(beams):
+    """Of frequencies and damping, where every moving mode bends the body."""
+    changes = {change.parameter: change for change in changes_of(observed(beams))}
+    for body in beams.bodies:
+        for kind in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING):
+            alone = [c for p, c in changes.items() if p.kind == kind and p.of == body.name and p.mode is not None]
+            (together,) = (c for p, c in changes.items() if p.kind == kind and p.of == body.name and p.mode is None)
+            np.testing.assert_allclose(sum(c.delivered for c in alone), together.delivered, rtol=1e-9, atol=1e-12)
+    separate = [c.parameter for c in changes_of(observed(beams), common=False)]
+    assert set(changes) - set(separate) == {
+        p
+        for p in changes
+        if p.mode is None and p.kind in (NuisanceKind.MASS, NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)
+    }
+
+
+def test_a_change_is_one_tolerance_long(beams):
+    linear = ("gain", "position_m", "delay_s", "force_gain", "mass", "frequency", "damping")
+    doubled = replace(LABORATORY, **{name: 2 * getattr(LABORATORY, name) for name in linear})
+    for one, two in zip(changes_of(observed(beams)), changes_of(observed(beams, doubled)), strict=True):
+        assert one.parameter == two.parameter
+        longer = 1 if one.parameter.kind is NuisanceKind.HIGH_PASS else 2  # which is no linear matter
+        np.testing.assert_allclose(two.delivered, longer * one.delivered)
+    assert not list(changes_of(observed(beams, EXACT)))
+
+
+def test_a_gain_and_a_delay_change_what_a_sensor_delivers_as_its_own_response_does(beams):
+    """To first order: the response of the sensor with one tolerance more, less that without."""
+    now, share = observed(beams), 1e-3
+    accelerations = now.explained / now.sensor_response
+    for change in changes_of(now):
+        if change.parameter.kind not in (NuisanceKind.GAIN, NuisanceKind.DELAY):
+            continue
+        (i,) = change.sensors
+        sensor = beams.sensors[i]
+        moved = (
+            replace(sensor, gain=sensor.gain * (1 + share * LABORATORY.gain))
+            if change.parameter.kind is NuisanceKind.GAIN
+            else replace(sensor, delay_s=sensor.delay_s + share * LABORATORY.delay_s)
+        )
+        more = (moved.response(OMEGA) - sensor.response(OMEGA)) * accelerations[i] / share
+        np.testing.assert_allclose(change.delivered[0], more, rtol=1e-5)
+
+
+@pytest.mark.parametrize("settings", [BarrelCradle(sensors="acceleration"), Sdof(sensors="acceleration")])
+def test_a_reading_gives_the_change_from_the_accelerations(settings):
+    now = observed(settings.rig())
+    accelerations = now.explained / now.sensor_response
+    read = [c for c in changes_of(now) if c.parameter.mode is not None or len(c.sensors) == 1]
+    kinds = {c.parameter.kind for c in read if c.reading is not None}
+    assert {NuisanceKind.GAIN, NuisanceKind.DELAY} <= kinds
+    for change in read:
+        if change.reading is not None:
+            made = change.reading.pattern * (change.reading.weights @ accelerations)
+            np.testing.assert_allclose(made, change.delivered, rtol=1e-9, atol=1e-12)
+    assert all(c.reading is None for c in changes_of(observed(settings.rig(), read=False)))
+
+
+def test_a_single_mass_bends_in_no_mode():
+    rig = Sdof().rig()
+    response = response_of(rig, rig.bodies[0], ResponseCache(OMEGA))
+    assert elastic_modes(response, 5).size == 0
+
+
+def test_what_some_sensors_deliver_stands_in_the_rows_of_these(beams):
+    change = next(c for c in changes_of(observed(beams)) if c.parameter.kind is NuisanceKind.MASS)
+    whole = change.at_all(len(beams.sensors))
+    np.testing.assert_array_equal(whole[change.sensors], change.delivered)
+    assert not np.any(np.delete(whole, change.sensors, axis=0))
