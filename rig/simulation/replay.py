@@ -35,6 +35,13 @@ class _Interpolated:
         return np.asarray(self.force_n(np.minimum(time_s, self.until_s)))
 
 
+def finer(forces_n: Float[np.ndarray, "forces samples"], sample_rate_hz: float, step_s: float, steps: int) -> Forces:
+    """Forces given at the sampling rate, at a plant's steps: by a cubic, and behind the end as they are there."""
+    samples = forces_n.shape[1]
+    splines = (CubicSpline(np.arange(samples) / sample_rate_hz, row) for row in forces_n)
+    return Forces(tuple(_Interpolated(spline, (samples - 1) / sample_rate_hz, step_s, steps) for spline in splines))
+
+
 def replayed(
     believed: Rig,
     actual: Rig,
@@ -50,9 +57,7 @@ def replayed(
     sensors' filters need it. Raises RigError where the rig cannot be simulated so.
     """
     rate, samples, rows = believed.sample_rate_hz, force_n.shape[-1], np.atleast_2d(force_n)
-    until_s, steps = (samples - 1) / rate, round(needed_duration_s(actual, samples / rate) / step_s)
-    splines = (CubicSpline(np.arange(samples) / rate, row) for row in rows)
-    fine = Forces(tuple(_Interpolated(spline, until_s, step_s, steps) for spline in splines))
+    fine = finer(rows, rate, step_s, round(needed_duration_s(actual, samples / rate) / step_s))
     with threadpool_limits(1):  # the matrices are small
         motion = sensed_alone(plant(actual, fine, step_s, progress))
         blocks = list(digitised(actual, motion, np.random.default_rng([seed, 1])))
@@ -69,7 +74,7 @@ def modal(believed: Rig, actual: Rig, force_n: Float[np.ndarray, "*forces sample
     from rig.simulation.plants.modal import simulate
 
     plant = partial(simulate, modes=24)
-    return replayed(believed, actual, force_n, plant, _step_s(believed, 2.0**15), seed)
+    return replayed(believed, actual, force_n, plant, step_s_of(believed, 2.0**15), seed)
 
 
 def ancf(believed: Rig, actual: Rig, force_n: Float[np.ndarray, "*forces samples"], seed: int) -> Recording:
@@ -77,8 +82,8 @@ def ancf(believed: Rig, actual: Rig, force_n: Float[np.ndarray, "*forces samples
     from rig.simulation.plants.ancf import simulate
 
     plant = partial(simulate, elements=12)
-    return replayed(believed, actual, force_n, plant, _step_s(believed, 2.0**13), seed)
+    return replayed(believed, actual, force_n, plant, step_s_of(believed, 2.0**13), seed)
 
 
-def _step_s(rig: Rig, least_hz: float) -> float:
+def step_s_of(rig: Rig, least_hz: float) -> float:
     return 1 / (rig.sample_rate_hz * max(1, int(np.ceil(least_hz / rig.sample_rate_hz))))

@@ -79,7 +79,7 @@ def simulate(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress, 
     history_n, history_bent_n = np.tile(model.holding_n[:, None], 4), np.zeros((len(model.across), 1))
     for first in range(0, len(force_n), BLOCK):
         now = slice(first, min(first + BLOCK, len(force_n)))
-        applied, bends = _applied(rig, forces_n, base, step_s, now)
+        applied, bends = applied_inputs(rig, forces_n, base, step_s, now)
         contact_n, bent_n = np.empty((2, len(model.across), now.stop - first))
         states = np.empty((now.stop - first + 1, last.size))  # a new array a block: Motion computes from it on demand
         states[0] = last
@@ -148,16 +148,21 @@ def _without_alias(
     return history_n[:, 4:] + 1.5 * corner[:, 1:] - 0.5 * corner[:, :-1]
 
 
+def bodies_of(rig: Rig, modes: int) -> list[tuple[Body, Modes, int]]:
+    """The bodies with their modes in this rig, and how many of them are taken."""
+    return [(b, modes_of(rig, b), modes_wanted(b, modes)) for b in rig.bodies]
+
+
 def model_of(rig: Rig, moving_base: bool, modes: int) -> Model:
     """The rig with what acts on it."""
-    bodies = [(b, modes_of(rig, b), modes_wanted(b, modes)) for b in rig.bodies]
+    bodies = bodies_of(rig, modes)
     omega = 2 * np.pi * np.concatenate([shapes.frequencies_hz(n) for _, shapes, n in bodies])
     zeta = np.concatenate([shapes.damping_ratios(n) for _, shapes, n in bodies])
     contacts, laws = connections(rig), tuple(c.law for c in connections(rig))
     wanted = {*stations_of(rig), *rig.forces, *(load.station for load in rig.loads)}
     wanted |= {tone.station for tone in rig.tones}
     wanted |= {station for c in contacts for station in contact_stations(c)}
-    rows = {station: _shape_row(bodies, station) for station in wanted}
+    rows = {station: shape_row(bodies, station) for station in wanted}
     across = np.array([rows[c.at] - (rows[c.against] if c.against else 0) for c in contacts])
     across = across.reshape(len(contacts), omega.size)
     static = np.zeros(omega.size) + sum(load.force_n * rows[load.station] for load in rig.loads)
@@ -182,7 +187,7 @@ def model_of(rig: Rig, moving_base: bool, modes: int) -> Model:
     )
 
 
-def _applied(
+def applied_inputs(
     rig: Rig, forces_n: Forces, base: tuple[Float[np.ndarray, " samples"], ...], step_s: float, now: slice
 ) -> tuple[Float[np.ndarray, "inputs more"], Float[np.ndarray, "inputs more"]]:
     """The known forces at the samples `now` and at the one before, and how they bend in between.
@@ -252,7 +257,7 @@ def _bends(inputs: Float[np.ndarray, "inputs samples"]) -> Float[np.ndarray, "in
     return bends
 
 
-def _shape_row(
+def shape_row(
     bodies: list[tuple[Body, Modes, int]], station: Station, order: int = 0
 ) -> Float[np.ndarray, " allmodes"]:
     """The shapes of all bodies' modes at a station, or a derivative along; zero for the modes of the other bodies."""
@@ -263,7 +268,7 @@ def _shape_row(
 
 
 def _sensed_row(rig: Rig, bodies: list[tuple[Body, Modes, int]], sensor: Sensor) -> Float[np.ndarray, " allmodes"]:
-    along = np.array([_shape_row(bodies, sensor.station, order) for order in range(3)])
+    along = np.array([shape_row(bodies, sensor.station, order) for order in range(3)])
     return sensor.measures.operator(along, rig.fibre_m(sensor))
 
 

@@ -1,0 +1,1 @@
+"""Prediction from measured states as the judge of a correction."""
