@@ -54,7 +54,7 @@ def judged(
     reference: Reference,
     believed: Residual,
     hypotheses: Sequence[Hypothesis],
-    priors: Mapping[frozenset[str], float],
+    priors: Mapping[tuple[str, ...], float],
     progress: Callable[[float], None] = lambda _: None,
 ) -> list[Judged]:
     """Every hypothesis that the validation record can hold, the likeliest first.
@@ -111,7 +111,7 @@ def of_this_record(record: Record, one: Hypothesis) -> Rig:
     return build(fit(linearization, build, one.values[own], steps, (low, high), at).values)
 
 
-def log_priors(hypotheses: Sequence[Hypothesis], known: Sequence[Candidate]) -> dict[frozenset[str], float]:
+def log_priors(hypotheses: Sequence[Hypothesis], known: Sequence[Candidate]) -> dict[tuple[str, ...], float]:
     """Every effect of the library is as likely as any other, and as likely at each of its places."""
     placed = Counter(candidate.kind.name for candidate in known)
     return {one.key: log_prior(one.effects, placed) for one in hypotheses}

@@ -48,8 +48,9 @@ class Hypothesis:
         return tuple(p.kind.name for p in self.parts)
 
     @property
-    def key(self) -> frozenset[str]:
-        return frozenset(p.name for p in self.parts)
+    def key(self) -> tuple[str, ...]:
+        """The names of its effects and their places, in no order; one may stand twice."""
+        return tuple(sorted(p.name for p in self.parts))
 
     @property
     def cost(self) -> float:

@@ -46,10 +46,10 @@ def search(begun: Search, progress: Callable[[float], None]) -> list[Hypothesis]
     taken first, so that a pair does not depend on which of the two was found first.
     """
     nothing = begun.nothing()
-    singles = _singles(begun, nothing)
+    singles = single_effects(begun, nothing)
     progress(0.5)
-    pairs: dict[frozenset[str], Hypothesis] = {}
-    followed: set[frozenset[str]] = set()
+    pairs: dict[tuple[str, ...], Hypothesis] = {}
+    followed: set[tuple[str, ...]] = set()
     queue = singles[:1]
     while queue and len(followed) < FIRSTS:
         first = queue.pop(0)
@@ -89,7 +89,7 @@ class _Kept:
             del self.by_name[worse]
 
 
-def _singles(begun: Search, nothing: Tried) -> list[Tried]:
+def single_effects(begun: Search, nothing: Tried) -> list[Tried]:
     """Single effects fitted to the end, the likeliest first."""
     linearization, at = begun.linearization, straightened(begun.at)
     fresh = residual_of(linearization, linearization.rig, at.nuisance)
@@ -192,7 +192,7 @@ def _seconds(begun: Search, first: Tried, least: float) -> list[Hypothesis]:
     rig = first.hypothesis.applied_to(begun.linearization.rig)
     linearization = begun.linearization.about(rig, first.residual, first.linearization.scales)
     at = fitted(linearization, first.residual).residual
-    others = [c for c in begun.known if c.kind.name not in first.hypothesis.effects and _joins(c, rig)]
+    others = [c for c in begun.known if c.kind.name not in first.hypothesis.effects and joins(c, rig)]
     inner = Search(begun.reference, linearization, at, ())
     held = any(p.kind.stochastic for p in first.hypothesis.parts)
     steady = [c for c in others if not c.kind.stochastic]
@@ -210,14 +210,14 @@ def _seconds(begun: Search, first: Tried, least: float) -> list[Hypothesis]:
             name = one.candidate.name
             found[name] = min(found.get(name, pair), pair, key=_cost)
     rivals = _refined_all(inner if held else begun, _rivals(found.values(), first), least)
-    pairs = [_beside(first, one) if held else one.hypothesis for one in rivals]
+    pairs = [beside(first, one) if held else one.hypothesis for one in rivals]
     for candidate in others:
         if candidate.kind.stochastic and (shaken := fit_spectrum(inner, inner.nothing(), candidate)):
-            pairs.append(_beside(first, shaken))
+            pairs.append(beside(first, shaken))
     return pairs
 
 
-def _beside(first: Tried, second: Tried) -> Hypothesis:
+def beside(first: Tried, second: Tried) -> Hypothesis:
     """A pair of which the second was fitted with the first held, as one is known by its spectrum alone."""
     one, other = first.hypothesis, second.hypothesis
     values = np.concatenate([one.values, other.values])
@@ -231,12 +231,12 @@ def _together(begun: Search, first: Tried, second: Screened, start: Residual) ->
     return fit_briefly(begun, parts, values, straightened(start), first.linearization)
 
 
-def _parts(begun: Search, pair: Hypothesis, known: Mapping[frozenset[str], Tried]) -> list[Tried]:
+def _parts(begun: Search, pair: Hypothesis, known: Mapping[tuple[str, ...], Tried]) -> list[Tried]:
     """Each part of a pair alone, fitted by itself unless it is known."""
     least = min((one.cost for one in known.values()), default=np.inf)
     parts = zip(pair.parts, pair.split(), strict=True)
     return [
-        known.get(frozenset({part.name})) or fit_effects(begun, (part,), values, begun.at, least)
+        known.get((part.name,)) or fit_effects(begun, (part,), values, begun.at, least)
         for part, values in parts
         if not part.kind.stochastic
     ]
@@ -251,7 +251,7 @@ def _refined_all(begun: Search, rivals: Iterable[Tried], least: float = np.inf) 
     return sorted(found, key=_cost)
 
 
-def _joins(candidate: Candidate, rig: Rig) -> bool:
+def joins(candidate: Candidate, rig: Rig) -> bool:
     try:
         candidate.applied(rig, candidate.default)
     except RigError:

@@ -72,7 +72,7 @@ class Linearised:
             gradient[count:] = linear @ self.at.quiet.ravel()
         for j, rows in enumerate(self.rows):
             mine = np.array([c[1 + j] for c in own]).reshape(len(own), len(rows)).T
-            more, slope = _without_drift(self.at, j, np.concatenate([rows, mine], axis=1))
+            more, slope = without_drift(self.at, j, np.concatenate([rows, mine], axis=1))
             matrix[:, count:] += more[:, count:]
             gradient[count:] += slope[count:]
         matrix[count:, :count] = matrix[:count, count:].T
@@ -104,7 +104,7 @@ def linearised(record: Record, reference: Reference, rig: Rig) -> Linearised:
         own = nuisances + sum(c.pulls.size for c in at.contacts[:j])
         times = contact.seen.weights.size
         rows[:times, own : own + contact.pulls.size] = contact.columns[:times, contact.seen.tolerances].toarray()
-        more, slope = _without_drift(at, j, rows)
+        more, slope = without_drift(at, j, rows)
         matrix, gradient = matrix + more, gradient + slope
         found.append(rows)
     cost = misfit(record, reference, at).minus_two_log
@@ -124,7 +124,7 @@ def _quadratic(
     return Information(tolerances, matrix, vector, cost - float(pulls @ pulls - here @ (vector + gradient)))
 
 
-def _without_drift(
+def without_drift(
     at: Residual, contact: int, rows: Float[np.ndarray, "_ all"]
 ) -> tuple[Float[np.ndarray, "all all"], Float[np.ndarray, " all"]]:
     """Normal equations of a contact's residual by `rows` with its slow motion eliminated."""

@@ -1,0 +1,257 @@
+"""The search for any number of effects: joint sparse selection in the local model, refined by fits of the set.
+
+Notes for maintainers
+1. Select (`selected`): from the local model about the fitted rig, candidates enter one at a time, the six that promise
+   most solved with all others free; one enters if S falls by `WORTH`, one leaves if S then rises by less. A candidate
+   may stand at two places of a body (two cables are two masses).
+2. Refine (`refined_set`): the whole set is fitted by Gauss-Newton, the local model is made anew about it, and more is
+   selected beside it, until nothing enters or a fit does not lower S by `GAINED`.
+3. Begin elsewhere (`_begun_by_single`): where a set leaves more than half of the mismatch, an effect is so large, or a
+   line so sharp, that slopes say nothing of it. Then single effects are screened over their whole range.
+4. Leave out (`without_each`): linear removal of strong effects misleads, so the set is fitted again without each of its
+   members. A member without which S rises by less than `WORTH` leaves the set.
+5. Exchange (`look_alikes`): a member that another candidate replaces at little cost is fitted exchanged too, so that
+   both are compared on the record that was not fitted.
+"""
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from identify.gaps.residual.residual import Linearization, Residual
+from identify.gaps.search.candidates import Candidate
+from identify.gaps.search.hypothesis import (
+    FAR,
+    WORTH,
+    Hypothesis,
+    Search,
+    Tried,
+    fit_briefly,
+    fit_spectrum,
+    refined,
+    straightened,
+)
+from identify.gaps.search.joint import beside, joins, single_effects
+from identify.gaps.search.local_model import LocalModel, Solution, Term, local_model
+from identify.gaps.search.nominal import fitted
+from identify.signals.refit import refit_until_settled
+from rig.errors import RigError
+from rig.model.description import Rig
+
+SOLVED = 6
+"""Candidates solved for each entry: those that promise most, at two places of an effect at most."""
+PLACES = 2
+LARGEST_SET = 8
+SAME_PLACE = 2
+"""Effects of one kind on one body at most."""
+ROUNDS = 4
+GAINED = 3.0
+"""A refined set must lower S by so much, or the last one stands: odds of e^(3/12) on this record."""
+DOMINANT = 0.5
+"""A set that leaves more than this share of the mismatch is tried against one that begins with a single effect."""
+
+Progress = Callable[[float], None]
+Values = Float[np.ndarray, " parameters"]
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Candidates chosen in a local model with the values of their parameters; of each the candidates that could stand
+    in its place."""
+
+    parts: tuple[Candidate, ...]
+    values: tuple[Values, ...]
+    exchanges: dict[str, tuple[Candidate, Values]]
+
+
+@dataclass(frozen=True)
+class FittedSet:
+    """A set of effects fitted together; exchanges are look-alikes of its members, by the members' names."""
+
+    tried: Tried
+    exchanges: dict[str, tuple[Candidate, Values]]
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        return self.tried.hypothesis
+
+
+def search(begun: Search, progress: Progress = lambda _: None) -> list[Hypothesis]:
+    """The nominal rig, the best set of effects, that set without each of its members, and its look-alikes.
+
+    The one of least -2 ln p on this record first.
+    """
+    nothing = FittedSet(begun.nothing(), {})
+    best = _refined_from(begun, nothing)
+    progress(0.4)
+    best = _begun_by_single(begun, nothing, best)
+    progress(0.6)
+    best, without = without_each(begun, _with_base_motion(begun, best))
+    progress(0.8)
+    found = (nothing.hypothesis, best.hypothesis, *without, *look_alikes(begun, best))
+    progress(1.0)
+    return sorted({h.key: h for h in reversed(found)}.values(), key=lambda hypothesis: hypothesis.cost)
+
+
+def _refined_from(begun: Search, start: FittedSet) -> FittedSet:
+    """The set that rounds of selection and refinement end at."""
+    return refit_until_settled(
+        start, lambda best: refined_set(begun, best), lambda before, after: before is after, rounds=ROUNDS
+    )
+
+
+def _begun_by_single(begun: Search, nothing: FittedSet, best: FittedSet) -> FittedSet:
+    """The better of a set and one that begins with the best single effect, where the set leaves most of the misfit."""
+    before, after = nothing.hypothesis.misfit, best.hypothesis.misfit
+    if after.sharp <= WORTH and (after.excess < FAR or after.excess < DOMINANT * before.excess):
+        return best
+    singles = single_effects(begun, nothing.tried)
+    least = min(singles, key=lambda tried: tried.cost, default=best.tried)
+    return _refined_from(begun, FittedSet(least, {})) if least.cost < best.tried.cost else best
+
+
+def refined_set(begun: Search, best: FittedSet) -> FittedSet:
+    """The set with what the local model selects beside it, fitted together; itself where nothing more is worth it."""
+    tried, rig = best.tried, best.hypothesis.applied_to(begun.linearization.rig)
+    if not best.hypothesis.leaves_something:
+        return best
+    linearization, at = _about(tried, rig)
+    steady = [c for c in begun.known if not (c.kind.stochastic or c.kind.grid_screened) and joins(c, rig)]
+    selection = selected(local_model(linearization, at, begun.reference, best.hypothesis, steady), best.hypothesis)
+    if not selection.parts:
+        return best
+    parts = (*best.hypothesis.parts, *selection.parts)
+    values = np.concatenate([best.hypothesis.values, *selection.values])
+    try:
+        better = refined(begun, fit_briefly(begun, parts, values, straightened(at), linearization))
+    except RigError:  # no rig has them all
+        return best
+    if tried.cost - better.cost <= GAINED:
+        return best
+    return FittedSet(better, best.exchanges | selection.exchanges)
+
+
+def _about(tried: Tried, rig: Rig) -> tuple[Linearization, Residual]:
+    """A fitted set linearised about its own rig, tolerances fitted there."""
+    linearization = tried.linearization.about(rig, tried.residual, tried.linearization.scales)
+    return linearization, fitted(linearization, tried.residual).residual
+
+
+def selected(model: LocalModel, present: Hypothesis) -> Selection:
+    """The candidates that together lower S most, each by `WORTH` or more beside the others."""
+    chosen: list[Term] = []
+    solution = model.solved(chosen)
+    while len(present.parts) + len(chosen) < LARGEST_SET:
+        promising = _promising(model, chosen, present, solution)
+        tried = [(model.solved([*chosen, term], solution.theta), term) for term in promising]
+        if not tried:
+            break
+        better, term = min(tried, key=lambda pair: pair[0].statistic)
+        if solution.statistic - better.statistic < WORTH:
+            break
+        dominates = solution.statistic - better.statistic > FAR
+        chosen, solution = _pruned(model, [*chosen, term], better)
+        if dominates:  # so large a change bends the model: it is fitted before others are selected
+            break
+    exchanges = {}
+    for term in chosen:
+        if (other := _exchange(model, [t for t in chosen if t is not term], term, present, solution)) is not None:
+            exchanges[term.candidate.name] = other
+    return Selection(
+        tuple(term.candidate for term in chosen), tuple(term.values(solution.theta) for term in chosen), exchanges
+    )
+
+
+def _exchange(
+    model: LocalModel, rest: list[Term], member: Term, present: Hypothesis, solution: Solution
+) -> tuple[Candidate, Values] | None:
+    """What stands best in a member's place, if S then rises by less than `WORTH`."""
+    without = model.solved(rest, solution.theta)
+    others = [t for t in _promising(model, rest, present, without) if t.candidate.name != member.candidate.name]
+    tried = [(model.solved([*rest, term], without.theta), term) for term in others]
+    if not tried:
+        return None
+    best, term = min(tried, key=lambda pair: pair[0].statistic)
+    close = best.statistic - solution.statistic < WORTH
+    return (term.candidate, term.values(best.theta)) if close else None
+
+
+def _promising(model: LocalModel, chosen: Sequence[Term], present: Hypothesis, solution: Solution) -> list[Term]:
+    """The terms that promise most, at most `PLACES` of any candidate and none too often in the set."""
+    taken = [*present.parts, *(term.candidate for term in chosen)]
+    promised = model.promised(chosen, solution)
+    found: list[Term] = []
+    for k in np.argsort(-promised):
+        term = model.terms[k]
+        same = [c for c in taken if c.name == term.candidate.name]
+        most = SAME_PLACE if len(term.candidate.parameters) > len(term.strengths) else 1
+        if len(found) == SOLVED or promised[k] <= 0:
+            break
+        if len(same) < most and sum(f.candidate is term.candidate for f in found) < PLACES:
+            found.append(term)
+    return found
+
+
+def _pruned(model: LocalModel, chosen: list[Term], solution: Solution) -> tuple[list[Term], Solution]:
+    """Without the members that the others have made superfluous."""
+    for term in chosen[:-1]:
+        rest = [other for other in chosen if other is not term]
+        without = model.solved(rest, solution.theta)
+        if without.statistic - solution.statistic < WORTH:
+            chosen, solution = rest, without
+    return chosen, solution
+
+
+def without_each(begun: Search, best: FittedSet) -> tuple[FittedSet, list[Hypothesis]]:
+    """The set, less members that are not worth it, and it fitted again without each of those that stay."""
+    parts = best.hypothesis.parts
+    if len(parts) < 2 or any(part.kind.stochastic for part in parts):  # without its only member it is the nominal rig
+        return best, []
+    without = [_without(begun, best.tried, k) for k in range(len(parts))]
+    least = min(without, key=lambda tried: tried.cost)
+    if least.cost - best.tried.cost < WORTH:
+        return without_each(begun, FittedSet(least, best.exchanges))
+    return best, [tried.hypothesis for tried in without]
+
+
+def _without(begun: Search, best: Tried, k: int) -> Tried:
+    """The set fitted again without its k-th member."""
+    parts, values = best.hypothesis.parts, best.hypothesis.split()
+    rest = parts[:k] + parts[k + 1 :]
+    start = straightened(best.residual)
+    brief = fit_briefly(begun, rest, np.concatenate(values[:k] + values[k + 1 :]), start, best.linearization)
+    return refined(begun, brief, best.cost)
+
+
+def look_alikes(begun: Search, best: FittedSet) -> list[Hypothesis]:
+    """The set with a member exchanged for what the local model holds nearly as good, fitted."""
+    parts, values = best.hypothesis.parts, best.hypothesis.split()
+    if any(part.kind.stochastic for part in parts):
+        return []
+    found = []
+    for k, part in enumerate(parts):
+        if (other := best.exchanges.get(part.name)) is None or other[0] in parts:
+            continue
+        exchanged = (*parts[:k], other[0], *parts[k + 1 :])
+        start = np.concatenate([*values[:k], other[1], *values[k + 1 :]])
+        with suppress(RigError):
+            tried = fit_briefly(begun, exchanged, start, straightened(best.tried.residual), best.tried.linearization)
+            if tried.cost < best.tried.cost + FAR:
+                found.append(refined(begun, tried, best.tried.cost).hypothesis)
+    return found
+
+
+def _with_base_motion(begun: Search, best: FittedSet) -> FittedSet:
+    """A base motion beside the settled set, where its own likelihood is strong."""
+    stochastic = [c for c in begun.known if c.kind.stochastic]
+    if not stochastic or not best.hypothesis.leaves_something:
+        return best
+    inner = Search(begun.reference, *_about(best.tried, best.hypothesis.applied_to(begun.linearization.rig)), ())
+    for candidate in stochastic:
+        shaken = fit_spectrum(inner, inner.nothing(), candidate)
+        if shaken and best.tried.cost - shaken.cost > WORTH:
+            return FittedSet(Tried(beside(best.tried, shaken), shaken.linearization, shaken.residual), best.exchanges)
+    return best

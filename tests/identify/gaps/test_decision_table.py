@@ -1,0 +1,89 @@
+"""The deciding function against the table as the design states it, written out a second time here."""
+
+import math
+
+import numpy as np
+import pytest
+
+from identify.gaps.decision.decision_table import Bounded, Evidence, Strength, Verdict
+
+CASES = 2000
+
+
+def drawn(rng):
+    """Evidence at random, with values at and around every threshold, and what is no number."""
+
+    def p():
+        return float(rng.choice([0.0, 1e-9, 0.0099, 0.01, 0.0101, 0.0499, 0.05, 0.3, 1.0, rng.uniform()]))
+
+    def quantity(name):
+        value, threshold = rng.uniform(0, 2), float(rng.choice([0.5, 1.0]))
+        upper = float(rng.choice([value + rng.exponential(0.3), threshold, 0.1, math.nan, math.inf]))
+        return Bounded(name, "%", value, upper, threshold, hidden=bool(rng.uniform() < 0.2))
+
+    def strength(name):
+        centre, half = rng.normal(), rng.exponential()
+        return Strength(name, float(rng.choice([0.1, 0.949, 0.95, 0.999])), (centre - half, centre + half), 0.0)
+
+    return Evidence(
+        p_value=p(),
+        quantities=tuple(quantity(f"q{k}") for k in range(rng.integers(0, 4))),
+        strengths=tuple(strength(f"e{k}") for k in range(rng.integers(0, 4))),
+        p_value_after=p(),
+        quantities_after=tuple(quantity(f"q{k}") for k in range(rng.integers(0, 4))),
+        removed=float(rng.choice([-0.2, 0.0, 0.499, 0.5, 0.9, 1.0])),
+        vetoed=bool(rng.uniform() < 0.2),
+    )
+
+
+def bounded(quantities):
+    return len(quantities) > 0 and not any(q.hidden or not q.upper < q.threshold for q in quantities)
+
+
+def tabled(e):
+    """The table of the design, row by row."""
+    named = [s for s in e.strengths if s.inclusion_probability >= 0.95 and math.prod(s.interval_95) > 0]
+    rows = {
+        (False, True): "consistent",
+        (False, False): "cannot_tell",
+        (True, True): "small",
+        (True, False): "unexplained",
+    }
+    verdict = rows[e.p_value < 0.01, bounded(e.quantities)]
+    if verdict == "unexplained" and named:
+        enough = bounded(e.quantities_after) or e.p_value_after >= 0.05
+        verdict = "explained" if enough and not e.vetoed else "partly_explained" if e.removed >= 0.5 else verdict
+    return verdict
+
+
+def test_decides_as_the_table_says():
+    rng = np.random.default_rng(35)
+    met = set()
+    for _ in range(CASES):
+        evidence = drawn(rng)
+        assert evidence.verdict == tabled(evidence), evidence
+        met.add(evidence.verdict)
+    assert met == set(Verdict)
+
+
+def test_contradicts_no_number_beside_it():
+    rng = np.random.default_rng(36)
+    for _ in range(CASES):
+        e = drawn(rng)
+        if e.verdict == "explained":
+            assert e.p_value_after >= 0.05 or all(q.upper < q.threshold for q in e.quantities_after)
+            assert not e.vetoed
+        if e.verdict in ("consistent", "small"):
+            assert e.quantities
+            assert not any(q.hidden or q.upper >= q.threshold for q in e.quantities)
+        if e.verdict in ("explained", "partly_explained"):
+            assert all(not low <= 0.0 <= high for low, high in (s.interval_95 for s in e.strengths if s.is_named))
+            assert e.named
+        if e.verdict in ("consistent", "cannot_tell"):
+            assert e.p_value >= 0.01
+
+
+@pytest.mark.parametrize("upper", [math.nan, math.inf])
+def test_what_is_no_number_bounds_nothing(upper):
+    quantity = Bounded("motion", "%", 0.1, upper, 0.5)
+    assert Evidence(0.5, (quantity,), (), 0.5, (), 0.0).verdict == "cannot_tell"

@@ -1,0 +1,102 @@
+"""The joint sparse search: the local model is the statistic itself, and what is true is selected and nothing beside."""
+
+import numpy as np
+import pytest
+
+from identify.gaps.decision.prepare import observed
+from identify.gaps.residual.likelihood import misfit
+from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.hypothesis import Search
+from identify.gaps.search.local_model import local_model
+from identify.gaps.search.nominal import fit_nuisance
+from identify.gaps.search.sparse import search, selected
+from rig.effects.added_mass import AddedMass
+from rig.effects.contact_damping import ContactDamping
+from rig.model.tolerances import LABORATORY
+from rig.recording import read
+from rig.simulation.plants import modal
+from rig.simulation.record import record
+from rig.simulation.reference import BarrelCradle
+
+SETTINGS = BarrelCradle(sensors="acceleration", noise_density=1e-3, duration_s=16.0, seed=78)
+MASS = AddedMass(mass_kg=0.05, relative_position=0.7)
+DAMPING = ContactDamping(damping_n_s_per_m=20.0, contact="contact_1")
+
+
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory):
+    """A function that records the machine with some effects, and fits the nominal rig to it."""
+
+    def made(*effects):
+        path = tmp_path_factory.mktemp("sparse") / "r.mcap"
+        actual = SETTINGS.rig()
+        for effect in effects:
+            actual = effect.applied_to(actual)
+        record(
+            SETTINGS.rig(),
+            SETTINGS.force(),
+            plant=modal.simulate,
+            duration_s=SETTINGS.duration_s,
+            step_s=SETTINGS.step_s,
+            path=path,
+            actual=actual,
+            progress=lambda _: None,
+        )
+        recording = read(path)
+        observation = observed(recording, LABORATORY)
+        linearization, residual = fit_nuisance(observation.record, recording.rig)
+        names = [s.name for s in recording.rig.sensors]
+        known = candidates(scale_of(observation.record, recording.rig), names, False)
+        return Search(observation.reference, linearization, residual, tuple(known))
+
+    return made
+
+
+@pytest.fixture(scope="module")
+def pair(begun):
+    return begun(MASS, DAMPING)
+
+
+@pytest.fixture(scope="module")
+def model(pair):
+    steady = [c for c in pair.known if not c.kind.stochastic]
+    nothing = pair.nothing().hypothesis
+    return local_model(pair.linearization, pair.at, pair.reference, nothing, steady)
+
+
+def test_is_the_statistic_where_it_is_expanded(pair, model):
+    """Level by level; lines that stand out of a residual count apart there."""
+    left = misfit(pair.linearization.record, pair.reference, pair.at)
+    cells, contacts = model.levels(np.zeros(len(model.spectra)))
+    near = np.isclose(cells.reshape(left.levels.shape), left.levels, rtol=1e-3)
+    assert near.mean() > 0.9
+    assert contacts == pytest.approx(left.contacts, rel=1e-2)
+
+
+def test_majorisation_never_raises_the_statistic(model):
+    solution = model.solved([])
+    assert solution.statistic <= model.statistic(np.zeros(len(model.spectra)))
+    for term in model.terms[::20]:
+        assert model.solved([term], solution.theta).statistic <= solution.statistic + 1e-6
+
+
+def test_an_effect_that_dominates_is_selected_alone(pair, model):
+    """It bends the model of the others."""
+    selection = selected(model, pair.nothing().hypothesis)
+    assert [part.name for part in selection.parts] == ["added_mass:barrel"]
+
+
+def test_finds_both_effects_with_their_numbers(pair):
+    best, *others = search(pair)
+    assert sorted(best.effects) == ["added_mass", "contact_damping"]
+    values = dict(zip(best.effects, best.split(), strict=True))
+    assert values["added_mass"] == pytest.approx([MASS.mass_kg, MASS.relative_position], rel=0.03)
+    assert values["contact_damping"] == pytest.approx([DAMPING.damping_n_s_per_m], rel=0.1)
+    assert () in {one.key for one in others}
+    assert {("added_mass:barrel",), ("contact_damping:contact_1",)} <= {one.key for one in others}
+    assert all(one.cost > best.cost for one in others)
+
+
+def test_names_nothing_where_nothing_is(begun):
+    (nothing,) = search(begun())
+    assert nothing.parts == ()
