@@ -17,12 +17,13 @@ from threadpoolctl import threadpool_limits
 import identify
 import rig
 from identify.contacts.results import ContactReport, Estimate
-from identify.gaps.results import Gap, Value
+from identify.gaps.results import Gap
 from rig import BarrelCradle, Recording, Sdof
 from rig.commands.command_line import run, working
 from rig.effects.added_mass import AddedMass
 from rig.effects.base import Effect
 from rig.files import write_json
+from rig.model.unmeasured_force import Value
 from scenarios.blind_comparison import decoded
 from scenarios.blind_diagnosis import gap_of
 from scenarios.frozen_table import Frozen, Number, Told, compared, shown

@@ -1,8 +1,7 @@
 """Whether what was found acts where the truth does, and is described as it is."""
 
-import re
-
-from identify.gaps.results import Cause, Unknown
+from identify.gaps.results import Cause
+from rig.model.unmeasured_force import UnmeasuredForce
 from scenarios.worlds.truth import EffectTruth, Expected
 
 FIELDS = ("contact", "body", "beam", "sensor", "side")
@@ -12,7 +11,6 @@ OVERLAP = 0.5
 """A band is right if what it shares with the true one is this much of what both cover."""
 SQUARE = (1.5, 2.5)
 """A power of the velocity in between is a drag by its square."""
-POWER, CUBIC = re.compile(r"\|v\|\^([\d.]+)"), re.compile(r"w \+ -[\d.e+-]+ N/m\^3 w\^3")
 
 
 def place_fields(effect: EffectTruth) -> tuple[str, ...]:
@@ -44,7 +42,7 @@ def place_right(effect: EffectTruth, cause: Cause) -> bool:
     return all(field_right(field) for field in place_fields(effect))
 
 
-def description_right(expected: Expected | None, unknown: Unknown | None) -> bool:
+def description_right(expected: Expected | None, unknown: UnmeasuredForce | None) -> bool:
     """Whether what is unknown is described as the effect outside the library is: where, and by what law or frequency.
 
     Of a sensor that is right no frequency is asked for: its resonance may lie beyond the band.
@@ -56,20 +54,21 @@ def description_right(expected: Expected | None, unknown: Unknown | None) -> boo
     return expected.contact is None and law_right(expected.law, unknown)
 
 
-def law_right(law: str, unknown: Unknown) -> bool:
+def law_right(law: str, unknown: UnmeasuredForce) -> bool:
     """Where no short formula holds (a rattling mass), none must be given."""
+    numbers = unknown.law_parameters
     if law == "drag":
-        power = POWER.search(unknown.law)
-        by_power = power is not None and SQUARE[0] <= float(power[1]) <= SQUARE[1]
+        by_power = unknown.law_name == "power of the velocity" and SQUARE[0] <= numbers["p"].value <= SQUARE[1]
         return unknown.against == "velocity squared" or by_power
     if law == "softening":
-        return "tanh" in unknown.law or CUBIC.search(unknown.law) is not None
+        softer = unknown.law_name == "cubic spring" and numbers["cubic"].value < 0
+        return unknown.law_name == "softening spring" or softer
     if law == "stop":
         return unknown.against == "clearance"
     return not unknown.law
 
 
-def _where_right(expected: Expected, unknown: Unknown) -> bool:
+def _where_right(expected: Expected, unknown: UnmeasuredForce) -> bool:
     if expected.where == "contact pair":
         return unknown.contact == expected.contact
     if unknown.kind != expected.where:

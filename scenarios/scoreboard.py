@@ -126,28 +126,6 @@ def compared_cases(rows: Sequence[tuple[Case, Found, Best]]) -> list[ScoredCase]
 
 def scored(compared: Sequence[ScoredCase]) -> Score:
     """The scoreboard of all cases."""
-    nulls, singles, pairs, outside = ([c for c in compared if c.truth.kind == kind] for kind in KINDS)
-    placed = [c for c in singles if c.right and place_fields(c.effects[0])]
-    rates = (
-        _rate("single effect right", (c.right for c in singles)),
-        _rate("single effect right, above its limit", (c.right for c in singles if c.above)),
-        _rate("single effect likeliest, by any verdict", (c.first_right for c in singles)),
-        _rate("single effect likeliest, above its limit", (c.first_right for c in singles if c.above)),
-        _rate("both of a pair", (c.right for c in pairs)),
-        _rate("both of a pair, both above their limit", (c.right for c in pairs if c.above)),
-        _rate("at least one of a pair", (bool({*c.named} & {*c.names}) for c in pairs)),
-        _rate("outside: unknown or partly explained", (_not_mistaken(c) for c in outside)),
-        _rate("outside: that, above its limit", (_not_mistaken(c) for c in outside if c.above)),
-        _rate("outside: description right", (description_right(c.truth.expected, c.gap.unknown) for c in outside)),
-        _rate(
-            "outside: description right, above its limit",
-            (description_right(c.truth.expected, c.gap.unknown) for c in outside if c.above),
-        ),
-        _rate("null: an effect named", (c.gap.verdict in NAMING for c in nulls)),
-        _rate("null: any verdict but no gap", (c.gap.verdict != "no_gap" for c in nulls)),
-        _rate("place right, of single effects right", (place_right(c.effects[0], c.gap.causes[0]) for c in placed)),
-        _rate("parameter in its 95 % interval", (abs(z) < COVERED for _, z in parameter_errors(compared))),
-    )
     closures = [c.gap.causes[0].explained / c.best.closes for c in compared if c.right and c.above]
     made = list(
         {c.found.key: c.found.null_reference_cpu_s for c in compared if c.found.null_reference_cpu_s > 0}.values()
@@ -155,7 +133,7 @@ def scored(compared: Sequence[ScoredCase]) -> Score:
     cpu_s = [c.found.cpu_s for c in compared]
     return Score(
         cases=len(compared),
-        rates=rates,
+        rates=rates(compared),
         share_of_true_closure=float(np.median(closures)) if closures else None,
         closures=len(closures),
         cpu_s_median=float(np.median(cpu_s)),
@@ -164,6 +142,57 @@ def scored(compared: Sequence[ScoredCase]) -> Score:
         null_reference_cpu_s_largest=max(made) if made else None,
         memory_mib_largest=max(c.found.memory_mib for c in compared),
         limits=detection_limits(compared),
+    )
+
+
+def rates(compared: Sequence[ScoredCase]) -> tuple[Rate, ...]:
+    """Of right answers, by what is true."""
+    of_kind = {kind: [c for c in compared if c.truth.kind == kind] for kind in KINDS}
+    placed = [c for c in of_kind["single"] if c.right and place_fields(c.effects[0])]
+    return (
+        *_single_rates(of_kind["single"]),
+        *_pair_rates(of_kind["pair"]),
+        *_outside_rates(of_kind["outside"]),
+        *_null_rates(of_kind["null"]),
+        _rate("place right, of single effects right", (place_right(c.effects[0], c.gap.causes[0]) for c in placed)),
+        _rate("parameter in its 95 % interval", (abs(z) < COVERED for _, z in parameter_errors(compared))),
+    )
+
+
+def _above(cases: Sequence[ScoredCase]) -> list[ScoredCase]:
+    return [c for c in cases if c.above]
+
+
+def _single_rates(singles: Sequence[ScoredCase]) -> tuple[Rate, ...]:
+    return (
+        _rate("single effect right", (c.right for c in singles)),
+        _rate("single effect right, above its limit", (c.right for c in _above(singles))),
+        _rate("single effect likeliest, by any verdict", (c.first_right for c in singles)),
+        _rate("single effect likeliest, above its limit", (c.first_right for c in _above(singles))),
+    )
+
+
+def _pair_rates(pairs: Sequence[ScoredCase]) -> tuple[Rate, ...]:
+    return (
+        _rate("both of a pair", (c.right for c in pairs)),
+        _rate("both of a pair, both above their limit", (c.right for c in _above(pairs))),
+        _rate("at least one of a pair", (bool({*c.named} & {*c.names}) for c in pairs)),
+    )
+
+
+def _outside_rates(outside: Sequence[ScoredCase]) -> tuple[Rate, ...]:
+    return (
+        _rate("outside: unknown or partly explained", (_not_mistaken(c) for c in outside)),
+        _rate("outside: that, above its limit", (_not_mistaken(c) for c in _above(outside))),
+        _rate("outside: description right", (_described_right(c) for c in outside)),
+        _rate("outside: description right, above its limit", (_described_right(c) for c in _above(outside))),
+    )
+
+
+def _null_rates(nulls: Sequence[ScoredCase]) -> tuple[Rate, ...]:
+    return (
+        _rate("null: an effect named", (c.gap.verdict in NAMING for c in nulls)),
+        _rate("null: any verdict but no gap", (c.gap.verdict != "no_gap" for c in nulls)),
     )
 
 
@@ -213,6 +242,10 @@ def wilson(count: int, of: int) -> tuple[float, float]:
 
 def _not_mistaken(c: ScoredCase) -> bool:
     return c.gap.verdict in ("unknown", "partly_explained")
+
+
+def _described_right(c: ScoredCase) -> bool:
+    return description_right(c.truth.expected, c.gap.unknown)
 
 
 def _rate(name: str, answers: Iterable[bool]) -> Rate:

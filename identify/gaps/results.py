@@ -6,25 +6,14 @@ from typing import Literal
 
 import msgspec
 
+from rig.model.unmeasured_force import UnmeasuredForce, Value
+
 USUAL = 0.05
 """A p-value from which tolerances and noise explain a gap."""
 AGAIN = "record the same again"
 """The experiment beside which others are judged."""
 
 Verdict = Literal["no_gap", "explained", "partly_explained", "unknown"]
-
-
-class Value(msgspec.Struct, frozen=True):
-    """A fitted parameter of an effect; at_limit says that it stands at an end of the range that was searched.
-
-    instead says, of a number that the record does not tell, what it tells in its place: such a number is not shown.
-    """
-
-    value: float
-    standard_error: float
-    unit: str
-    at_limit: bool = False
-    instead: str = ""
 
 
 class Left(msgspec.Struct, frozen=True, kw_only=True):
@@ -59,9 +48,10 @@ class Cause(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Share(msgspec.Struct, frozen=True):
-    """A part of the record, and its share of the gap."""
+    """The share of the gap that lies in an interval."""
 
-    what: str
+    begin: float
+    end: float
     share: float
 
 
@@ -90,7 +80,7 @@ class Attribution(msgspec.Struct, frozen=True, kw_only=True):
 
     channels: dict[str, float]
     modal_equations: dict[str, float]
-    positions_m: dict[str, dict[str, float]]
+    positions_m: dict[str, dict[float, float]]
     """By body: the station, metres from its left end, and its share."""
     band_hz: tuple[Share, ...]
     contact_state: dict[str, float]
@@ -124,56 +114,6 @@ class Curve(msgspec.Struct, frozen=True):
     corrected: tuple[float, ...]
     logarithmic: bool = False
     """Whether y is best drawn over decades."""
-
-
-class MeanForce(msgspec.Struct, frozen=True):
-    """The mean of a force, positive against the motion, over displacement (rows) and velocity (columns) at its place.
-
-    Edges of the cells; zero where the motion never was.
-    """
-
-    displacement_m: tuple[float, ...]
-    velocity_m_per_s: tuple[float, ...]
-    force_n: tuple[tuple[float, ...], ...]
-
-
-class Unknown(msgspec.Struct, frozen=True, kw_only=True):
-    """A force, or a fault of a sensor, that no effect of the library is: what is found of it.
-
-    Beside the believed rig where the cause is unknown, beside the likeliest cause where that explains the gap in part.
-
-    A pair of forces acts at `position_m` of `body` and, opposite, at `against_position_m` of `against_body`; growth is
-    by how much the stiffness of each body changes over the record, relative. by_time is the force's rms in equal parts
-    of the time, before_excitation its rms before the measured force begins over that after (0 without a quiet start).
-    spectrum is one-sided, N^2/Hz, of a sensor (m/s^2)^2/Hz.
-    """
-
-    sentence: str
-    kind: Literal["force", "pair", "sensor", "distributed", "contact"]
-    body: str | None
-    position_m: float | None
-    position_error_m: float | None
-    against_body: str | None = None
-    against_position_m: float | None = None
-    sensor: str | None
-    contact: str | None = None
-    growth: dict[str, Value] = {}
-    same_place: bool = True
-    """Whether the validation record alone shows it at the same place."""
-    frequency_hz: float | None
-    band_hz: tuple[float, float]
-    rms_n: float
-    amplitude_n: float | None = None
-    when: Literal["always", "in contact", "growing with time"]
-    before_excitation: float = 0.0
-    by_time: tuple[float, ...] = ()
-    against: str
-    law: str
-    explained: float
-    """The share of the linear residual's mean square that it explains on the validation record."""
-    over_motion: MeanForce | None = None
-    spectrum_hz: tuple[float, ...] = ()
-    spectrum: tuple[float, ...] = ()
 
 
 class Matters(msgspec.Struct, frozen=True):
@@ -247,7 +187,7 @@ class Gap(msgspec.Struct, frozen=True, kw_only=True):
     """Of the believed rig."""
     unknown_gain: float | None
     """By how much an unmeasured force lowers it; None where none was looked for."""
-    unknown: Unknown | None
+    unknown: UnmeasuredForce | None
     doubted: Cause | None = None
     """Beside "no gap": a cause that the fitted records show, of which the one that validates tells too little."""
     bands: tuple[Band, ...]

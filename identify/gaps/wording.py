@@ -2,9 +2,10 @@
 
 from collections.abc import Sequence
 
-from identify.gaps.results import Between, Cause, Compared, Gap, Left, Value
+from identify.gaps.results import Between, Cause, Compared, Gap, Left
 from identify.pages import wording
 from identify.pages.wording import number, percent
+from rig.model.unmeasured_force import Value
 
 VERDICTS = {
     "no_gap": "no gap",

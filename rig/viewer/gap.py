@@ -1,6 +1,6 @@
 """What `identify gap` found, as gap.json says it: where the named effects and the unmeasured force act, and when."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,43 +9,26 @@ import msgspec
 from rig.errors import RigError
 from rig.files import contents
 from rig.model.description import Rig, Station
+from rig.model.unmeasured_force import UnmeasuredForce, Value
 
 NAMED = {"explained", "partly_explained"}
 """Verdicts that name effects."""
 
 
-class _Number(msgspec.Struct, frozen=True):
-    value: float
-    unit: str
-    instead: str = ""
-
-
 class _Cause(msgspec.Struct, frozen=True):
     effects: tuple[str, ...]
-    parameters: dict[str, _Number]
+    parameters: dict[str, Value]
     places: dict[str, str]
 
 
-class _Unknown(msgspec.Struct, frozen=True):
-    sentence: str
-    when: str
-    rms_n: float
-    body: str | None = None
-    position_m: float | None = None
-    against_body: str | None = None
-    against_position_m: float | None = None
-    sensor: str | None = None
-    contact: str | None = None
-    by_time: tuple[float, ...] = ()
-
-
 class _Share(msgspec.Struct, frozen=True):
-    what: str
+    begin: float
+    end: float
     share: float
 
 
 class _Attribution(msgspec.Struct, frozen=True):
-    positions_m: dict[str, dict[str, float]]
+    positions_m: dict[str, dict[float, float]]
     contact_state: dict[str, float]
     time_s: tuple[_Share, ...]
 
@@ -55,7 +38,7 @@ class _Gap(msgspec.Struct, frozen=True):
     sentence: str
     causes: tuple[_Cause, ...]
     attribution: _Attribution
-    unknown: _Unknown | None = None
+    unknown: UnmeasuredForce | None = None
 
 
 @dataclass(frozen=True)
@@ -90,33 +73,36 @@ def read_gap(path: Path, rig: Rig, duration_s: float) -> ShownGap:
     Raises RigError if it cannot be read, is no gap.json, or names a place that the rig or a time that the record lacks.
     """
     file = path / "gap.json" if path.is_dir() else path
-    try:
-        report = msgspec.json.decode(contents(file), type=_Gap)
-        spans = tuple((*_span(part.what), part.share) for part in report.attribution.time_s)
-        shares = {
-            Station(body, float(x)): share
-            for body, places in report.attribution.positions_m.items()
-            for x, share in places.items()
-        }
-        if not all(0 <= share <= 1.001 for share in (*shares.values(), *(share for *_, share in spans))):
-            raise ValueError("a share is not within 0 to 1")
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
-        raise RigError(f"{file}: is no gap.json ({error}); make one by `identify gap`") from error
+    report = _decoded(file)
+    where = report.attribution
+    spans = tuple((part.begin, part.end, part.share) for part in where.time_s)
+    shares = {Station(body, x): share for body, places in where.positions_m.items() for x, share in places.items()}
     marks = (*_of_effects(report, rig), *_of_force(report, rig))
-    lengths_m = {b.name: b.length_m for b in rig.bodies}
-    for place in (*shares, *(m.place for m in marks)):
-        if not 0 <= place.position_m <= lengths_m.get(place.body, -1.0) + 1e-6:
-            raise RigError(
-                f"{file}: has {place.position_m:g} m on {place.body!r}, which the rig lacks; take its own file"
-            )
+    _check_places(file, rig, (*shares, *(m.place for m in marks)))
     if any(end > duration_s for _, end, _ in spans):
         raise RigError(f"{file}: is of a record longer than {duration_s:g} s; show the one that validates")
     return ShownGap(_text(report), marks, shares if report.verdict != "no_gap" else {}, spans)
 
 
-def _span(what: str) -> tuple[float, float]:
-    begin, _, end = what.partition(" to ")
-    return float(begin), float(end)
+def _decoded(file: Path) -> _Gap:
+    try:
+        report = msgspec.json.decode(contents(file), type=_Gap)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise RigError(f"{file}: is no gap.json ({error}); make one by `identify gap`") from error
+    where = report.attribution
+    by_station = (share for places in where.positions_m.values() for share in places.values())
+    if not all(0 <= share <= 1.001 for share in (*by_station, *(part.share for part in where.time_s))):
+        raise RigError(f"{file}: is no gap.json (a share is not within 0 to 1); make one by `identify gap`")
+    return report
+
+
+def _check_places(file: Path, rig: Rig, places: Iterable[Station]) -> None:
+    lengths_m = {b.name: b.length_m for b in rig.bodies}
+    for place in places:
+        if not 0 <= place.position_m <= lengths_m.get(place.body, -1.0) + 1e-6:
+            raise RigError(
+                f"{file}: has {place.position_m:g} m on {place.body!r}, which the rig lacks; take its own file"
+            )
 
 
 def _of_effects(report: _Gap, rig: Rig) -> Iterator[Mark]:
@@ -135,24 +121,21 @@ def _of_effects(report: _Gap, rig: Rig) -> Iterator[Mark]:
 
 
 def _of_force(report: _Gap, rig: Rig) -> Iterator[Mark]:
-    found = report.unknown
-    if found is None or report.verdict == "no_gap":
+    force = report.unknown
+    if force is None or report.verdict == "no_gap":
         return
-    words = f"unmeasured force, {found.rms_n:.3g} N rms, {found.when}"
-    largest = max(found.by_time, default=0.0)
-    strengths = tuple(one / largest for one in found.by_time) if largest > 0 else (1.0,)
-    named = found.contact or found.sensor
-    if named is not None:
-        place = _station(rig, named, 0.5)
-        what = "clearance that swings" if found.contact else "fault of the sensor"
-        if place is not None:
+    largest = max(force.by_time, default=0.0)
+    strengths = tuple(part / largest for part in force.by_time) if largest > 0 else (1.0,)
+    if named := force.contact or force.sensor:
+        what = "clearance that swings" if force.contact else "fault of the sensor"
+        if place := _station(rig, named, 0.5):
             yield Mark(place, f"{named}: {what}", strengths)
         return
-    both = ((found.body, found.position_m, words), (found.against_body, found.against_position_m, "its opposite"))
-    for body, x, what in both:
-        place = None if body is None else Station(body, x) if x is not None else _station(rig, body, 0.5)
-        if place is not None:
-            yield Mark(place, what, strengths, in_contact=found.when == "in contact")
+    words = f"unmeasured force, {force.rms_n:.3g} N rms, {force.when}"
+    ends = [(force.body, force.position_m, words), (force.against_body, force.against_position_m, "its opposite")]
+    for body, x, what in ends:
+        if body is not None and x is not None:
+            yield Mark(Station(body, x), what, strengths, in_contact=force.when == "in contact")
 
 
 def _station(rig: Rig, name: str, along: float) -> Station | None:

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from identify.gaps.results import Attribution, Cause, Gap, Left, Matters, Unknown, Value
+from identify.gaps.results import Attribution, Cause, Gap, Left, Matters
+from rig.model.unmeasured_force import UnmeasuredForce, Value
 from scenarios.blind_diagnosis import Found
 from scenarios.scoreboard import ScoredCase
 from scenarios.true_effect import Best, TrueEffect
@@ -84,7 +85,7 @@ def gap(verdict, *causes, nothing=0.1, unknown=0.0, force=None, nothing_minus_tw
 
 
 def force(kind, body=None, position_m=None, sensor=None, contact=None, law="", against="none", frequency_hz=None):
-    return Unknown(
+    return UnmeasuredForce(
         sentence="a force",
         kind=kind,
         body=body,

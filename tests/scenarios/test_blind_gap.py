@@ -149,7 +149,7 @@ def test_what_is_large_is_not_stored():
     one = gap("no_gap")
     full = msgspec.structs.replace(
         one,
-        attribution=msgspec.structs.replace(one.attribution, positions_m={"barrel": {"0.1": 1.0}}, channels={"a": 1.0}),
+        attribution=msgspec.structs.replace(one.attribution, positions_m={"barrel": {0.1: 1.0}}, channels={"a": 1.0}),
     )
     kept = without_curves(full).attribution
     assert (kept.positions_m, kept.channels) == ({}, {"a": 1.0})

@@ -27,8 +27,8 @@ from identify.gaps.search.hypothesis import Hypothesis, Search
 from identify.gaps.search.joint import search
 from identify.gaps.search.nominal import fit_nuisance
 from identify.gaps.search.pooled import fitted_together
-from identify.gaps.unknown import Sought, likeliest_force
-from identify.gaps.unknown.play import Breathing, breathing
+from identify.gaps.unmeasured_force import UnmeasuredForceFit, described, likeliest_force
+from identify.gaps.unmeasured_force.clearance_modulation import ClearanceModulation, clearance_modulation
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.tolerances import LABORATORY, Tolerances
@@ -129,7 +129,7 @@ def diagnose(
         probability_unknown=decision.unknown,
         nothing_minus_two_log=nothing.misfit.minus_two_log,
         unknown_gain=found.unknown_gain,
-        unknown=unmeasured(other.rig, unknown.described() if unknown else None, swinging, rest, matters),
+        unknown=unmeasured(other.rig, described(unknown) if unknown else None, swinging, rest, matters),
         doubted=None if doubt is None else causes[[j for j in ranked if j.hypothesis.parts].index(doubt)],
         bands=bands_of(without, after, null_reference),
         equivalent=equivalent(causes) if causes else (),
@@ -166,8 +166,8 @@ class _Decided:
     believed rig falls with it."""
 
     decision: Decision
-    unknown: Sought | None = None
-    swinging: Breathing | None = None
+    unknown: UnmeasuredForceFit | None = None
+    swinging: ClearanceModulation | None = None
     unknown_gain: float | None = None
 
 
@@ -197,17 +197,17 @@ def _decided(
     if best and closed(best.without, best.misfit, matters) >= HALF:
         rest = _unknown(fit_record, record, best.rig)
         beside = None
-        if rest and not acts_where_they_do(rest.there.candidate, record.rig, best.rig):
+        if rest and not acts_where_they_do(rest.on_fit.candidate, record.rig, best.rig):
             beside = cost_with(record, reference, best.rig, rest, best.misfit)
         decision = decided(ranked, cost, null_reference, matters, beside)
         if decision.verdict == "partly_explained":
             unknown, at = rest, fit_nuisance(record, best.rig, rounds=1)[1]
     if decision.verdict in ("no_gap", "explained"):
         return _Decided(decision, unknown_gain=gain)
-    return _Decided(decision, unknown, breathing(record, at), gain)
+    return _Decided(decision, unknown, clearance_modulation(record, at), gain)
 
 
-def _unknown(fit_record: Record, record: Record, rig: Rig) -> Sought | None:
+def _unknown(fit_record: Record, record: Record, rig: Rig) -> UnmeasuredForceFit | None:
     """What acts unmeasured beside a rig."""
     try:
         return likeliest_force(fit_record, rig, record)

@@ -28,11 +28,11 @@ def attribution(linearization: Linearization, at: Residual, left: Misfit) -> Att
     parts = {"linear": linear_share}
     for contact, squares in zip(linearization.model.rig.contacts, contacts, strict=True):
         parts[contact.name] = float(squares.sum() / max(total.sum(), 1e-300))
-    positions: dict[str, dict[str, float]] = {}
+    positions: dict[str, dict[float, float]] = {}
     for sensor in record.sensors:
         place = positions.setdefault(sensor.station.body, {})
-        at_station = f"{sensor.station.position_m:g}"
-        place[at_station] = place.get(at_station, 0.0) + channels[sensor.name]
+        position_m = sensor.station.position_m
+        place[position_m] = place.get(position_m, 0.0) + channels[sensor.name]
     return Attribution(
         channels=channels,
         parts=parts,
@@ -41,7 +41,7 @@ def attribution(linearization: Linearization, at: Residual, left: Misfit) -> Att
         band_hz=_bands(beyond.sum(axis=1)),
         contact_state=_states(linearization, total),
         time_s=tuple(
-            Share(f"{t[0]:.3g} to {t[-1]:.3g}", float(part.sum() / max(total.sum(), 1e-300)))
+            Share(float(t[0]), float(t[-1]), float(part.sum() / max(total.sum(), 1e-300)))
             for t, part in zip(np.array_split(record.time_s, PARTS), np.array_split(total, PARTS), strict=True)
         ),
         surface={
@@ -99,9 +99,7 @@ def _bands(by_band: Float[np.ndarray, " bands"]) -> tuple[Share, ...]:
     for low, high in pairwise(BANDS_HZ):
         inside = (middle >= low) & (middle < high)
         if np.any(inside):
-            found.append(
-                Share(f"{low:g} to {min(high, 2.0 * by_band.size):g} Hz", float(by_band[inside].sum() / whole))
-            )
+            found.append(Share(low, min(high, 2.0 * by_band.size), float(by_band[inside].sum() / whole)))
     return tuple(found)
 
 

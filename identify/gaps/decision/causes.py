@@ -8,9 +8,10 @@ from identify.gaps.decision.untold import untold
 from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.residual.scales import BAND_HZ
 from identify.gaps.residual.spectra import Record
-from identify.gaps.results import Band, Cause, Left, Matters, Value
+from identify.gaps.results import Band, Cause, Left, Matters
 from identify.linear.joined import joined
 from rig.model.description import Rig
+from rig.model.unmeasured_force import Value
 
 ALIKE = 0.05
 """Causes that are likelier than this beside the best one cannot be told apart from it."""

@@ -22,12 +22,14 @@ from identify.gaps.decision.comparison import TEMPERATURE, Judged, of_this_recor
 from identify.gaps.residual.fit import Values
 from identify.gaps.residual.likelihood import Reference
 from identify.gaps.residual.spectra import Record
-from identify.gaps.results import USUAL, Between, Compared, Trend, Value
+from identify.gaps.results import USUAL, Between, Compared, Trend
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.hypothesis import applied, parameters_of, steps_of
 from identify.gaps.search.pooled import Information, Linearised, Pooled, linearised, pooled
+from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
 from rig.model.description import Rig
+from rig.model.unmeasured_force import Value
 
 LOOKED_AT = 3
 """Effects that promise most are fitted to every record."""
@@ -156,11 +158,16 @@ class _Compared:
 
     def fitted(self, one: Varied) -> tuple[Varied, Pooled]:
         """Each record's own values, linearised about themselves."""
-        for _ in range(ROUNDS):
-            said = [one.said(k, self.linearised(one.standing, k)) for k in range(len(self.records))]
-            together = one.pooled(said)
-            one = one.moved(together)
-        return one, together
+
+        def refit(varied: Varied) -> tuple[Varied, Pooled]:
+            together = self.pooled(varied)
+            return varied.moved(together), together
+
+        return refit_until_settled(refit(one), lambda estimate: refit(estimate[0]), rounds=ROUNDS - 1)
+
+    def pooled(self, one: Varied) -> Pooled:
+        """What all records say of these values, each linearised about its own."""
+        return one.pooled([one.said(k, self.linearised(one.standing, k)) for k in range(len(self.records))])
 
     def most_different(self, standing: Standing, found: Sequence[str]) -> tuple[Test | None, int]:
         """The likeliest effect of those that differ beyond chance, and the number looked at."""
@@ -189,35 +196,58 @@ def differences(
     """
     compared = _Compared(records, seen, [c for c in known if not (c.kind.stochastic or c.kind.of_a_record)])
     begun = _standing(records, cause)
-    standing, (first, looked_at) = begun, compared.most_different(begun, ())
-    progress(0.3)
-    found: list[Test] = []
-    if first:
-        found = [first]
-        second, _ = compared.most_different(first.varied.standing, [first.part.name])
-        progress(0.6)
-        if second:  # what was found first may be another effect beside what was found second
-            alone = begun.with_effect(second.part, second.values)
-            other, _ = compared.most_different(alone, [second.part.name])
-            found = [second, other] if other and other.cost < second.cost else [first, second]
-        for one in found:
-            standing = standing.with_effect(one.part, one.values)
-    strong = [c for one in found for c in standing.strong(one.part.name)]
-    varied, together = compared.fitted(Varied(standing, strong)) if found else (Varied(standing, []), None)
-    differing = _rows(varied, together, looked_at) if together else []
-    rest = [p for p in begun.parts if p.name not in {one.part.name for one in found}]
-    own = Varied(varied.standing, [c for p in rest for c in standing.columns(p.name)])
-    of_cause = own.columns and own.pooled(
-        [own.said(k, compared.linearised(own.standing, k)) for k in range(len(records))]
-    )
+    tests, looked_at = _different(compared, begun, progress)
+    varied, differing = _values_apart(compared, begun, tests, looked_at)
+    shared = _values_shared(compared, varied.standing, [p.name for p in begun.parts], [t.part.name for t in tests])
     progress(1.0)
     return Between(
         records=tuple(names),
-        cause=tuple(_rows(own, of_cause, 0)) if of_cause else (),
-        cause_p_value=float(np.exp(_log_p(of_cause, own.own.shape))) if of_cause else None,
+        cause=tuple(_rows(shared[0], shared[1], 0)) if shared else (),
+        cause_p_value=float(np.exp(_log_p(shared[1], shared[0].own.shape))) if shared else None,
         differing=tuple(differing),
         looked_at=looked_at,
     )
+
+
+def _different(compared: _Compared, begun: Standing, progress: Callable[[float], None]) -> tuple[tuple[Test, ...], int]:
+    """At most two effects that differ between the records, and the number looked at.
+
+    What is found first may be another effect beside what is found second: then it is looked for again.
+    """
+    first, looked_at = compared.most_different(begun, ())
+    progress(0.3)
+    if first is None:
+        return (), looked_at
+    second, _ = compared.most_different(first.varied.standing, [first.part.name])
+    progress(0.6)
+    if second is None:
+        return (first,), looked_at
+    alone = begun.with_effect(second.part, second.values)
+    again, _ = compared.most_different(alone, [second.part.name])
+    return (second, again) if again and again.cost < second.cost else (first, second), looked_at
+
+
+def _values_apart(
+    compared: _Compared, begun: Standing, tests: Sequence[Test], looked_at: int
+) -> tuple[Varied, list[Compared]]:
+    """Each record's own strengths of the effects that differ, fitted together, and their rows of the answer."""
+    standing = begun
+    for test in tests:
+        standing = standing.with_effect(test.part, test.values)
+    varied = Varied(standing, [c for test in tests for c in standing.strong(test.part.name)])
+    if not tests:
+        return varied, []
+    varied, together = compared.fitted(varied)
+    return varied, _rows(varied, together, looked_at)
+
+
+def _values_shared(
+    compared: _Compared, standing: Standing, of_cause: Sequence[str], differing: Sequence[str]
+) -> tuple[Varied, Pooled] | None:
+    """Each record's own values of the cause's effects that do not differ; None if there are none."""
+    names = [name for name in of_cause if name not in differing]
+    varied = Varied(standing, [c for name in names for c in standing.columns(name)])
+    return (varied, compared.pooled(varied)) if varied.columns else None
 
 
 def _standing(records: Sequence[Record], cause: Judged | None) -> Standing:

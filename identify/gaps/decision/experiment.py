@@ -16,21 +16,11 @@ from scipy.signal import butter, sosfiltfilt
 
 from identify.gaps.decision.comparison import TEMPERATURE
 from identify.gaps.decision.null_reference import Simulate, phase_randomized
-from identify.gaps.residual.fit import fit
-from identify.gaps.residual.likelihood import misfit, reference_of
-from identify.gaps.residual.residual import linearized, scales_at
+from identify.gaps.residual.likelihood import reference_of
+from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import REACH, Record, record_of
 from identify.gaps.results import AGAIN, NextExperiment
-from identify.gaps.search.hypothesis import (
-    ROUNDS,
-    SETTLED,
-    Hypothesis,
-    Search,
-    applied,
-    parameters_of,
-    steps_of,
-    straightened,
-)
+from identify.gaps.search.hypothesis import ROUNDS, Hypothesis, Search, applied, fit_from
 from identify.gaps.search.nominal import fit_nuisance
 from rig.errors import RigError
 from rig.model.description import PointMass, Rig, Station
@@ -147,27 +137,10 @@ def refitted(begun: Search, one: Hypothesis, held: bool = False) -> Hypothesis:
     cannot have it.
     """
     record = begun.linearization.record
-    free = not held and not any(p.kind.stochastic for p in one.parts)
-    parts, start = (one.parts, one.values) if free else ((), np.zeros(0))
-    rig = record.rig if free else one.applied_to(record.rig)
-    steps, bounds = steps_of(parts), parameters_of(parts).bounds
-    build = partial(applied, rig, parts)
-    linearization = begun.linearization.about(build(start), None, begun.linearization.scales)
-    found = fit(linearization, build, start, steps, bounds, straightened(begun.at))
-    left = misfit(record, begun.reference, found.residual)
-    for _ in range(ROUNDS):
-        linearization = linearization.about(
-            build(found.values), found.residual, scales_at(linearization, found.residual)
-        )
-        further = fit(linearization, build, found.values, steps, bounds, found.residual)
-        now = misfit(record, begun.reference, further.residual)
-        gained = left.minus_two_log - now.minus_two_log
-        if gained > 0:
-            found, left = further, now
-        if gained < SETTLED:
-            break
-    values, covariance = (found.values, found.covariance) if free else (one.values, one.covariance)
-    return replace(one, values=values, covariance=covariance, misfit=left)
+    if held or any(p.kind.stochastic for p in one.parts):
+        rig = one.applied_to(record.rig)
+        return replace(one, misfit=fit_from(begun, lambda _: rig, (), np.zeros(0), ROUNDS).hypothesis.misfit)
+    return fit_from(begun, partial(applied, record.rig, one.parts), one.parts, one.values, ROUNDS).hypothesis
 
 
 def enlarged(one: Hypothesis) -> Hypothesis:

@@ -17,8 +17,8 @@ from identify.gaps.decision.comparison import (
 from identify.gaps.decision.null_reference import NullReference
 from identify.gaps.results import USUAL, Matters, Verdict
 from identify.gaps.search.attached import ATTACHED
-from identify.gaps.unknown.force import SAME_M
-from identify.gaps.unknown.location import ForcePlace
+from identify.gaps.unmeasured_force.force import SAME_M
+from identify.gaps.unmeasured_force.location import ForcePlace
 from rig.model.description import Rig
 
 HALF = 0.5

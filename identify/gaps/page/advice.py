@@ -2,9 +2,10 @@
 
 import math
 
-from identify.gaps.results import USUAL, Gap, Unknown
+from identify.gaps.results import USUAL, Gap
 from identify.gaps.wording import MOST, cause_name, closes_some, joined, leaves
 from identify.pages.wording import number, percent
+from rig.model.unmeasured_force import UnmeasuredForce
 
 WIDEST = 3
 """Ranges of frequency that are named."""
@@ -119,7 +120,7 @@ def _rest(gap: Gap) -> list[str]:
     return [f"Look for something that acts from {said}: there more is left than what matters and what noise leaves."]
 
 
-def _where_to_look(unknown: Unknown) -> list[str]:
+def _where_to_look(unknown: UnmeasuredForce) -> list[str]:
     """Where, and what to measure there."""
     if unknown.explained < MOST:
         hint = f"Take this as a hint, as it explains only {percent(unknown.explained)} of what is left: "
@@ -154,7 +155,7 @@ def _where_to_look(unknown: Unknown) -> list[str]:
     return steps
 
 
-def _what(unknown: Unknown) -> str:
+def _what(unknown: UnmeasuredForce) -> str:
     if unknown.kind == "sensor":
         return f"sensor {unknown.sensor}"
     if unknown.kind == "distributed":
@@ -162,7 +163,7 @@ def _what(unknown: Unknown) -> str:
     return place(unknown)
 
 
-def place(unknown: Unknown) -> str:
+def place(unknown: UnmeasuredForce) -> str:
     """Such as "the barrel near 0.89 m"."""
     at = f"the {unknown.body} near {unknown.position_m or 0.0:.2f} m"
     if unknown.against_body:

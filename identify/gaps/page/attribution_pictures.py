@@ -46,18 +46,18 @@ def _row(figure: Any, shares: Sequence[Share], title: str, along: str) -> None:
     axes = figure.subplots()
     axes.bar(np.arange(len(shares)), [100 * s.share for s in shares], width=0.85, color=BLUE)
     few = slice(None, None, -(-len(shares) // MOST_LABELS))
-    names = [short(s.what.removesuffix(" Hz").removesuffix(" s")) for s in shares]
+    names = [short(f"{s.begin:.3g} to {s.end:.3g}") for s in shares]
     axes.set_xticks(np.arange(len(shares))[few], names[few], rotation=40, ha="right", rotation_mode="anchor")
     axes.grid(axis="x", visible=False)
     axes.set(xlabel=along, ylabel="share of the gap, %", title=title)
 
 
-def _positions(figure: Any, bodies: Mapping[str, Mapping[str, float]]) -> None:
+def _positions(figure: Any, bodies: Mapping[str, Mapping[float, float]]) -> None:
     """Each body as a thick line from its left end, a bar at every station."""
     panels = figure.subplots(len(bodies), 1, squeeze=False, sharex=True, sharey=True)[:, 0]
-    longest = max([float(at) for stations in bodies.values() for at in stations], default=0.0) or 1.0
+    longest = max([at for stations in bodies.values() for at in stations], default=0.0) or 1.0
     for axes, (body, stations) in zip(panels, bodies.items(), strict=True):
-        places = np.array([float(at) for at in stations])
+        places = np.array(list(stations))
         sizes = 100 * np.array(list(stations.values()))
         axes.plot([0.0, max(places.max(initial=0.0), 0.02 * longest)], [0, 0], color=INK, lw=5, zorder=3)
         bars = axes.bar(places, sizes, width=0.04 * longest, color=BLUE)

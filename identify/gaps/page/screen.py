@@ -5,10 +5,11 @@ from rich.table import Table
 from rich.text import Text
 
 from identify.gaps.page.advice import next_steps
-from identify.gaps.results import Gap, Unknown
+from identify.gaps.results import Gap
 from identify.gaps.wording import WHEN, cause_name, closes, interval, leaves, others, probability, verdict
 from identify.pages.page import Colour
 from identify.pages.wording import number, percent
+from rig.model.unmeasured_force import UnmeasuredForce
 
 COLOURS: dict[str, Colour] = {"no_gap": "green", "explained": "green", "partly_explained": "yellow", "unknown": "red"}
 MOST = 5
@@ -34,7 +35,7 @@ def shown(gap: Gap) -> RenderableType:
     return Group(*lines, steps)
 
 
-def in_short(unknown: Unknown) -> str:
+def in_short(unknown: UnmeasuredForce) -> str:
     """Its size, its band, when it acts, and how much it explains."""
     low, high = unknown.band_hz
     unit = "m/s²" if unknown.kind == "sensor" else "N"

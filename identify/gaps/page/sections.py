@@ -5,23 +5,12 @@ from html import escape
 
 from identify.gaps import wording
 from identify.gaps.page.advice import next_steps, place, rest_hz
-from identify.gaps.results import (
-    USUAL,
-    Attribution,
-    Between,
-    Cause,
-    Compared,
-    Figure,
-    Gap,
-    Left,
-    Share,
-    Unknown,
-    Value,
-)
+from identify.gaps.results import USUAL, Attribution, Between, Cause, Compared, Figure, Gap, Left, Share
 from identify.gaps.wording import WHEN, cause_name, closes, closes_some, interval, joined, others, probability
 from identify.pages import page
 from identify.pages.wording import number, percent
 from rig.model.quantities import printed_unit
+from rig.model.unmeasured_force import UnmeasuredForce, Value
 
 MOST = 5
 """Causes that are shown at once; the others are folded away."""
@@ -113,7 +102,7 @@ def between_records(between: Between) -> str:
     return text
 
 
-def unknown_force(unknown: Unknown) -> str:
+def unknown_force(unknown: UnmeasuredForce) -> str:
     """What is found of it, as a sentence and a table."""
     said = unknown.sentence[:1].upper() + unknown.sentence[1:]
     rows: list[tuple[str, str]] = [("what", _KINDS[unknown.kind])]
@@ -154,7 +143,9 @@ def where(found: Attribution) -> str:
         "channel": found.channels,
         "linear or contact": found.parts,
         "modal equation": found.modal_equations,
-        "station": {f"{body}, {at} m": s for body, stations in found.positions_m.items() for at, s in stations.items()},
+        "station": {
+            f"{body}, {at:g} m": s for body, stations in found.positions_m.items() for at, s in stations.items()
+        },
         "band": _by_name(found.band_hz, "Hz"),
         "contact state": found.contact_state,
         "time": _by_name(found.time_s, "s"),
@@ -233,4 +224,4 @@ def _change(growth: Value) -> str:
 
 
 def _by_name(shares: Sequence[Share], unit: str) -> dict[str, float]:
-    return {f"{s.what.removesuffix(f' {unit}')} {unit}": s.share for s in shares}
+    return {f"{s.begin:.3g} to {s.end:.3g} {unit}": s.share for s in shares}

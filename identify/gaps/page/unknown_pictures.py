@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from identify.gaps.results import MeanForce, Unknown
-from identify.gaps.unknown.location import offset_m
+from identify.gaps.unmeasured_force.location import offset_m
 from identify.pages.style import BLUE, GREY, INK, RED
 from identify.pages.wording import COVERED
 from rig.model.description import Rig, Station
+from rig.model.unmeasured_force import MeanForce, UnmeasuredForce
 
 _HEIGHT_IN = 3.2
 _HALF = 0.09
@@ -23,7 +23,7 @@ _FOLLOWED = {"displacement": 0, "clearance": 0, "velocity": 1, "velocity squared
 """Whether a law grows with the displacement or the velocity."""
 
 
-def drawn(unknown: Unknown, rig: Rig) -> Iterator[tuple[str, float, Callable[[Any], None]]]:
+def drawn(unknown: UnmeasuredForce, rig: Rig) -> Iterator[tuple[str, float, Callable[[Any], None]]]:
     """Name, height in inches, and the function that draws."""
     yield "place", 1.5 + 0.8 * len(rig.bodies), partial(_place, unknown=unknown, rig=rig)
     if any(value > 0 for value in unknown.spectrum):
@@ -49,7 +49,7 @@ def left_ends_m(rig: Rig) -> dict[str, float]:
     return ends
 
 
-def _place(figure: Any, unknown: Unknown, rig: Rig) -> None:
+def _place(figure: Any, unknown: UnmeasuredForce, rig: Rig) -> None:
     """Bodies side by side, what touches and drives them, and the unknown in red, along the measured direction."""
     axes = figure.subplots()
     ends = left_ends_m(rig)
@@ -99,7 +99,7 @@ def _contacts(axes: Any, rig: Rig, at: Callable[[Station], tuple[float, float]],
         axes.plot([], [], color=INK, lw=1.2, ls=":", label="contacts")
 
 
-def _unknown(axes: Any, unknown: Unknown, rig: Rig, at: Callable[[Station], tuple[float, float]]) -> None:
+def _unknown(axes: Any, unknown: UnmeasuredForce, rig: Rig, at: Callable[[Station], tuple[float, float]]) -> None:
     if unknown.growth:
         axes.plot([], [], color=RED, lw=5, label="stiffness changes")
     for sensor in rig.sensors:
@@ -127,7 +127,7 @@ def _arrow(axes: Any, tail: tuple[float, float], head: tuple[float, float], colo
     axes.annotate("", head, tail, arrowprops={"arrowstyle": style, "color": colour, "lw": 2.4}, zorder=5)
 
 
-def _spectrum(figure: Any, unknown: Unknown) -> None:
+def _spectrum(figure: Any, unknown: UnmeasuredForce) -> None:
     axes = figure.subplots()
     unit = "(m/s²)²/Hz" if unknown.kind == "sensor" else "N²/Hz"
     density = np.array(unknown.spectrum)
@@ -173,7 +173,7 @@ def _motion(figure: Any, mean: MeanForce) -> None:
     figure.suptitle("Over displacement and velocity", fontsize=10)
 
 
-def _time(figure: Any, unknown: Unknown) -> None:
+def _time(figure: Any, unknown: UnmeasuredForce) -> None:
     """The rms of the force in equal parts of the time, beside what it is before the measured force begins."""
     axes = figure.subplots()
     edges = np.linspace(0, 100, len(unknown.by_time) + 1)

@@ -44,11 +44,6 @@ class ContactObservation:
         return float(self.sample_ratio**0.5)
 
 
-def is_closed(force_n: Float[np.ndarray, " times"], open_n: float) -> Bool[np.ndarray, " times"]:
-    """When a contact is closed, by its force and the standard deviation of that while it is open."""
-    return np.abs(force_n) > max(CLOSED * open_n, STRUCK * float(np.sqrt(np.mean(force_n**2))))
-
-
 def seen_contacts(
     record: Record, model: Linear, laws: Sequence[JoinedLaw], levels: Sequence[float]
 ) -> tuple[ContactObservation, ...]:
@@ -89,6 +84,13 @@ def seen_contacts(
             )
         )
     return tuple(found)
+
+
+def is_closed(
+    force_n: Float[np.ndarray, " times"], open_n: float | Float[np.ndarray, " times"]
+) -> Bool[np.ndarray, " times"]:
+    """Whether a contact is closed: its force exceeds the error of an open one, open_n, and a share of its rms."""
+    return np.abs(force_n) > np.maximum(CLOSED * open_n, STRUCK * np.sqrt(np.mean(force_n**2)))
 
 
 def _ringing(record: Record, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:

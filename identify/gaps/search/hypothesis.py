@@ -1,13 +1,13 @@
 """Effects in a rig as a hypothesis on a record: how they are fitted, and what they leave."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from jaxtyping import Float
 
-from identify.gaps.residual.fit import fit
+from identify.gaps.residual.fit import Values, fit
 from identify.gaps.residual.likelihood import Misfit, Reference, misfit
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.residual import Linearization, Residual, rescaled, scales_at
@@ -15,6 +15,7 @@ from identify.gaps.residual.scales import prior_scales
 from identify.gaps.search.base_excitation import fit_base_excitation
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.nominal import fitted, singly_bent
+from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.parameters import ParameterSet
@@ -28,6 +29,9 @@ FAR = 200.0
 """Hypotheses whose -2 ln p is larger by so much than the best one's are not fitted to the end, nor compared on another
 record, where the odds of a single one are e^(200 / (2 * 6)) = 2e7."""
 AT_LIMIT = 0.99
+
+Build = Callable[[Values], Rig]
+"""The rig of some values of the parameters."""
 
 
 @dataclass(frozen=True)
@@ -159,20 +163,37 @@ def refined(begun: Search, one: Tried, least: float = np.inf) -> Tried:
 
     What is known by its spectrum alone keeps its values. It ends where the cost stays `FAR` above the least of others.
     """
-    parts = one.hypothesis.parts
+    parts, rig = one.hypothesis.parts, begun.linearization.rig
     if any(p.kind.stochastic for p in parts):
         return one
-    build = partial(applied, begun.linearization.rig, parts)
-    for _ in range(ROUNDS + singly_bent(begun.linearization.rig)):
-        values = one.hypothesis.values
-        linearization = one.linearization.about(build(values), one.residual, scales_at(one.linearization, one.residual))
-        done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds, one.residual)
-        better = _tried(begun, parts, done.values, done.covariance, linearization, done.residual)
-        gained = one.cost - better.cost
-        one = better if gained > 0 else one
-        if gained < SETTLED or one.cost > least + FAR:
-            break
-    return one
+    return relinearised(begun, partial(applied, rig, parts), one, ROUNDS + singly_bent(rig), least)
+
+
+def fit_from(begun: Search, build: Build, parts: tuple[Candidate, ...], values: Values, rounds: int) -> Tried:
+    """Effects fitted to the end in rigs that `build` makes of values, from where a fit of another rig has come to."""
+    linearization = begun.linearization.about(build(values), None, begun.linearization.scales)
+    done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds, straightened(begun.at))
+    return relinearised(
+        begun, build, _tried(begun, parts, done.values, done.covariance, linearization, done.residual), rounds
+    )
+
+
+def relinearised(begun: Search, build: Build, first: Tried, rounds: int, least: float = np.inf) -> Tried:
+    """Refits, each linearised at the parameters and with the scales of the one before, while the cost falls."""
+    parts = first.hypothesis.parts
+
+    def refit(before: Tried) -> Tried:
+        scales = scales_at(before.linearization, before.residual)
+        values = before.hypothesis.values
+        linearization = before.linearization.about(build(values), before.residual, scales)
+        done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds, before.residual)
+        after = _tried(begun, parts, done.values, done.covariance, linearization, done.residual)
+        return after if after.cost < before.cost else before
+
+    def settled(before: Tried, after: Tried) -> bool:
+        return before.cost - after.cost < SETTLED or after.cost > least + FAR
+
+    return refit_until_settled(first, refit, settled, rounds=rounds)
 
 
 def steps_of(parts: tuple[Candidate, ...]) -> Float[np.ndarray, " parameters"]:

@@ -1,6 +1,6 @@
 """The search over the library, jointly: single effects, and pairs that do not depend on which of the two came first."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import chain
 
@@ -75,47 +75,87 @@ def _cost(one: Tried | Hypothesis) -> float:
     return one.cost
 
 
+class _Kept:
+    """The best few hypotheses of different effects, as each takes memory."""
+
+    def __init__(self) -> None:
+        self.by_name: dict[str, Tried] = {}
+
+    def take(self, tried: Tried) -> None:
+        name = tried.hypothesis.parts[0].name
+        if name not in self.by_name or tried.cost < self.by_name[name].cost:
+            self.by_name[name] = tried
+        for worse in sorted(self.by_name, key=lambda n: self.by_name[n].cost)[KEPT:]:
+            del self.by_name[worse]
+
+
 def _singles(begun: Search, nothing: Tried) -> list[Tried]:
+    """Single effects fitted to the end, the likeliest first."""
     linearization, at = begun.linearization, straightened(begun.at)
     fresh = residual_of(linearization, linearization.rig, at.nuisance)
     steady = [c for c in begun.known if not c.kind.stochastic]
     laws = of_laws(linearization.rig, steady)
-    screened = chain(
-        [(s, at) for s in _by_score(linearization, at, steady, nothing, BY_SCORE)],
-        [(s, fresh) for s in _worth(linearization, score_screening(linearization, fresh, laws), FRESH)],
-        [(s, None) for s in _worth(linearization, grid_screening(linearization, steady), BY_GRID)],
-    )
-    found: dict[str, Tried] = {}
-
-    def take(name: str, tried: Tried) -> None:
-        """The best few alone are kept, as each takes memory."""
-        if name not in found or tried.cost < found[name].cost:
-            found[name] = tried
-        for worse in sorted(found, key=lambda n: found[n].cost)[KEPT:]:
-            del found[worse]
-
-    for one, start in screened:
-        with suppress(RigError):
-            take(one.candidate.name, fit_briefly(begun, (one.candidate,), one.values, start))
-    for one in _worth(
-        linearization, law_screening(linearization, fresh, laws), BY_LAW
-    ):  # far from where the believed law's scales hold
-        with suppress(RigError):
-            take(one.candidate.name, fit_effects(begun, (one.candidate,), one.values, fresh))
-            if not linearization.record.forced:
-                take(one.candidate.name, fit_afresh(begun, (one.candidate,), one.values))
-    for candidate in begun.known:
-        if candidate.kind.stochastic and (shaken := fit_spectrum(begun, nothing, candidate)):
-            take(candidate.name, shaken)
-    refined = _refined_all(begun, _rivals(found.values(), nothing))
+    kept = _Kept()
+    for tried in chain(
+        _screened_fits(begun, nothing, at, fresh, steady, laws),
+        _law_fits(begun, fresh, laws),
+        _spectrum_fits(begun, nothing),
+    ):
+        kept.take(tried)
+    refined = _refined_all(begun, _rivals(kept.by_name.values(), nothing))
     if not min(refined, key=_cost, default=nothing).hypothesis.at_limit:
         return refined
-    found = {one.hypothesis.parts[0].name: one for one in refined}
+    kept.by_name = {one.hypothesis.parts[0].name: one for one in refined}
+    for tried in _typical_fits(begun, fresh, steady, laws):
+        kept.take(tried)
+    return sorted(kept.by_name.values(), key=_cost)
+
+
+def _screened_fits(
+    begun: Search,
+    nothing: Tried,
+    at: Residual,
+    fresh: Residual,
+    steady: Sequence[Candidate],
+    laws: Sequence[Candidate],
+) -> Iterator[Tried]:
+    """What the screenings promise most of, fitted for a few steps."""
+    linearization = begun.linearization
+    screened: Iterator[tuple[Screened, Residual | None]] = chain(
+        ((s, at) for s in _by_score(linearization, at, steady, nothing, BY_SCORE)),
+        ((s, fresh) for s in _worth(linearization, score_screening(linearization, fresh, laws), FRESH)),
+        ((s, None) for s in _worth(linearization, grid_screening(linearization, steady), BY_GRID)),
+    )
+    for one, start in screened:
+        with suppress(RigError):
+            yield fit_briefly(begun, (one.candidate,), one.values, start)
+
+
+def _law_fits(begun: Search, fresh: Residual, laws: Sequence[Candidate]) -> Iterator[Tried]:
+    """Contact laws that the contact residual promises, far from where the believed law's scales hold."""
+    linearization = begun.linearization
+    for one in _worth(linearization, law_screening(linearization, fresh, laws), BY_LAW):
+        with suppress(RigError):
+            yield fit_effects(begun, (one.candidate,), one.values, fresh)
+            if not linearization.record.forced:
+                yield fit_afresh(begun, (one.candidate,), one.values)
+
+
+def _spectrum_fits(begun: Search, nothing: Tried) -> Iterator[Tried]:
+    """Effects of which only the spectrum is known."""
+    for candidate in begun.known:
+        if candidate.kind.stochastic and (shaken := fit_spectrum(begun, nothing, candidate)):
+            yield shaken
+
+
+def _typical_fits(
+    begun: Search, fresh: Residual, steady: Sequence[Candidate], laws: Sequence[Candidate]
+) -> Iterator[Tried]:
+    """Ratios and linear effects from their typical size, whatever they promise; those of single sensors left out."""
     placed = [c for c in steady if "sensor" not in c.place]
     for candidate in (c for c in placed if c.neutral == 1 or (c not in laws and len(c.starts()) == 1)):
         with suppress(RigError):
-            take(candidate.name, fit_effects(begun, (candidate,), candidate.default, fresh))
-    return sorted(found.values(), key=_cost)
+            yield fit_effects(begun, (candidate,), candidate.default, fresh)
 
 
 def _worth(linearization: Linearization, screened: Sequence[Screened], most: int) -> list[Screened]:

@@ -1,11 +1,14 @@
 """A rig fitted to a record by its nuisance parameters alone, with the scale of what it does not explain."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from identify.gaps.residual.fit import Fit, fit
-from identify.gaps.residual.likelihood import misfit, reference_of
+from identify.gaps.residual.likelihood import Misfit, misfit, reference_of
 from identify.gaps.residual.residual import Linearization, Residual, linearized, rescaled
 from identify.gaps.residual.spectra import Record
+from identify.signals.refit import refit_until_settled
 from rig.model.description import Rig
 
 ROUNDS, MOST, SETTLED = 2, 6, 1.0
@@ -15,18 +18,30 @@ and -2 ln p falls by more than this: a slow motion in a wrong minimum takes some
 
 def fit_nuisance(record: Record, rig: Rig, rounds: int = ROUNDS) -> tuple[Linearization, Residual]:
     """The linearisation at the estimated scales, and the residual fitted in it."""
-    linearization = linearized(record, rig)
-    reference = reference_of(linearization)
-    at = fitted(linearization).residual
-    left = misfit(record, reference, at)
-    for k in range(MOST):
-        linearization = rescaled(linearization, at)
-        at = fitted(linearization, at).residual
-        before, left = left, misfit(record, reference, at)
-        falls = left.excess > SETTLED and before.minus_two_log - left.minus_two_log > SETTLED
-        if k + 1 >= max(rounds, singly_bent(rig)) and not falls:
-            break
-    return linearization, at
+    reference = reference_of(linearization := linearized(record, rig))
+
+    def fit_in(linearization: Linearization, start: Residual | None) -> _NuisanceFit:
+        residual = fitted(linearization, start).residual
+        return _NuisanceFit(linearization, residual, misfit(record, reference, residual))
+
+    def refit(estimate: _NuisanceFit) -> _NuisanceFit:
+        return fit_in(rescaled(estimate.linearization, estimate.residual), estimate.residual)
+
+    def settled(before: _NuisanceFit, after: _NuisanceFit) -> bool:
+        fall = before.misfit.minus_two_log - after.misfit.minus_two_log
+        return not (after.misfit.excess > SETTLED and fall > SETTLED)
+
+    estimate = refit_until_settled(
+        fit_in(linearization, None), refit, settled, rounds=MOST, at_least=max(rounds, singly_bent(rig))
+    )
+    return estimate.linearization, estimate.residual
+
+
+@dataclass(frozen=True)
+class _NuisanceFit:
+    linearization: Linearization
+    residual: Residual
+    misfit: Misfit
 
 
 def fitted(linearization: Linearization, start: Residual | None = None) -> Fit:

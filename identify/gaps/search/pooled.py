@@ -22,6 +22,7 @@ from identify.gaps.residual.residual import Linearization, Residual, linearized
 from identify.gaps.residual.spectra import Record
 from identify.gaps.search.hypothesis import Hypothesis, applied, parameters_of, steps_of
 from identify.gaps.search.nominal import fit_nuisance
+from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
 from rig.model.description import Rig
 
@@ -193,24 +194,38 @@ def fitted_together(records: Sequence[Record], seen: Sequence[Reference], one: H
     rig, steps, bounds = records[0].rig, steps_of(parts), parameters_of(parts).bounds
     build = partial(applied, rig, parts)
 
-    def around(values: Values) -> tuple[Pooled, float]:
-        """What the records say, linearised about values, and their -2 ln p there with tolerances of their own."""
+    def around(values: Values) -> _PooledFit:
         cost, said = 0.0, list[Information]()
         for record, reference in zip(records, seen, strict=True):
             looked = linearised(record, reference, build(values))
             cost += looked.cost
             said.append(looked.with_parameters(build, values, steps, bounds[1]))
-        return pooled(said, steps, bounds, values), cost
+        return _PooledFit(values, pooled(said, steps, bounds, values), cost)
 
-    values, (best, least) = one.values, around(one.values)
-    for _ in range(ROUNDS):
-        if np.all(np.abs(best.values - values) < SETTLED * np.sqrt(np.diag(best.covariance))):
-            break
+    def refit(before: _PooledFit) -> _PooledFit:
+        if before.settled:
+            return before
         try:
-            there, cost = around(best.values)
+            after = around(before.pooled.values)
         except RigError:  # no rig has these values together
-            break
-        if cost > least:
-            break
-        values, best, least = best.values, there, cost
-    return Hypothesis(parts, values, best.covariance, one.misfit)
+            return before
+        return before if after.cost > before.cost else after
+
+    best = refit_until_settled(around(one.values), refit, lambda before, after: after is before, rounds=ROUNDS)
+    return Hypothesis(parts, best.values, best.pooled.covariance, one.misfit)
+
+
+@dataclass(frozen=True)
+class _PooledFit:
+    """What records say together, linearised about values, and the sum of their -2 ln p there, each with tolerances of
+    its own."""
+
+    values: Values
+    pooled: Pooled
+    cost: float
+
+    @property
+    def settled(self) -> bool:
+        """Whether no value moves by more than `SETTLED` standard errors."""
+        errors = np.sqrt(np.diag(self.pooled.covariance))
+        return bool(np.all(np.abs(self.pooled.values - self.values) < SETTLED * errors))

@@ -1,5 +1,7 @@
 """Diagnoses made by hand: explained, by a pair, in part, an unknown force, a null, and one mass without contacts."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -17,17 +19,15 @@ from identify.gaps.results import (
     Gap,
     Left,
     Matters,
-    MeanForce,
     NextExperiment,
     ResidualMap,
     Share,
-    Unknown,
-    Value,
 )
+from rig.model.unmeasured_force import MeanForce, UnmeasuredForce, Value
 from rig.simulation.reference import BarrelCradle, Sdof
 
 SENSORS = tuple(f"{body}_{i}" for body in ("cradle", "barrel") for i in range(1, 7))
-STATIONS = {"cradle": ("0.2", "0.4", "0.45", "0.6", "0.8", "1"), "barrel": ("0", "0.2", "0.4", "0.55", "0.8", "1")}
+STATIONS = {"cradle": (0.2, 0.4, 0.45, 0.6, 0.8, 1.0), "barrel": (0.0, 0.2, 0.4, 0.55, 0.8, 1.0)}
 
 
 def even(names):
@@ -44,8 +44,8 @@ def surface(scale):
 
 
 def attribution():
-    bands = ("0 to 2 Hz", "2 to 5 Hz", "5 to 10 Hz", "10 to 20 Hz", "20 to 40 Hz", "40 to 60 Hz", "60 to 100 Hz")
-    times = tuple(f"{6.02 * i:.3g} to {6.02 * (i + 1):.3g}" for i in range(10))
+    bands_hz = tuple(pairwise((0.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 100.0)))
+    times_s = tuple((6.02 * i, 6.02 * (i + 1)) for i in range(10))
     states = ("open", "contact_1 closed", "contact_2 closed", "contact_1 and contact_2 closed")
     sensors = even(SENSORS)
     return Attribution(
@@ -54,9 +54,9 @@ def attribution():
         positions_m={
             body: {at: sensors[f"{body}_{i}"] for i, at in enumerate(places, 1)} for body, places in STATIONS.items()
         },
-        band_hz=tuple(Share(*item) for item in even(bands).items()),
+        band_hz=tuple(Share(*ends, share) for ends, share in even(bands_hz).items()),
         contact_state=even(states),
-        time_s=tuple(Share(*item) for item in even(times).items()),
+        time_s=tuple(Share(*ends, share) for ends, share in even(times_s).items()),
         surface={"contact_1": surface(3.0), "contact_2": surface(8.0)},
         parts=even(("linear", "contact_1", "contact_2")),
     )
@@ -154,7 +154,7 @@ def softening():
     visited = (middle_w[:, None] / 40e-3) ** 2 + (middle_v[None, :] / 1.2) ** 2 < 1
     force = np.where(visited, 11.0 * np.tanh(middle_w / 2.6e-3)[:, None], 0.0)
     hz = np.arange(1.0, 171.0, 2.0)
-    return Unknown(
+    return UnmeasuredForce(
         sentence="a softening spring on the barrel near 0.89 m, 4240 N/m w0 tanh(w / w0), w0 = 2.59 mm",
         kind="force",
         body="barrel",
@@ -168,7 +168,9 @@ def softening():
         before_excitation=0.04,
         by_time=(10.5, 11.3, 11.3, 11.2, 10.1, 9.5, 10.9, 10.5),
         against="displacement",
+        law_name="softening spring",
         law="4240 N/m w0 tanh(w / w0), w0 = 2.59 mm",
+        law_parameters={"coefficient": Value(4240.0, 30.0, "N/m"), "w0": Value(2.59e-3, 2e-5, "m")},
         explained=0.992,
         over_motion=MeanForce(*tuples(w, v), tuples(*force)),
         spectrum_hz=tuple(hz.tolist()),
@@ -178,7 +180,7 @@ def softening():
 
 def tone():
     hz = np.arange(1.0, 171.0, 2.0)
-    return Unknown(
+    return UnmeasuredForce(
         sentence="a force at 50.0 Hz, 1.4 N, on the cradle near 0.80 m",
         kind="force",
         body="cradle",
@@ -192,6 +194,7 @@ def tone():
         when="always",
         by_time=(1.0,) * 8,
         against="none",
+        law_name="tone",
         law="1.2 N cos(2 pi f t) + 0.72 N sin(2 pi f t), f = 50.02 Hz",
         explained=0.81,
         spectrum_hz=tuple(hz.tolist()),
@@ -238,10 +241,10 @@ def gap(verdict, criterion, causes, nothing, unknown, before=BEFORE, after=SMALL
 ONE_MASS = Attribution(
     channels={"mass_displacement": 1.0},
     modal_equations={"mass": 1.0},
-    positions_m={"mass": {"0": 1.0}},
-    band_hz=(Share("0 to 2 Hz", 0.4), Share("2 to 5 Hz", 0.6)),
+    positions_m={"mass": {0.0: 1.0}},
+    band_hz=(Share(0.0, 2.0, 0.4), Share(2.0, 5.0, 0.6)),
     contact_state={"open": 1.0},
-    time_s=(Share("0 to 10", 0.5), Share("10 to 20", 0.5)),
+    time_s=(Share(0.0, 10.0, 0.5), Share(10.0, 20.0, 0.5)),
     surface={"mass": surface(3.0)},
     parts={"linear": 1.0},
 )

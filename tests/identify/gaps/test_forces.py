@@ -10,7 +10,7 @@ import identify
 from identify.gaps.residual.linear import linear_model
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
-from identify.gaps.unknown.observed import bare_residual, force_noise
+from identify.gaps.unmeasured_force.observed import bare_residual, force_noise
 from rig.effects import effect_named
 from rig.model.description import Station
 from rig.recording import Recording, Signals, channel_groups

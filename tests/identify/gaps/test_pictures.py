@@ -13,7 +13,8 @@ from msgspec.structs import replace
 
 from identify.gaps.page.pictures import pictures
 from identify.gaps.page.unknown_pictures import left_ends_m
-from identify.gaps.results import Attribution, Value
+from identify.gaps.results import Attribution
+from rig.model.unmeasured_force import Value
 from rig.simulation.reference import BarrelCradle
 
 NAMED = re.compile(r"(, (%|m|mm|s|Hz|N|m/s)|per mm|/Hz|N|natural logarithm\))$")
@@ -185,7 +186,7 @@ def test_shares_stand_at_the_stations(made):
     gap, _, figures = made
     for axes, stations in zip(figures["where_positions"].axes, gap.attribution.positions_m.values(), strict=True):
         middles = [bar.get_x() + bar.get_width() / 2 for bar in axes.patches]
-        assert middles == pytest.approx([float(at) for at in stations])
+        assert middles == pytest.approx(list(stations))
         assert [bar.get_height() for bar in axes.patches] == pytest.approx([100 * s for s in stations.values()])
 
 

@@ -19,11 +19,12 @@ from identify.gaps.page.curves import curves
 from identify.gaps.page.pictures import pictures
 from identify.gaps.page.report import write_all, write_page
 from identify.gaps.page.screen import shown
-from identify.gaps.results import Band, Gap, Value
+from identify.gaps.results import Band, Gap
 from identify.gaps.wording import closes, interval, leaves, probability
 from identify.pages.wording import COVERED, number, percent
 from rig.errors import RigError
 from rig.model.description import from_json
+from rig.model.unmeasured_force import Value
 
 VOID = {"meta", "img", "br", "link", "hr"}
 PHONE_PX = 375

@@ -5,13 +5,13 @@ import pytest
 from msgspec.structs import replace
 
 from identify.gaps.decision.untold import untold
-from identify.gaps.results import Value
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.wording import interval
 from rig.effects import effects
 from rig.effects.base import Scale
 from rig.model.description import Rig, Sensor, Station
 from rig.model.structure import structure_of
+from rig.model.unmeasured_force import Value
 
 HZ, RATIO = np.array([5.0, 9.0]), 0.01
 SHAPES = np.array([[0.04, 0.01], [0.08, 0.01]])

@@ -3,7 +3,7 @@
 import pytest
 
 from identify.gaps.decision.verdict import acts_where_they_do
-from identify.gaps.unknown.location import ForcePlace
+from identify.gaps.unmeasured_force.location import ForcePlace
 from rig.effects import effect_named
 from rig.model.description import Station
 from rig.simulation.reference import BarrelCradle

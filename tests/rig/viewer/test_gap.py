@@ -47,12 +47,15 @@ def test_what_acts_is_marked_at_its_place(tmp_path, name):
         ('{"verdict": "unknown"}', "is no gap.json"),
         (GAPS["explained"], "has 0.2 m on 'cradle'"),
         (GAPS["one_mass"], "is of a record longer than 19 s"),
-        (replace(GAPS["one_mass"], attribution=replace(ONE_MASS, positions_m={"mass": {"0": -1.0}})), "is no gap.json"),
+        (replace(GAPS["one_mass"], attribution=replace(ONE_MASS, positions_m={"mass": {0.0: -1.0}})), "is no gap.json"),
         (
-            replace(GAPS["one_mass"], attribution=replace(ONE_MASS, positions_m={"mass": {"2": 1.0}})),
+            replace(GAPS["one_mass"], attribution=replace(ONE_MASS, positions_m={"mass": {2.0: 1.0}})),
             "has 2 m on 'mass'",
         ),
-        (replace(GAPS["one_mass"], attribution=replace(ONE_MASS, time_s=(Share("then", 1.0),))), "is no gap.json"),
+        (
+            replace(GAPS["one_mass"], attribution=replace(ONE_MASS, time_s=(Share(np.nan, 20.0, 1.0),))),
+            "is no gap.json",
+        ),
     ],
 )
 def test_a_file_that_is_no_gap_json_of_the_rig_is_named(tmp_path, text, said):

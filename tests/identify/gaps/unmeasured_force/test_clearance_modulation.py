@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.signal import lombscargle
 
-from identify.gaps.unknown.play import _periodogram
+from identify.gaps.unmeasured_force.clearance_modulation import _periodogram
 
 
 def test_periodogram_of_samples_with_gaps_is_lombs():

@@ -12,6 +12,8 @@ from scipy.fft import next_fast_len, rfft
 from identify.gaps.residual.law import ContactResidual
 from identify.gaps.residual.residual import Residual
 from identify.gaps.residual.spectra import Record
+from rig.model.description import Contact
+from rig.model.unmeasured_force import UnmeasuredForce
 
 LOWEST_HZ = 0.2
 STEEP = 0.5
@@ -22,7 +24,7 @@ FEW = 50
 
 
 @dataclass(frozen=True)
-class Breathing:
+class ClearanceModulation:
     """A clearance that swings: amplitude and frequency, and the share of the clearance's changes that this is."""
 
     contact: str
@@ -30,21 +32,34 @@ class Breathing:
     frequency_hz: float
     share: float
 
-    @property
-    def sentence(self) -> str:
-        return (
-            f"the clearance of {self.contact} swings by {1e3 * self.amplitude_m:.2g} mm at {self.frequency_hz:.1f} Hz"
+    def described(self, contact: Contact) -> UnmeasuredForce:
+        """In the words of gap.json."""
+        size = f"{1e3 * self.amplitude_m:.2g} mm at {self.frequency_hz:.1f} Hz"
+        return UnmeasuredForce(
+            sentence=f"the clearance of {self.contact} swings by {size}",
+            kind="contact",
+            body=contact.at.body,
+            position_m=contact.at.position_m,
+            position_error_m=0.0,
+            against_body=contact.against.body if contact.against else None,
+            against_position_m=contact.against.position_m if contact.against else None,
+            contact=self.contact,
+            frequency_hz=self.frequency_hz,
+            band_hz=(self.frequency_hz, self.frequency_hz),
+            rms_n=0.0,
+            law=f"{1e3 * self.amplitude_m:.3g} mm at {self.frequency_hz:.4g} Hz",
+            explained=self.share,
         )
 
 
-def breathing(record: Record, at: Residual) -> Breathing | None:
+def clearance_modulation(record: Record, at: Residual) -> ClearanceModulation | None:
     """The contact whose clearance swings most clearly; None if none does."""
     found = [_of(record, c.name, contact) for c, contact in zip(at.model.rig.contacts, at.contacts, strict=True)]
     clear = [b for b in found if b is not None and b.share > LEAST]
     return max(clear, key=lambda b: b.share, default=None)
 
 
-def _of(record: Record, name: str, contact: ContactResidual) -> Breathing | None:
+def _of(record: Record, name: str, contact: ContactResidual) -> ClearanceModulation | None:
     """By the periodogram of the samples at which the contact presses, refined about its peak."""
     weights = contact.seen.weights
     tangent, side, _ = contact.slopes.sum(axis=1)
@@ -59,7 +74,7 @@ def _of(record: Record, name: str, contact: ContactResidual) -> Breathing | None
     near = hz[int(np.argmax(shares))] + resolution_hz * np.linspace(-0.5, 0.5, 41)
     fits = [_harmonic(time_s, change_m, f) for f in near if f > 0]
     share, amplitude_m, frequency_hz = max(fits)
-    return Breathing(name, amplitude_m, frequency_hz, share)
+    return ClearanceModulation(name, amplitude_m, frequency_hz, share)
 
 
 def _periodogram(

@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 from msgspec.structs import replace as changed
 
-from identify.gaps.unknown import UnknownForce, likeliest_force, sentence
-from identify.gaps.unknown.evidence import explained, without
-from identify.gaps.unknown.location import ForcePlace, candidates, located, response_of
-from identify.gaps.unknown.nuisance import observed
-from identify.gaps.unknown.observed import force_noise
+from identify.gaps.unmeasured_force import described, likeliest_force
+from identify.gaps.unmeasured_force.evidence import explained, without
+from identify.gaps.unmeasured_force.location import ForcePlace, candidates, located, response_of
+from identify.gaps.unmeasured_force.nuisance import observed
+from identify.gaps.unmeasured_force.observed import force_noise
+from identify.gaps.unmeasured_force.time_history import explained_share
 from rig.errors import RigError
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Contact, Sensor, Station
+from rig.model.unmeasured_force import UnmeasuredForce
 
 WITHIN_M = 0.01
 
@@ -26,9 +28,10 @@ def both(world, unknown, spoilt=None, rms_n=5.0):
 
 def found_in(world, unknown, spoilt=None, rms_n=5.0):
     fit, validation = both(world, unknown, spoilt, rms_n)
-    found = likeliest_force(fit, world.rig, validation).described()
+    estimate = likeliest_force(fit, world.rig, validation)
+    found = described(estimate)
     assert found.same_place
-    assert min(found.explained_share, found.validation_explained_share) >= 0.5
+    assert min(explained_share(estimate.on_fit), found.explained) >= 0.5
     return found
 
 
@@ -36,14 +39,12 @@ def test_drag_is_found_with_its_place_and_law(damped):
     drag, place_m = 10.0, 0.63
     found = found_in(damped, ((Station("beam", place_m),), lambda _, __, v: -drag * np.abs(v) * v), rms_n=20.0)
     assert (found.kind, found.body) == ("force", "beam")
-    assert msgspec.json.decode(msgspec.json.encode(found), type=UnknownForce) == found
-    assert found.position_m.value == pytest.approx(place_m, abs=WITHIN_M)
+    assert msgspec.json.decode(msgspec.json.encode(found), type=UnmeasuredForce) == found
+    assert found.position_m == pytest.approx(place_m, abs=WITHIN_M)
     assert found.against == "velocity squared"
     assert found.law_parameters["coefficient"].value == pytest.approx(drag, rel=0.03)
-    assert found.validation_law_share > 0.9
-    assert found.validation_explained_share > 0.5
-    assert sentence(found).startswith(
-        f"a force on the beam near {found.position_m.value:.2f} m that grows with the square of the velocity"
+    assert found.sentence.startswith(
+        f"a force on the beam near {found.position_m:.2f} m that grows with the square of the velocity"
     )
 
 
@@ -62,23 +63,23 @@ def test_a_tone_that_runs_before_the_excitation_is_no_noise(world):
     amplitude_n, hz, place_m = 0.4, 31.3, 0.78
     place = Station("beam", place_m)
     found = found_in(world, ((place,), lambda t, _, __: amplitude_n * np.sin(2 * np.pi * hz * t)))
-    assert found.position_m.value == pytest.approx(place_m, abs=WITHIN_M)
+    assert found.position_m == pytest.approx(place_m, abs=WITHIN_M)
     assert found.frequency_hz == pytest.approx(hz, abs=0.01)
     assert found.amplitude_n == pytest.approx(amplitude_n, rel=0.05)
     assert found.against == "none"
-    assert f"at {hz:.1f} Hz" in sentence(found)
+    assert f"at {hz:.1f} Hz" in found.sentence
 
 
 def test_a_random_force_has_a_band_and_no_law(world):
     rms_n, place_m = 0.3, 0.47
     history = world.random_n(rms_n, (5.0, 25.0))
     found = found_in(world, ((Station("beam", place_m),), lambda *_: history))
-    assert found.position_m.value == pytest.approx(place_m, abs=WITHIN_M)
+    assert found.position_m == pytest.approx(place_m, abs=WITHIN_M)
     assert found.law == ""
-    assert found.rms.value == pytest.approx(rms_n, rel=0.15)
+    assert found.rms_n == pytest.approx(rms_n, rel=0.15)
     assert 3 < found.band_hz[0] < found.band_hz[1] < 27
     assert found.before_excitation == pytest.approx(1.0, abs=0.5)
-    assert "random force" in sentence(found)
+    assert "random force" in found.sentence
 
 
 def test_a_support_that_yields_is_told_from_other_springs(damped):
@@ -86,7 +87,7 @@ def test_a_support_that_yields_is_told_from_other_springs(damped):
     found = found_in(
         damped, ((Station("beam", place_m),), lambda _, w, __: -stiffness * yield_m * np.tanh(w / yield_m))
     )
-    assert found.position_m.value == pytest.approx(place_m, abs=WITHIN_M)
+    assert found.position_m == pytest.approx(place_m, abs=WITHIN_M)
     assert found.law_name == "softening spring"
     assert found.law_parameters["coefficient"].value == pytest.approx(stiffness, rel=0.05)
     assert found.law_parameters["w0"].value == pytest.approx(yield_m, rel=0.05)
@@ -97,7 +98,7 @@ def test_a_pair_pushes_both_bodies(two):
     stations = (Station("upper", place_m), Station("lower", place_m))
     found = found_in(two, (stations, lambda _, __, v: -damping * v))
     assert (found.kind, {found.body, found.against_body}) == ("pair", {"upper", "lower"})
-    assert found.position_m.value == pytest.approx(place_m, abs=WITHIN_M)
+    assert found.position_m == pytest.approx(place_m, abs=WITHIN_M)
     assert found.law_name == "viscous damping"
     assert found.law_parameters["coefficient"].value == pytest.approx(damping, rel=0.05)
 
@@ -111,13 +112,13 @@ def test_a_sensor_that_clips_is_a_sensor(world):
 
     found = found_in(world, None, clipped)
     assert (found.kind, found.sensor) == ("sensor", world.rig.sensors[row].name)
-    assert sentence(found) == f"a fault of sensor {found.sensor}: its signal does not follow the motion"
+    assert found.sentence == f"a fault of sensor {found.sensor}: its signal does not follow the motion"
 
 
 def test_a_null_shows_no_force(world):
     fit, validation = both(world, None)
-    found = likeliest_force(fit, world.rig, validation).described()
-    assert found.validation_explained_share < 0.3
+    found = described(likeliest_force(fit, world.rig, validation))
+    assert found.explained < 0.3
     assert found.law == ""
 
 
@@ -125,10 +126,10 @@ def test_a_small_force_is_placed_and_gains_more_than_nothing(world):
     history = world.random_n(0.01)
     small = ((Station("beam", 0.7),), lambda *_: history)
     records = [both(world, unknown) for unknown in (None, small)]
-    nothing, found = (likeliest_force(fit, world.rig, validation).described() for fit, validation in records)
+    nothing, found = (likeliest_force(fit, world.rig, validation) for fit, validation in records)
     assert found.same_place
-    assert found.validation_explained_share < 0.5
-    assert found.validation_gain > 2 * max(nothing.validation_gain, 0.0)
+    assert explained_share(found.held) < 0.5
+    assert found.held.gain > 2 * max(nothing.held.gain, 0.0)
 
 
 def test_nuisances_do_not_shrink_the_data(world):

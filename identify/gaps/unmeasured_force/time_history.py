@@ -8,8 +8,8 @@ from jaxtyping import Complex, Float
 from scipy.interpolate import BSpline
 from scipy.linalg import cho_factor, cho_solve
 
-from identify.gaps.unknown.evidence import left, normal
-from identify.gaps.unknown.location import Located
+from identify.gaps.unmeasured_force.evidence import left, normal
+from identify.gaps.unmeasured_force.location import Located
 from identify.signals.kinematics import CORNER_HZ, integrated
 from rig.model.description import Station
 

@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Complex
 
-from identify.gaps.unknown.evidence import Explained, cleared_of, explained, normal, without
-from identify.gaps.unknown.nuisance import drifting
-from identify.gaps.unknown.observed import WhitenedRecord, with_columns
+from identify.gaps.unmeasured_force.evidence import Explained, cleared_of, explained, normal, without
+from identify.gaps.unmeasured_force.nuisance import drifting
+from identify.gaps.unmeasured_force.observed import WhitenedRecord, with_columns
 from identify.linear.nuisance import Nuisance, NuisanceKind
 from rig.model.description import Rig, Sensor, Station
 
@@ -37,8 +37,8 @@ class ForcePlace:
 class Located:
     """The candidate that explains a record best: gain is by how much -2 ln L falls against the same without any.
 
-    error_m is the standard error of the place by the curvature of J. of_kinds are the best gains of each kind. growth
-    is the relative change of the modulus of each body over the record, with its standard errors.
+    error_m is the standard error of the place by the curvature of J. growth is the relative change of the modulus of
+    each body over the record, with its standard errors.
     """
 
     candidate: ForcePlace
@@ -48,7 +48,6 @@ class Located:
     after: Explained
     observed: WhitenedRecord
     response: Complex[np.ndarray, "lines rows"]
-    of_kinds: dict[str, float]
     growth: tuple[float, ...] = ()
     growth_errors: tuple[float, ...] = ()
 
@@ -84,8 +83,7 @@ def located(own: WhitenedRecord, near: ForcePlace | None = None, within_m: float
             best.append(_located(own, candidate, before, after))
     if near is None or near.kind == "distributed":
         best += [d for d in [_distributed(own, before, near)] if d is not None]
-    first = max(best, key=lambda one: one.gain)
-    return _refined(replace(first, of_kinds={one.candidate.kind: one.gain for one in best}))
+    return _refined(max(best, key=lambda one: one.gain))
 
 
 def candidates(rig: Rig, sensors: Sequence[Sensor]) -> Iterator[ForcePlace]:
@@ -143,7 +141,7 @@ def _beside(candidate: ForcePlace, near: ForcePlace, within_m: float) -> bool:
 
 def _located(own: WhitenedRecord, candidate: ForcePlace, before: Explained, after: Explained) -> Located:
     gain = before.criterion - after.criterion
-    return Located(candidate, gain, 0.0, before, after, own, response_of(own, candidate), {})
+    return Located(candidate, gain, 0.0, before, after, own, response_of(own, candidate))
 
 
 def _refined(found: Located) -> Located:
@@ -171,9 +169,7 @@ def _refined(found: Located) -> Located:
     curved = 2 * float(np.polyfit(around, [at(x) for x in around], 2)[0])
     error = float(np.sqrt(2 / curved)) if curved > 0 else SPACING_M
     there = moved(candidate, best)
-    return replace(
-        _located(own, there, found.before, known[best]), error_m=min(error, SPACING_M), of_kinds=found.of_kinds
-    )
+    return replace(_located(own, there, found.before, known[best]), error_m=min(error, SPACING_M))
 
 
 def _vertex(x: list[float], y: list[float]) -> float:
@@ -209,5 +205,5 @@ def _distributed(own: WhitenedRecord, before: Explained, near: ForcePlace | None
             covariance = np.linalg.inv(normal(wider, after.noise)[0])
             errors = tuple(float(e) for e in np.sqrt(np.diag(covariance)[-len(bodies) :]) * scale)
             found = ForcePlace("distributed", bodies=bodies)
-            best = Located(found, gain, 0.0, before, after, wider, rest, {}, growth, errors)
+            best = Located(found, gain, 0.0, before, after, wider, rest, growth, errors)
     return best

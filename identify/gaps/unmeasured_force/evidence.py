@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.linalg import cho_factor, cho_solve
 
-from identify.gaps.unknown.observed import WhitenedRecord
+from identify.gaps.unmeasured_force.observed import WhitenedRecord
 
 ROUNDS, SCORINGS = 4, 5
 """Of s and S in turn with theta; of Fisher scoring within each."""

@@ -1,13 +1,15 @@
-"""Laws that need the slow motion which integration loses: Gauss-Newton on their numbers and that motion."""
+"""The law that an unmeasured force follows: its time history regressed on laws of the motion at its place.
+
+Laws that need the slow motion which integration loses are fitted by Gauss-Newton on their numbers and that motion.
+"""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
-from identify.gaps.unknown.forms import Fine, Form
-from identify.gaps.unknown.law import ForceLaw, fitted, solved, tone_of
-from identify.gaps.unknown.time_history import KNOTS_S, ForceHistory, softened
+from identify.gaps.unmeasured_force.force_laws import FORMS, Fine, ForceLaw, Form, fitted, solved, tone_of
+from identify.gaps.unmeasured_force.time_history import KNOTS_S, ForceHistory, softened
 from identify.signals.descent import Step, descended
 from identify.signals.kinematics import CORNER_HZ
 
@@ -15,38 +17,58 @@ STEPS, SETTLED = 8, 1e-4
 GRID = 14
 TRUSTED = (1.0, 0.3, 0.1)
 """A law is first trusted to this share of the force: far from its numbers, details mislead."""
+AS_GOOD = 0.02
+"""A law keeps enough if no other keeps more of the free force's gain by more than this."""
+FINISHED = 2
 
 
-def kept(history: ForceHistory, law: ForceLaw) -> float:
-    """The share of the free force's gain on another record that a law keeps there, numbers as they are.
+def laws(history: ForceHistory) -> tuple[ForceLaw, ...]:
+    """Every law with its best numbers, those that keep most first.
 
-    A tone's phase is free, and so is the slow motion.
+    Those that need the slow motion are tried if no other serves; the best of them only to the end.
     """
-    if law.form.slow:
-        at, _ = begun_at(history, law.form, only=law.parameter)
-        start = replace(at.start(law.parameter), coefficients=-np.array(law.coefficients), parameter=law.parameter)
-        state = replace(at, frozen=True).descended(start)
-        return replace(at, frozen=True, history=history).descended(state).law.share
-    if law.form.name == "tone":
-        return fitted(softened(history, 0.0), tone_of(history), (law.parameter, law.parameter)).share
-    force = -np.array(law.coefficients) @ np.stack(
-        law.form.shapes(history.moved_m, history.rate_m_per_s, law.parameter)
-    )
-    return history.gain(history.spectra(force)) / max(history.free_gain, 1e-300)
+    quick = [_toned(history), *(fitted(history, form) for form in FORMS if not form.slow)]
+    slow: list[ForceLaw] = []
+    if max(law.share for law in quick) < 1 - AS_GOOD:
+        begun = sorted((begun_at(history, form) for form in FORMS if form.slow), key=lambda one: -one[1].law.share)
+        finished = [ended(history, *one).law for one in begun[:FINISHED]]
+        slow = finished + [
+            replace(state.law, share=min(state.law.share, finished[-1].share)) for _, state in begun[FINISHED:]
+        ]
+    return tuple(sorted(quick + slow, key=lambda law: -law.share))
 
 
-def begun_at(history: ForceHistory, form: Form, only: float | None = None) -> "tuple[Descent, DescentState]":
+def shortest(found: tuple[ForceLaw, ...], least: float) -> ForceLaw | None:
+    """The shortest law that keeps about as much as the best, if that is at least this share of the free force's."""
+    enough = [law for law in found if law.share >= found[0].share - AS_GOOD]
+    best = min(enough, key=lambda law: (law.form.length, -law.share))
+    return best if best.share >= least else None
+
+
+def _toned(history: ForceHistory) -> ForceLaw:
+    """At the line where the free force is strongest, and a little beside; a tone is a tone to the last line."""
+    history = softened(history, 0.0)
+    form = tone_of(history)
+    record = history.located.observed.record
+    spectrum = np.abs(np.fft.rfft(history.found_n * history.counted))[: record.omega.size]
+    spectrum[: history.located.observed.lines.start] = 0.0
+    peak, step = int(np.argmax(spectrum)), record.omega[2] / (4 * np.pi)
+    middle = record.omega[peak] / (2 * np.pi)
+    seen = [middle + k * step / 2 for k in range(-2, 3)]
+    start = max(seen, key=lambda hz: solved(history, form, hz)[1])
+    return fitted(history, form, (start - step / 2, start + step / 2))
+
+
+def begun_at(history: ForceHistory, form: Form) -> "tuple[Descent, DescentState]":
     """The first numbers, by a law of which little is trusted: from the best of a grid, without slow motion."""
     soft = softened(history, TRUSTED[0])
     largest = float(np.abs(history.moved_m * (history.finely(history.counted) > 0)).max())
     low, high = (share * largest for share in form.range_share)
     parameter = 0.0
-    if form.parameter and only is None:
+    if form.parameter:
         places = np.geomspace(low, high, GRID) if low > 0 else np.linspace(low, high, GRID)
         parameter = max((float(p) for p in places), key=lambda p: solved(soft, form, p)[1])
     at = _at(soft, form, largest, (low, high))
-    if only is not None:
-        return at, at.start(only)
     state = at.descended(at.start(parameter))
     at = replace(at, history=softened(history, TRUSTED[1]))
     return at, at.descended(state)
@@ -93,7 +115,6 @@ class Descent:
     step: float
     within: tuple[float, float]
     prior: Float[np.ndarray, "knots knots"]
-    frozen: bool = False
 
     def start(self, parameter: float) -> DescentState:
         coefficients, gain, errors = solved(self.history, self.form, parameter)
@@ -158,8 +179,6 @@ class Descent:
         gradient, matrix = rest[:-1] - matrix[:-1, -1], matrix[:-1, :-1]
         matrix[free:, free:] += self.prior
         gradient[free:] -= self.prior @ at.knots
-        if self.frozen:
-            gradient[:free], matrix[:free, free:], matrix[free:, :free] = 0.0, 0.0, 0.0
         size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         covariance = np.linalg.pinv(matrix / np.outer(size, size), rcond=1e-10, hermitian=True)
         covariance /= np.outer(size, size)
@@ -170,7 +189,7 @@ class Descent:
             if form.parameter and not parameter:
                 return None
             knots = at.knots + share * change[free:]
-            return self._at(at.coefficients if self.frozen else self.scaled(parameter, knots), parameter, knots)
+            return self._at(self.scaled(parameter, knots), parameter, knots)
 
         return _ForceStep(after, float(gradient @ change), covariance)
 
