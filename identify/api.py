@@ -12,7 +12,7 @@ from identify.contacts import identify_contact
 from identify.contacts.unforced import without_dead_force
 from identify.gaps.decision.answer import diagnose
 from identify.gaps.decision.null_reference import NULL_REFERENCE_SUFFIX
-from identify.gaps.decision.simulators import simulator_named
+from identify.gaps.decision.prepare import simulator_named
 from identify.gaps.results import Matters
 from identify.history import history_of
 from identify.history.observed import observations

@@ -78,14 +78,14 @@ class Attribution(msgspec.Struct, frozen=True, kw_only=True):
     """Where the gap lies: each list sums to one. surface is the share by cells of (relative displacement, velocity) of
     each contact; without contacts, of displacement and velocity of each single mass."""
 
-    channels: dict[str, float]
-    modal_equations: dict[str, float]
-    positions_m: dict[str, dict[float, float]]
+    channels: dict[str, float] = {}
+    modal_equations: dict[str, float] = {}
+    positions_m: dict[str, dict[float, float]] = {}
     """By body: the station, metres from its left end, and its share."""
-    band_hz: tuple[Share, ...]
-    contact_state: dict[str, float]
-    time_s: tuple[Share, ...]
-    surface: dict[str, ResidualMap]
+    band_hz: tuple[Share, ...] = ()
+    contact_state: dict[str, float] = {}
+    time_s: tuple[Share, ...] = ()
+    surface: dict[str, ResidualMap] = {}
     parts: dict[str, float] = {}
     """Of the linear residual, and of each contact's law."""
 
@@ -166,8 +166,26 @@ class NextExperiment(msgspec.Struct, frozen=True):
     log_odds: float
 
 
-class Gap(msgspec.Struct, frozen=True, kw_only=True):
-    """The diagnosis of a recording: how the believed rig differs from it, on the validation record.
+Analysis = Literal[
+    "unmeasured_force",
+    "clearance_modulation",
+    "force_description",
+    "between_records",
+    "response_comparison",
+    "next_experiment",
+    "attribution",
+]
+
+
+class Note(msgspec.Struct, frozen=True):
+    """A side analysis that could not be made, on which the verdict does not rest, and why."""
+
+    analysis: Analysis
+    reason: str
+
+
+class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
+    """How the believed rig differs from the validation record.
 
     causes are likeliest first; what their probabilities lack of one is that of no gap and of something unknown. The
     response comparison is of the likeliest cause, whatever the verdict. channel_faults names dead and clipped channels,
@@ -175,7 +193,10 @@ class Gap(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     verdict: Verdict
-    sentence: str
+    criterion: str = ""
+    """What decided."""
+    free_decay: bool = False
+    """Whether no force was measured."""
     before: Left
     after: Left
     """With the likeliest cause in the rig; as before where there is none."""
@@ -204,3 +225,10 @@ class Gap(msgspec.Struct, frozen=True, kw_only=True):
     between: Between | None = None
     """With more than two records."""
     channel_faults: dict[str, str] = {}
+    notes: tuple[Note, ...] = ()
+
+
+class Gap(Diagnosis, frozen=True, kw_only=True):
+    """A diagnosis with its sentence: the content of gap.json."""
+
+    sentence: str

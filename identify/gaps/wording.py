@@ -19,6 +19,16 @@ WHEN = {
     "in contact": "while contacts are closed",
     "growing with time": "growing with time",
 }
+ANALYSES = {
+    "unmeasured_force": "an unmeasured force",
+    "clearance_modulation": "a clearance that swings",
+    "force_description": "the description of the unmeasured force",
+    "between_records": "what differs between the records",
+    "response_comparison": "simulated beside measured",
+    "next_experiment": "the next experiment",
+    "attribution": "where the gap lies",
+}
+"""Side analyses, which a note names."""
 MOST = 0.5
 """A description of something unknown that explains less of it is a hint, not what it looks like."""
 CERTAIN = 1 - 1e-9
@@ -90,6 +100,11 @@ def differs(one: Compared) -> str:
     unit = "" if one.values[0].unit == "1" else f" {one.values[0].unit}"
     place = f" ({one.place})" if one.place else ""
     return f"{one.parameter}{place} {one.trend} ({values}{unit})"
+
+
+def not_computed(gap: Gap) -> list[str]:
+    """Side analyses that could not be made, each with its reason."""
+    return [f"Not computed: {ANALYSES[note.analysis]} ({note.reason})." for note in gap.notes]
 
 
 def others(gap: Gap) -> list[tuple[str, float]]:

@@ -69,6 +69,8 @@ def bands_of(without: Misfit, after: Misfit, null_reference: NullReference) -> t
 
 def equivalent(causes: tuple[Cause, ...]) -> tuple[tuple[str, ...], ...]:
     """Each effect of the likeliest cause with those that stand in its place in causes that are likely too."""
+    if not causes:
+        return ()
     best, *likely = dict.fromkeys(frozenset(c.effects) for i, c in enumerate(causes) if not i or c.probability > ALIKE)
     classes = []
     for effect in causes[0].effects:

@@ -6,7 +6,7 @@ rig, its tolerances, a simulator and a level of force, it is kept.
 
 import hashlib
 import importlib.metadata
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace as with_fields
 from pathlib import Path
 
@@ -17,15 +17,15 @@ from msgspec.structs import replace
 from scipy.stats import norm, qmc
 from scipy.stats import t as student
 
-from identify.gaps.decision.drawing import drawn
-from identify.gaps.decision.familiar import familiar_figures
 from identify.gaps.residual.likelihood import Misfit, misfit, reference_of
-from identify.gaps.residual.residual import linearized
+from identify.gaps.residual.residual import Linearization, linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.nominal import fit_nuisance
 from rig.errors import RigError
 from rig.files import check_target, contents, make_folder, write_bytes
-from rig.model.description import Rig, to_json
+from rig.model.description import Body, Contact, Rig, Sensor, Station, contact_stations, to_json
+from rig.model.modes import modes_of, modes_wanted
+from rig.model.structure import SAME_PLACE_M, structure_of
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording
 
@@ -37,6 +37,10 @@ MOST, BLOWS = 0.9, 0.1
 """A force of which a smaller share of the samples holds so much of the energy is one of blows."""
 LEVEL = 1.25
 """Forces within this factor of each other share a null reference."""
+MODES = 24
+"""Of a drawn beam: as many as the plant `modal` is given in a replay."""
+PLACES = 41
+"""Of its shapes, beside those where something stands."""
 
 Simulate = Callable[[Rig, Rig, Float[np.ndarray, "forces samples"], int], Recording]
 """The recording of the believed rig (first) that the actual one makes under a measured force, noise from a seed: the
@@ -224,3 +228,97 @@ def _read(path: Path, key: str) -> NullReference | None:
 
 def _checksum(reference: NullReference) -> str:
     return hashlib.sha256(msgspec.json.encode(replace(reference, checksum=""))).hexdigest()
+
+
+def familiar_figures(linearization: Linearization) -> dict[str, tuple[float, str]]:
+    """Value and unit by name; contacts as the linearisation's rig has them."""
+    accelerations = linearization.record.in_time(linearization.record.delivered)
+    found = {"acceleration, rms of all sensors": (float(np.sqrt(np.mean(accelerations**2))), "m/s^2")}
+    seconds = accelerations.shape[1] / linearization.record.rate_hz
+    for contact, seen in zip(linearization.model.rig.contacts, linearization.seen, strict=True):
+        found[f"time that {contact.name} is closed"] = 100 * float(np.mean(seen.closed)), "%"
+        found[f"impacts of {contact.name}"] = float(np.sum(np.diff(seen.closed) > 0)) / seconds, "1/s"
+    return found
+
+
+def drawn(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draws"]) -> Rig:
+    """The rig with every value off by its tolerance times the next of the standard normal draws.
+
+    A beam becomes a structure, each of whose modes has a frequency and a damping of its own. An AC-coupled sensor has a
+    high-pass more than its description says, as one whose corner is the sum. The gain of one of several forces is in no
+    rig.
+    """
+    draw = iter(normals.tolist())
+    sensors = []
+    moved: dict[Station, Station] = {}
+    for sensor in rig.sensors:
+        own = tolerances.of_sensor(sensor.name)
+        if sensor.station not in moved:  # sensors at one station sit on one block
+            length = rig.body(sensor.station.body).length_m
+            place = float(np.clip(sensor.station.position_m + own.position_m * next(draw), 0.0, length))
+            moved[sensor.station] = Station(sensor.station.body, place)
+        gain, delay_s = 1 + own.gain * next(draw), own.delay_s * next(draw)
+        corner_hz = abs(own.high_pass_hz * next(draw)) * sensor.measures.ac_coupled
+        chain = {"gain": sensor.gain * gain, "delay_s": sensor.delay_s + delay_s}
+        chain["high_pass_hz"] = sensor.high_pass_hz + corner_hz
+        fibre_m = rig.fibre_m(sensor) or None  # a structure does not know how thick it is
+        sensors.append(replace(sensor, station=moved[sensor.station], fibre_m=fibre_m, **chain))
+    gain = rig.force_sensor.gain * (1 + tolerances.force_gain * next(draw) * (len(rig.forces) == 1))
+    contacts = tuple(_contact(contact, tolerances, draw) for contact in rig.contacts)
+    bodies = tuple(_body(rig, body, sensors, tolerances, draw) for body in rig.bodies)
+    taken_up = {b.name for b in bodies if not b.is_mass} & {b.name for b in rig.bodies}
+    return replace(
+        rig,
+        bodies=bodies,
+        sensors=tuple(sensors),
+        contacts=contacts,
+        force_sensor=replace(rig.force_sensor, gain=gain),
+        masses=tuple(m for m in rig.masses if m.station.body not in taken_up),
+        springs=tuple(_nonlinear(rig, taken_up)),
+        clamps=(),
+    )
+
+
+def _nonlinear(rig: Rig, taken_up: set[str]) -> Iterator[object]:
+    """Springs without what the modes of a body hold already."""
+    for spring in rig.springs:
+        if spring.station.body not in taken_up:
+            yield spring
+        elif spring.cubic_n_per_m3:
+            yield replace(spring, stiffness_n_per_m=0.0, rotational_n_m_per_rad=0.0)
+
+
+def _contact(contact: Contact, tolerances: Tolerances, draw: Iterator[float]) -> Contact:
+    law = contact.law
+    wider = max(0.0, 1 + tolerances.clearance * next(draw))
+    stiffer = max(0.01, 1 + tolerances.stiffness * next(draw))
+    damping = tolerances.contact_damping_s * law.stiffness_n_per_m * abs(next(draw))
+    changed = replace(
+        law,
+        lower_clearance_m=law.lower_clearance_m * wider,
+        upper_clearance_m=law.upper_clearance_m * wider,
+        stiffness_n_per_m=law.stiffness_n_per_m * stiffer,
+        damping_n_s_per_m=law.damping_n_s_per_m + damping,
+    )
+    return replace(contact, law=changed)
+
+
+def _body(rig: Rig, body: Body, sensors: list[Sensor], tolerances: Tolerances, draw: Iterator[float]) -> Body:
+    heavier = 1 + tolerances.mass * next(draw)
+    faster, lossier = tolerances.frequency * next(draw), tolerances.damping * next(draw)
+    if body.is_mass:
+        return body.scale_mass(heavier).scale_frequencies(1 + faster).scale_damping(float(np.exp(lossier)))
+    modes, count = modes_of(rig, body), modes_wanted(body, MODES)
+    own = [tolerances.of_mode(body.name, m + 1) for m in range(count)]
+    factors = np.array([1 + faster + t.frequency * next(draw) for t in own])
+    losses = np.exp([lossier + t.damping * next(draw) for t in own])
+    frequencies = modes.frequencies_hz(count) * factors
+    order = np.argsort(frequencies)
+    standing = [s.station for s in sensors] + [s.station for s in rig.sensors] + [*rig.forces]
+    standing += [s for c in rig.contacts for s in contact_stations(c)] + [load.station for load in rig.loads]
+    given = body.places(PLACES)
+    places = np.unique([*given, *(s.position_m for s in standing if s.body == body.name)])
+    places = places[np.append(np.diff(places) > SAME_PLACE_M, True)]
+    shapes = modes.shapes(places, count) / np.sqrt(heavier)
+    ratios = np.minimum(modes.damping_ratios(count) * losses, 0.9)
+    return structure_of(body.name, body.length_m, frequencies[order], ratios[order], places, shapes[:, order])

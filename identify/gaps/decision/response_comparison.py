@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.signal import csd, welch
 
-from identify.gaps.decision.familiar import familiar_figures
-from identify.gaps.decision.null_reference import NullReference, Simulate
+from identify.gaps.decision.null_reference import NullReference, Simulate, familiar_figures
 from identify.gaps.residual.residual import Linearization, linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Curve, Figure

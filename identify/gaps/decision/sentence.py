@@ -1,8 +1,6 @@
 """The verdict in a sentence, with the criterion that decided."""
 
-from msgspec.structs import replace
-
-from identify.gaps.results import USUAL, Cause, Gap
+from identify.gaps.results import USUAL, Cause, Diagnosis
 from identify.gaps.wording import MOST, between_records, cause_name, closes, closes_some, interval, joined, leaves
 from identify.pages.wording import percent
 
@@ -12,16 +10,16 @@ UNSCALED = (
 )
 
 
-def sentence(gap: Gap, criterion: str, forced: bool = True) -> Gap:
-    """The diagnosis with its sentence; forced says whether a force was measured."""
-    said = [_verdict(gap), *_alternatives(gap), *_limits(gap), f"Criterion: {criterion}."]
-    said += [] if forced else [UNSCALED]
-    said += [between_records(gap.between)] if gap.between else []
-    said += [f"Channel {name} is {what} and was left out." for name, what in gap.channel_faults.items()]
-    return replace(gap, sentence=" ".join(said))
+def sentence(diagnosis: Diagnosis) -> str:
+    """The diagnosis in words, made from what gap.json says."""
+    said = [_verdict(diagnosis), *_alternatives(diagnosis), *_limits(diagnosis), f"Criterion: {diagnosis.criterion}."]
+    said += [UNSCALED] if diagnosis.free_decay else []
+    said += [between_records(diagnosis.between)] if diagnosis.between else []
+    said += [f"Channel {name} is {what} and was left out." for name, what in diagnosis.channel_faults.items()]
+    return " ".join(said)
 
 
-def _verdict(gap: Gap) -> str:
+def _verdict(gap: Diagnosis) -> str:
     if gap.verdict == "no_gap":
         small = gap.matters.times(gap.before.share, gap.before.contact_shares.values()) <= 1
         usual = gap.before.p_value >= USUAL
@@ -43,7 +41,7 @@ def _verdict(gap: Gap) -> str:
     return f"{cause_name(best)} {explains} the gap in part: {how}. {_looks(gap, 'The rest')}"
 
 
-def _doubt(gap: Gap, cause: Cause) -> str:
+def _doubt(gap: Diagnosis, cause: Cause) -> str:
     values = joined([f"{name} {interval(value)}" for name, value in cause.parameters.items()])
     return (
         f"That there is no gap is not sure: {cause_name(cause)} explains what was fitted ({values}), and what "
@@ -51,7 +49,7 @@ def _doubt(gap: Gap, cause: Cause) -> str:
     )
 
 
-def _looks(gap: Gap, what: str) -> str:
+def _looks(gap: Diagnosis, what: str) -> str:
     """What an unmeasured force tells of the gap, or of its rest, and how much of it where that is not most."""
     if gap.unknown is None:
         return f"{what} has no form that was recognised."
@@ -61,7 +59,7 @@ def _looks(gap: Gap, what: str) -> str:
     return f"{what} has no simple form; the nearest explains {share} of its mean square: {gap.unknown.sentence}."
 
 
-def _alternatives(gap: Gap) -> list[str]:
+def _alternatives(gap: Diagnosis) -> list[str]:
     """What may stand in the place of an effect that is named."""
     if gap.verdict not in ("explained", "partly_explained"):
         return []
@@ -71,7 +69,7 @@ def _alternatives(gap: Gap) -> list[str]:
     ]
 
 
-def _limits(gap: Gap) -> list[str]:
+def _limits(gap: Diagnosis) -> list[str]:
     """A parameter that stands at the end of what was searched may be larger, or its effect wrong."""
     if gap.verdict not in ("explained", "partly_explained"):
         return []

@@ -15,6 +15,7 @@ from identify.gaps.decision.comparison import (
     size,
 )
 from identify.gaps.decision.null_reference import NullReference
+from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.results import USUAL, Matters, Verdict
 from identify.gaps.search.attached import ATTACHED
 from identify.gaps.unmeasured_force.force import SAME_M
@@ -30,20 +31,72 @@ UNKNOWN_PLACES = 100
 
 
 @dataclass(frozen=True)
-class Decision:
-    """The verdict with the reason for it, the probabilities of the hypotheses judged, and of something unknown.
+class Weighed:
+    """A hypothesis judged on the validation record, and its probability."""
 
-    best is the likeliest hypothesis with effects, whatever the verdict.
-    """
+    judged: Judged
+    probability: float
+
+
+def nothing_of(ranked: Sequence[Judged]) -> Judged:
+    """The believed rig among hypotheses."""
+    return next(j for j in ranked if not j.hypothesis.parts)
+
+
+@dataclass(frozen=True)
+class Decision:
+    """The verdict with the reason for it, the hypotheses judged, likeliest first, and the probability of something
+    unknown. p_before and p_after are p-values of what the believed rig leaves, and the likeliest effects."""
 
     verdict: Verdict
     criterion: str
-    probabilities: tuple[float, ...]
+    weighed: tuple[Weighed, ...]
     unknown: float
-    nothing: Judged
-    best: Judged | None
     p_before: float
     p_after: float
+
+    @property
+    def nothing(self) -> Judged:
+        """The believed rig."""
+        return nothing_of([w.judged for w in self.weighed])
+
+    @property
+    def probability_nothing(self) -> float:
+        return next(w.probability for w in self.weighed if w.judged is self.nothing)
+
+    @property
+    def best(self) -> Judged | None:
+        """The likeliest hypothesis with effects, whatever the verdict."""
+        return next((w.judged for w in self.weighed if w.judged.hypothesis.parts), None)
+
+    @property
+    def helps(self) -> bool:
+        """Whether effects explain the gap, at least in part."""
+        return self.verdict in ("explained", "partly_explained")
+
+    @property
+    def likeliest_rig(self) -> Rig | None:
+        """With the likeliest effects and what was fitted beside them, whatever the verdict."""
+        return self.best.corrected if self.best else None
+
+    @property
+    def corrected_rig(self) -> Rig | None:
+        return self.likeliest_rig if self.helps else None
+
+    @property
+    def without(self) -> Misfit:
+        """What the believed rig leaves with the nuisance parameters of the likeliest effects."""
+        return self.best.without if self.best else self.nothing.misfit
+
+    @property
+    def after(self) -> Misfit:
+        """What is left with the likeliest effects."""
+        return self.best.misfit if self.best else self.nothing.misfit
+
+    @property
+    def left_to_describe(self) -> Misfit:
+        """What the likeliest effects leave if they explain a part, else what the believed rig leaves."""
+        return self.after if self.verdict == "partly_explained" else self.nothing.misfit
 
 
 def decided(
@@ -60,7 +113,7 @@ def decided(
     is then that of something unknown. `beside` is -2 ln p with the likeliest effects and the unmeasured force that
     explains best what they leave: they are then as likely as they are alone or with it.
     """
-    nothing = next(j for j in ranked if not j.hypothesis.parts)
+    nothing = nothing_of(ranked)
     best = next((j for j in ranked if j.hypothesis.parts), None)
     scores = [j.log_posterior for j in ranked]
     if best:
@@ -74,20 +127,21 @@ def decided(
         alone = ranked.index(nothing)
         of_unknown, likely[alone] = of_unknown + likely[alone], 0.0
     verdict, criterion = _judged(ranked, nothing, best, of_unknown > max(likely), p_before, p_after, matters)
-    return Decision(verdict, criterion, tuple(likely), of_unknown, nothing, best, p_before, p_after)
+    weighed = tuple(Weighed(one, probability) for one, probability in zip(ranked, likely, strict=True))
+    return Decision(verdict, criterion, weighed, of_unknown, p_before, p_after)
 
 
-def doubted(ranked: Sequence[Judged], verdict: Verdict) -> Judged | None:
+def doubted(decision: Decision) -> Judged | None:
     """Beside "no gap": effects that, on the records that were fitted and the one that validates together, are likelier
     than the believed rig by `DOUBT`, where that leaves something of the fitted ones or strains its tolerances."""
-    nothing = next(j for j in ranked if not j.hypothesis.parts)
-    if verdict != "no_gap" or not nothing.hypothesis.leaves_something:
+    nothing = decision.nothing
+    if decision.verdict != "no_gap" or not nothing.hypothesis.leaves_something:
         return None
 
     def evidence(one: Judged) -> float:
         return one.log_posterior - one.hypothesis.cost / (2 * TEMPERATURE)
 
-    best = max(ranked, key=evidence)
+    best = max((w.judged for w in decision.weighed), key=evidence)
     return best if evidence(best) - evidence(nothing) > DOUBT else None
 
 

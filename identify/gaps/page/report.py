@@ -8,6 +8,7 @@ from identify.gaps.page.sections import (
     between_records,
     causes,
     how_large,
+    notes,
     response_comparison,
     unknown_force,
     what_next,
@@ -57,6 +58,7 @@ def write_page(gap: Gap, figures: Mapping[str, Picture], title: str, path: Path,
         *([(rest, "unknown", unknown_force(gap.unknown))] if gap.unknown else []),
         ("Where does the gap lie?", "where", where(gap.attribution)),
         ("Simulated and measured", "far", response_comparison(gap)),
+        *([("What could not be computed", "notes", notes(gap))] if gap.notes else []),
     ]
     page.write(
         path,

@@ -6,7 +6,7 @@ from rich.text import Text
 
 from identify.gaps.page.advice import next_steps
 from identify.gaps.results import Gap
-from identify.gaps.wording import WHEN, cause_name, closes, interval, leaves, others, probability, verdict
+from identify.gaps.wording import WHEN, cause_name, closes, interval, leaves, not_computed, others, probability, verdict
 from identify.pages.page import Colour
 from identify.pages.wording import number, percent
 from rig.model.unmeasured_force import UnmeasuredForce
@@ -28,6 +28,7 @@ def shown(gap: Gap) -> RenderableType:
     ]
     if gap.unknown:
         lines.append(Text.assemble(("what is unknown: ", "bold"), gap.unknown.sentence, f"; {in_short(gap.unknown)}"))
+    lines += [Text(note) for note in not_computed(gap)]
     lines.append(Text("what to do next:", style="bold"))
     steps = Table.grid(padding=(0, 1))
     for i, step in enumerate(next_steps(gap), 1):

@@ -184,6 +184,11 @@ def response_comparison(gap: Gap) -> str:
     return text + (page.table(head, rows) if rows else "")
 
 
+def notes(gap: Gap) -> str:
+    """Side analyses that are lacking, on which the verdict does not rest."""
+    return "".join(f"<p>{escape(note)}</p>" for note in wording.not_computed(gap))
+
+
 def _off(value: float, figure: Figure) -> str:
     if not figure.measured:
         return number(value)

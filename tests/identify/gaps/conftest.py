@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
+from msgspec.structs import asdict, replace
 
 from identify.gaps.decision.sentence import sentence
 from identify.gaps.results import (
@@ -15,6 +15,7 @@ from identify.gaps.results import (
     Cause,
     Compared,
     Curve,
+    Diagnosis,
     Figure,
     Gap,
     Left,
@@ -213,29 +214,27 @@ def bands(before, after):
 
 
 def gap(verdict, criterion, causes, nothing, unknown, before=BEFORE, after=SMALL, **more):
-    return sentence(
-        Gap(
-            verdict=verdict,
-            sentence="",
-            before=before,
-            after=after,
-            matters=Matters(),
-            causes=causes,
-            probability_nothing=nothing,
-            nothing_minus_two_log=1500.0,
-            unknown_gain=None,
-            probability_unknown=max(1 - nothing - sum(c.probability for c in causes), 0.0),
-            unknown=unknown,
-            bands=bands(before.share, after.share),
-            equivalent=more.pop("equivalent", ()),
-            separate_by=more.pop("separate_by", ()),
-            attribution=more.pop("attribution", attribution()),
-            figures=FIGURES,
-            curves=curves(),
-            **more,
-        ),
-        criterion,
+    diagnosis = Diagnosis(
+        verdict=verdict,
+        criterion=criterion,
+        before=before,
+        after=after,
+        matters=Matters(),
+        causes=causes,
+        probability_nothing=nothing,
+        nothing_minus_two_log=1500.0,
+        unknown_gain=None,
+        probability_unknown=max(1 - nothing - sum(c.probability for c in causes), 0.0),
+        unknown=unknown,
+        bands=bands(before.share, after.share),
+        equivalent=more.pop("equivalent", ()),
+        separate_by=more.pop("separate_by", ()),
+        attribution=more.pop("attribution", attribution()),
+        figures=FIGURES,
+        curves=curves(),
+        **more,
     )
+    return Gap(**asdict(diagnosis), sentence=sentence(diagnosis))
 
 
 ONE_MASS = Attribution(

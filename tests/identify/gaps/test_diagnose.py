@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from identify.gaps.decision import describe
 from identify.gaps.decision.answer import Simulator, diagnose
 from identify.gaps.decision.null_reference import null_key, null_reference_of
 from identify.gaps.faults import fault_of
@@ -58,6 +59,7 @@ def test_the_believed_rig_has_no_gap(null_reference):
     assert gap.verdict == "no_gap"
     assert corrected == RIG
     assert gap.before.p_value > 0.01
+    assert gap.notes == ()
     assert gap.probability_nothing > 0.5
     histogram = np.array(gap.curves[2].measured)
     assert histogram.max() < 2.5 * histogram.mean()  # the second before the force would stand out
@@ -76,6 +78,7 @@ def test_an_effect_is_named_with_its_size(text, parameter, value, null_reference
     gap, corrected = diagnosed(actual, null_reference)
     assert gap.verdict == "explained"
     assert gap.causes[0].effects == (text.partition(":")[0],)
+    assert gap.notes == ()
     found = gap.causes[0].parameters[parameter]
     assert found.value == pytest.approx(value, rel=0.05)
     assert gap.causes[0].explained > 0.9
@@ -83,6 +86,22 @@ def test_an_effect_is_named_with_its_size(text, parameter, value, null_reference
     assert [c.y_label for c in gap.curves[:2]] == ["(m)^2/Hz", "(m)/N"]
     total = sum(c.probability for c in gap.causes) + gap.probability_nothing + gap.probability_unknown
     assert total == pytest.approx(1.0)
+
+
+def test_a_side_analysis_that_fails_is_a_note_and_no_loss(monkeypatch, null_reference):
+    def fails(*_):
+        raise ZeroDivisionError("no such thing")
+
+    for analysis in ("compared", "attribution"):
+        monkeypatch.setattr(describe, analysis, fails)
+    gap, corrected = diagnosed(effect_named("contact_clearance:factor=1.1").applied_to(RIG), null_reference)
+    assert gap.verdict == "explained"
+    assert gap.causes[0].parameters["contact_clearance.factor"].value == pytest.approx(1.1, rel=0.01)
+    assert corrected.contacts[0].law.upper_clearance_m == pytest.approx(1.1e-3, rel=0.01)
+    assert {note.analysis: note.reason for note in gap.notes} == dict.fromkeys(
+        ("response_comparison", "attribution"), "ZeroDivisionError: no such thing"
+    )
+    assert gap.curves == gap.attribution.time_s == ()
 
 
 def test_an_effect_in_a_file_of_its_own_is_found_by_itself(monkeypatch, null_reference):

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from identify.gaps.decision.answer import searched
+from identify.gaps.decision.hypotheses import search_record
 from identify.gaps.decision.null_reference import of_blows
+from identify.gaps.residual.likelihood import reference_of
+from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
 from rig.simulation.excitation import excitation_of, force_history
 from scenarios.laboratory_tests import TESTS, recorded
@@ -20,7 +22,7 @@ from scenarios.laboratory_tests import TESTS, recorded
 def test_the_effect_is_the_likeliest(name, parameter, value, tmp_path):
     test = TESTS[name]
     record = record_of(recorded(test, tmp_path / "r.mcap", duration_s=20.0, effect=test.effect))
-    best = searched(record)[0][0]
+    best = search_record(record, reference_of(linearized(record, record.rig))).hypotheses[0]
     assert best.effects == (test.effect.partition(":")[0],)
     at = best.parameters.names.index(parameter)
     assert abs(best.values[at] - value) < 3 * np.sqrt(best.covariance[at, at])

@@ -2,6 +2,7 @@
 
 import re
 from base64 import b64decode
+from html import escape
 from html.parser import HTMLParser
 from io import BytesIO, StringIO
 
@@ -19,7 +20,7 @@ from identify.gaps.page.curves import curves
 from identify.gaps.page.pictures import pictures
 from identify.gaps.page.report import write_all, write_page
 from identify.gaps.page.screen import shown
-from identify.gaps.results import Band, Gap
+from identify.gaps.results import Attribution, Band, Gap, Note
 from identify.gaps.wording import closes, interval, leaves, probability
 from identify.pages.wording import COVERED, number, percent
 from rig.errors import RigError
@@ -143,9 +144,23 @@ def test_a_limit_that_is_reached_is_said(gaps, tmp_path):
     assert "(at the limit of its range)" in (tmp_path / "gap.html").read_text(encoding="utf-8")
 
 
+def test_the_sentence_is_made_of_what_gap_json_says(diagnosis):
+    assert sentence(msgspec.json.decode(msgspec.json.encode(diagnosis), type=Gap)) == diagnosis.sentence
+
+
+def test_what_could_not_be_computed_is_noted(gaps, tmp_path):
+    gap = replace(gaps["pair"], attribution=Attribution(), notes=(Note("attribution", "singular <matrix>"),))
+    write_page(gap, {}, "noted", tmp_path / "gap.html")
+    said = "Not computed: where the gap lies (singular <matrix>)."
+    assert escape(said) in (tmp_path / "gap.html").read_text(encoding="utf-8")
+    console = Console(width=300, record=True)
+    console.print(shown(gap))
+    assert said in console.export_text()
+
+
 def test_a_doubt_is_said_and_is_not_green(gaps, tmp_path):
     gap = replace(gaps["null"], doubted=gaps["explained"].causes[0])
-    gap = sentence(gap, "it is")
+    gap = replace(gap, sentence=sentence(gap))
     assert gap.sentence.startswith("That there is no gap is not sure: added_mass")
     assert next_steps(gap)[0].startswith("Do not rely on rig.json")
     write_page(gap, {}, "doubt", tmp_path / "gap.html")
@@ -184,7 +199,7 @@ def test_a_description_that_explains_little_is_a_hint(gaps):
     steps = " ".join(next_steps(little))
     assert "hint, as it explains only 16.5 % of what is left: look at the cradle near 0.80 m" in steps
     assert "switch motors" not in steps
-    said = sentence(little, "none").sentence
+    said = sentence(little)
     assert (
         f"The rest has no simple form; the nearest explains 16.5 % of its mean square: {gap.unknown.sentence}." in said
     )

@@ -73,4 +73,5 @@ def test_what_the_library_lacks_is_unknown_and_described(null_reference):
     gap, corrected = diagnosed(replace(RIG, contacts=(*RIG.contacts, third)), null_reference)
     assert gap.verdict == "unknown"
     assert "cradle" in gap.unknown.sentence
+    assert gap.notes == ()
     assert corrected == RIG

@@ -1,0 +1,28 @@
+"""Side analyses of a diagnosis: one that fails is a note beside the answer, never its loss."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from identify.gaps.results import Analysis, Note
+from rig.errors import RigError
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Attempt(Generic[Result]):
+    """The result of a side analysis, or the note that says why there is none."""
+
+    value: Result | None = None
+    notes: tuple[Note, ...] = ()
+
+
+def attempted(analysis: Analysis, compute: Callable[[], Result]) -> Attempt[Result]:
+    """Whatever ends it: the answer does not rest on it."""
+    try:
+        return Attempt(compute())
+    except RigError as error:
+        return Attempt(notes=(Note(analysis, str(error)),))
+    except Exception as error:
+        return Attempt(notes=(Note(analysis, f"{type(error).__name__}: {error}"),))

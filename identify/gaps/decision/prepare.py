@@ -1,0 +1,121 @@
+"""The first stage of a diagnosis: recordings of one rig with their spectra, and what its tolerances and noise leave."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import numpy as np
+
+from identify.gaps.decision.null_reference import NullReference, Simulate, null_reference_of
+from identify.gaps.decision.recordings import parts_of, sound
+from identify.gaps.decision.release import released
+from identify.gaps.residual.likelihood import Reference, reference_of
+from identify.gaps.residual.residual import linearized
+from identify.gaps.residual.spectra import Record, record_of
+from rig.errors import RigError
+from rig.model.tolerances import LABORATORY, Tolerances
+from rig.recording import Recording
+
+
+@dataclass(frozen=True)
+class Simulator:
+    """What simulates a rig under a measured force, and its name."""
+
+    name: str
+    simulate: Simulate
+
+
+SIMULATORS = "identify.simulators"
+"""The entry points by which packages offer simulators."""
+
+
+def simulator_named(name: str) -> Simulator:
+    """The simulator that an installed package offers under this name; raises RigError if none does."""
+    offered = {point.name: point for point in entry_points(group=SIMULATORS)}
+    if name not in offered:
+        raise RigError(f"no simulator {name!r}; there are {', '.join(sorted(offered))}")
+    return Simulator(name, offered[name].load())
+
+
+@dataclass(frozen=True)
+class Observation:
+    """A recording with what belongs to it: its spectra, and the variances in which hypotheses are compared on it."""
+
+    recording: Recording
+    record: Record
+    reference: Reference
+
+    @property
+    def force_rms_n(self) -> float:
+        """Of all forces together."""
+        return float(np.sqrt(np.sum(np.var(self.recording.forces_n, axis=1))))
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Observations of one rig in the order of their time; the one at `validating` is fitted by no effect.
+
+    simulate makes recordings of that rig under a force, or of its free decay where no force was measured.
+    """
+
+    observations: tuple[Observation, ...]
+    validating: int
+    channel_faults: dict[str, str]
+    simulate: Simulate
+    null_reference: NullReference
+
+    @property
+    def validation(self) -> Observation:
+        return self.observations[self.validating]
+
+    @property
+    def fitted(self) -> tuple[Observation, ...]:
+        return tuple(one for k, one in enumerate(self.observations) if k != self.validating)
+
+    @property
+    def searched(self) -> Observation:
+        """That of the strongest force among those that are fitted."""
+        return max(self.fitted, key=lambda one: one.force_rms_n)
+
+    @property
+    def several(self) -> bool:
+        """Whether more than one is fitted."""
+        return len(self.observations) > 2
+
+    @property
+    def titles(self) -> tuple[str, ...]:
+        return tuple(
+            f"{k + 1}, {one.force_rms_n:.3g} N{', validates' * (k == self.validating)}"
+            for k, one in enumerate(self.observations)
+        )
+
+
+def prepare(
+    recordings: Recording | Sequence[Recording],
+    validation: Recording | None,
+    simulator: Simulator,
+    kept: Path | None,
+    tolerances: Tolerances | None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> Prepared:
+    """Recordings without faulty channels, their spectra, and the null reference of the one that validates.
+
+    Tolerances say how exactly the rig is believed (else the rig itself does, else they are a laboratory's). Raises
+    RigError if the recordings do not fit together or allow no diagnosis.
+    """
+    parts, validating = parts_of(recordings, validation)
+    believed = tolerances or parts[0].rig.tolerances or LABORATORY
+    parts, channel_faults = sound(*parts)
+    observations = tuple(observed(part, believed) for part in parts)
+    measured = observations[validating]
+    simulate = simulator.simulate
+    if not measured.record.forced:
+        simulate = released(measured.recording, simulate)
+    null_reference = null_reference_of(measured.recording, believed, simulate, simulator.name, progress, kept)
+    return Prepared(observations, validating, channel_faults, simulate, null_reference)
+
+
+def observed(recording: Recording, tolerances: Tolerances) -> Observation:
+    record = record_of(recording, tolerances=tolerances)
+    return Observation(recording, record, reference_of(linearized(record, record.rig)))
