@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_limits
 
 from identify.checks import check_recording
 from identify.contacts import identify_contact
-from identify.contacts.unforced import without_dead_force
+from identify.contacts.acceptance import without_dead_force
 from identify.gaps.decision.answer import diagnose
 from identify.gaps.decision.null_reference import NULL_REFERENCE_SUFFIX
 from identify.gaps.decision.prepare import simulator_named

@@ -17,6 +17,14 @@ class RigError(ValueError):
     def __init__(self, sentence: str) -> None:
         super().__init__(one_line(sentence))
 
+    def noting(self, note: str) -> "RigError":
+        """The same error, a note behind its sentence."""
+        return RigError(f"{self} {note}")
+
+
+class TooLargeError(RigError):
+    """What would take more memory than its file may."""
+
 
 class CutOffError(RigError):
     """A recording that could not be written to its end, though what was written of it is kept."""

@@ -14,6 +14,8 @@ INTERRUPTED = 130
 ENDINGS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 NAME = "rig-identify"
 COMMANDS = ("rig", "identify")
+LAST_DATE_S = 253_402_300_800
+"""The year 10000."""
 
 
 def rig() -> None:
@@ -42,6 +44,7 @@ def both() -> None:
 def _start(name: str) -> None:
     if sys.argv[1:] == ["doctor"]:
         _doctor()
+    _check_date(name)
 
     def stop(*_: Any) -> None:
         os.write(2, f"{name}: interrupted\n".encode())
@@ -58,6 +61,13 @@ def _start(name: str) -> None:
     for ending, handler in before.items():
         signal.signal(ending, handler)
     main()
+
+
+def _check_date(name: str) -> None:
+    """Exits with a sentence if numpy, which reads SOURCE_DATE_EPOCH wherever scipy is imported, could not."""
+    date = os.environ.get("SOURCE_DATE_EPOCH", "0")
+    if not (date.isascii() and date.isdigit() and int(date[:20]) < LAST_DATE_S):
+        sys.exit(f"{name}: SOURCE_DATE_EPOCH is {date[:100]!r}; set it to whole seconds since 1970, or unset it")
 
 
 def _doctor() -> None:

@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from identify.contacts.estimates import find_contacts
+from identify.contacts.acceptance import find_contacts
 from rig.commands.command_line import run
 from rig.model.tolerances import LABORATORY
 from rig.recording import read

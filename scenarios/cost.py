@@ -22,11 +22,11 @@ from scipy.fft import rfft
 from threadpoolctl import threadpool_limits
 
 from identify.contacts import identify_contact
-from identify.contacts.estimates import find_contacts
+from identify.contacts.acceptance import find_contacts
 from identify.paper.nifo import nifo
 from identify.paper.surface import fit_surface
-from identify.signals.finely import OVERSAMPLING
 from identify.signals.kinematics import kinematics
+from identify.signals.law_evaluation import oversampling
 from identify.signals.spectra import Averaging, blocks
 from rig.commands.command_line import progress_bar, run
 from rig.model.tolerances import LABORATORY
@@ -102,7 +102,8 @@ def costs(settings: BarrelCradle, modes: int, path: Path) -> dict[str, float]:
     recording = read(path)
     found = identify_contact(recording)
     eta_m, force, equation = found.eta_m, found.motion.force_n, found.weak.equation
-    fine = np.repeat(recording.force_n, OVERSAMPLING)
+    times = oversampling(rig.sample_rate_hz)
+    fine = np.repeat(recording.force_n, times)
     cut = blocks(force.size, rig.sample_rate_hz, Averaging(block_s=BLOCK_S), (2.0, 100.0))
     return {
         **spent,
@@ -110,7 +111,7 @@ def costs(settings: BarrelCradle, modes: int, path: Path) -> dict[str, float]:
         "contacts, separated and fitted": _cpu_s(lambda: find_contacts(recording, "auto", LABORATORY)),
         "surface of an equation": _cpu_s(lambda: fit_surface(equation, force, eta_m, 4, found.stops)),
         "NIFO of an equation": _cpu_s(lambda: nifo(equation, force, eta_m, cut)),
-        f"for comparison: one FFT of {OVERSAMPLING} x the samples": _cpu_s(lambda: rfft(fine)),
+        f"for comparison: one FFT of {times} x the samples": _cpu_s(lambda: rfft(fine)),
     }
 
 

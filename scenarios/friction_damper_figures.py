@@ -26,7 +26,7 @@ def drawn(laws: "Sequence[DamperLaw]", curves: Sequence[FoundLaw], path: Path) -
             record = curve.record
             axes.plot(1e3 * record.at_force_m, 1e-3 * record.force_n, color=GREY, lw=0.5, label="measured")
             if curve.sliding is not None:
-                force = record.low_passed(curve.sliding(record.eta_m))
+                force = record.low_passed(curve.sliding)
                 axes.plot(1e3 * record.at_force_m, 1e-3 * force, color=RED, lw=0.9, label="friction behind a backlash")
             axes.set(title=f"{one.frequency_hz:g} Hz, band {one.tension_n:.0f} N")
         for axes in panels[-1]:

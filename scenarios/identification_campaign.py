@@ -18,8 +18,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
-from identify.contacts.estimates import Contacts, find_contacts
-from identify.contacts.joint import Joint
+from identify.contacts.acceptance import Contacts, find_contacts
 from identify.pages.wording import COVERED
 from rig.commands.command_line import run
 from rig.model.contact_laws import DeadZone
@@ -150,10 +149,11 @@ def _seen_by(recording: Recording, rig: Rig) -> Recording:
 def found_in(contacts: Contacts, laws: Sequence[tuple[str, float, float, float]]) -> FoundContact:
     """Against the laws that are true: name, clearance (m), stiffness (N/m) and damping (N s/m) of each contact."""
     names, true, found, errors, refused = [], [], [], [], []
-    for (name, clearance, stiffness, damping), answer in zip(laws, contacts.estimates, strict=True):
-        if not isinstance(answer, Joint):
-            refused.append(f"{name}: {answer}")
+    for name, clearance, stiffness, damping in laws:
+        if name in contacts.outcomes.refusals:
+            refused.append(f"{name}: {contacts.outcomes.refusals[name].sentence}")
             continue
+        answer = contacts.outcomes.estimates[name]
         _, _, of_stiffness, of_damping = answer.errors
         for quantity, value, estimate, error in (
             ("clearance", clearance, answer.clearance_m, answer.clearance_error_m),

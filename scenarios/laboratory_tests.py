@@ -275,30 +275,30 @@ def _diagnosed(out: Path, jitter: int | None, only: str) -> None:
         table.add_column(heading)
     tests = [(k, *one) for k, one in enumerate((TESTS | REFUSED).items()) if only in one[0]]
     for number, name, test in track(tests, console=Console(stderr=True)):
-        row = (name, test.effect, *gap_of(test, out / str(number), None if jitter is None else jitter + number))
+        try:
+            row = (name, test.effect, *gap_of(test, out / str(number), None if jitter is None else jitter + number))
+        except RigError as error:
+            row = (name, test.effect, str(error), "", "")
         Console(stderr=True).print(" | ".join(row), highlight=False, soft_wrap=True)
         table.add_row(*row)
     Console().print(table)
 
 
 def gap_of(test: Test, path: Path, jitter: int | None, duration_s: float | None = None) -> tuple[str, str, str]:
-    """Verdict, likeliest cause with its parameters, and what it closes; or why there is none."""
-    try:
-        fit, validation = (
-            recorded(
-                test,
-                path.with_name(f"{path.name}_{seed}.mcap"),
-                duration_s,
-                jitter,
-                effect=test.effect,
-                seed=seed,
-                level=level,
-            )
-            for seed, level in ((2, 1.0), (3, VALIDATES))
+    """Verdict, likeliest cause with its parameters, and what it closes. Raises RigError if the records allow none."""
+    fit, validation = (
+        recorded(
+            test,
+            path.with_name(f"{path.name}_{seed}.mcap"),
+            duration_s,
+            jitter,
+            effect=test.effect,
+            seed=seed,
+            level=level,
         )
-        found = identify.gap(fit, validation).report
-    except RigError as error:
-        return str(error), "", ""
+        for seed, level in ((2, 1.0), (3, VALIDATES))
+    )
+    found = identify.gap(fit, validation).report
     if not found.causes:
         return found.verdict, "", ""
     best = found.causes[0]

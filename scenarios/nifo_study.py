@@ -12,8 +12,8 @@ from jaxtyping import Float
 
 from identify.linear.modal import ModalEquation, modal_equations, relative_displacements
 from identify.paper.nifo import Form, Nifo, nifo
-from identify.signals.finely import penetration
 from identify.signals.kinematics import kinematics
+from identify.signals.law_evaluation import penetration
 from identify.signals.spectra import Averaging, Blocks, Term, blocks, decimated
 from rig.model.description import Rig
 from rig.recording import Recording, Signals, channel_groups
@@ -140,7 +140,7 @@ def reduced(rig: Rig, delivered: Float[np.ndarray, "channels samples"]) -> Reduc
     eta_m = relative_displacements(rig, motion)
     depth_m = np.array(
         [
-            penetration(eta, contact.law.lower_clearance_m, contact.law.upper_clearance_m)
+            penetration(eta, contact.law.lower_clearance_m, contact.law.upper_clearance_m, rate)
             for eta, contact in zip(eta_m, rig.contacts, strict=True)
         ]
     )

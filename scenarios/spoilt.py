@@ -3,7 +3,7 @@
 python -m scenarios.spoilt --seed 1 --sound 20 --out out/spoilt
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -18,10 +18,9 @@ from rich.progress import track
 from rich.table import Table
 
 from identify.checks import Finding, check_recording
-from identify.contacts.estimates import find_contacts
-from identify.contacts.joint import Joint
-from identify.contacts.quality import fit_findings
-from identify.contacts.start import STIFFNESS
+from identify.contacts.acceptance import find_contacts
+from identify.contacts.contact_record import STIFFNESS
+from identify.contacts.joint_fit import JointEstimate
 from rig import RigError
 from rig.commands.command_line import run
 from rig.files import write_json
@@ -140,9 +139,8 @@ def of_one(rig: str, alteration: Alteration, recording: Recording, truth: Truth)
         except RigError:
             refused = True
         else:
-            names = [c.name for c in changed.rig.contacts]
-            findings = tuple(fit_findings(names, found.estimates, found.separated.nuisances.parameters))
-            errors = list(_errors(names, found.estimates, truth))
+            findings = found.findings
+            errors = list(_errors(found.outcomes.estimates, truth))
             refused = not errors
             worst = None if findings or refused else max(errors)
     return Case(
@@ -164,13 +162,12 @@ def names_it(finding: Finding, alteration: Alteration) -> bool:
     return finding.cause in alteration.causes and (anywhere or bool(placed))
 
 
-def _errors(names: list[str], fits: tuple[Joint | str, ...], truth: Truth) -> Iterator[float]:
+def _errors(estimates: Mapping[str, JointEstimate], truth: Truth) -> Iterator[float]:
     """Of every clearance and stiffness, in its own standard errors."""
-    for name, fit in zip(names, fits, strict=True):
-        if isinstance(fit, Joint):
-            clearance_m, stiffness = truth[name]
-            yield abs(fit.clearance_m - clearance_m) / fit.clearance_error_m
-            yield abs(fit.stiffness_n_per_m - stiffness) / fit.error(STIFFNESS)
+    for name, estimate in estimates.items():
+        clearance_m, stiffness = truth[name]
+        yield abs(estimate.clearance_m - clearance_m) / estimate.clearance_error_m
+        yield abs(estimate.stiffness_n_per_m - stiffness) / estimate.error(STIFFNESS)
 
 
 def table(cases: list[Case], false: dict[str, tuple[int, list[str]]]) -> Table:

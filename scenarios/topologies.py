@@ -215,17 +215,19 @@ def topologies(
     for heading in ("rig", "clearance, mm", "stiffness, N/mm", "effect", "found"):
         table.add_column(heading)
     for number, (name, case) in enumerate(track(RIGS.items(), console=Console(stderr=True))):
-        clearance, stiffness = _contacts(case, out / f"{number}.mcap")
-        table.add_row(name, clearance, stiffness, case.effect, _gap(case, out, number) if diagnose else "")
+        row = [name]
+        try:
+            row += _contacts(case, out / f"{number}.mcap")
+            row += [case.effect, _gap(case, out, number) if diagnose else ""]
+        except RigError as error:
+            row.append(str(error))
+        table.add_row(*row)
     Console().print(table)
 
 
 def _contacts(case: Topology, path: Path) -> tuple[str, str]:
-    """Found and true clearances, and stiffnesses; or why there are none."""
-    try:
-        rows = identify.contact(recorded(case, path)).report.contacts
-    except RigError as error:
-        return str(error), ""
+    """Found and true clearances, and stiffnesses. Raises RigError if the record allows none."""
+    rows = identify.contact(recorded(case, path)).report.contacts
     laws = {c.name: c.law for c in case.rig.contacts}
     smaller = {name: min(law.lower_clearance_m, law.upper_clearance_m) for name, law in laws.items()}
     return (
@@ -240,15 +242,12 @@ def interval(found: Estimate, factor: float, true: float) -> str:
 
 
 def _gap(case: Topology, out: Path, number: int) -> str:
-    """What the diagnosis says of the case's effect."""
-    try:
-        fit, validation = (
-            recorded(case, out / f"{number}_{seed}.mcap", seed=seed, level=level, effect=case.effect)
-            for seed, level in ((2, 1.0), (3, 1.5))
-        )
-        found = identify.gap(fit, validation).report
-    except RigError as error:
-        return str(error)
+    """What the diagnosis says of the case's effect. Raises RigError if the records allow none."""
+    fit, validation = (
+        recorded(case, out / f"{number}_{seed}.mcap", seed=seed, level=level, effect=case.effect)
+        for seed, level in ((2, 1.0), (3, 1.5))
+    )
+    found = identify.gap(fit, validation).report
     if not found.causes:
         return found.verdict
     best = found.causes[0]

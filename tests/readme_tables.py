@@ -1,10 +1,12 @@
 """The tables of READMEs that follow from the code. `python -m tests.readme_tables` writes them; a test compares."""
 
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import msgspec
 
+from identify.contacts.refusals import CAUSES, REMEDIES
 from rig.effects import effects
 from rig.effects.base import Effect, parameters_of
 from rig.model.beam import Beam
@@ -99,11 +101,17 @@ def quantity_rows() -> Iterator[str]:
         yield f"| `{name}` | {quantity.unit} | {', '.join(quantity.units)} | {'yes' if quantity.translates else 'no'} |"
 
 
+def refusal_rows() -> Iterator[str]:
+    for code, (cause, remedy) in CAUSES.items():
+        yield f"| `{code}` | {re.sub(r'{[^}]*}', '…', cause)} | {REMEDIES[remedy]} |"
+
+
 TABLES: tuple[tuple[str, str, Callable[[], Iterator[str]]], ...] = (
     ("rig/effects/README.md", "|---|---|---|---|---|---|", effect_rows),
     ("rig/effects/README.md", "Ranges set by the rig:\n", range_lines),
     ("rig/recording/README.md", "|---|---|", field_rows),
     ("rig/model/README.md", "|---|---|---|---|", quantity_rows),
+    ("identify/README.md", "| code | cause | what to do |\n|---|---|---|", refusal_rows),
 )
 """The README, the line above the rows (of which the README has one), and the rows."""
 

@@ -61,15 +61,15 @@ def mains(rate_hz: float, row: Row, force: Rows) -> tuple[float, float] | None:
 
 
 def hum(name: str, rate_hz: float, row: Row, force: Rows) -> Finding | None:
-    found = mains(rate_hz, row, force)
-    if found is None:
+    tone, amplitude = mains(rate_hz, row, force), float(row.std() * np.sqrt(2))
+    if tone is None or amplitude == 0:  # also of values so small that their squares are zero
         return None
-    hz, height = found
+    hz, height = tone
     return Finding(
         cause="hum",
         channels=(name,),
-        evidence=f"{name} holds a tone of {hz:.3g} Hz, {100 * height / float(row.std() * np.sqrt(2)):.2g} % of its "
-        "size, that the force does not make: mains hum",
+        evidence=f"{name} holds a tone of {hz:.3g} Hz, {100 * height / amplitude:.2g} % of its size, that the force "
+        "does not make: mains hum",
         mend="ground the cables at one end, keep them away from mains cables, and record again",
     )
 
@@ -113,4 +113,14 @@ def not_at_rest(name: str, rate_hz: float, row: Row, first_s: float) -> Finding 
         channels=(name,),
         evidence=f"{name} moves already at the record's first samples",
         mend="begin the record with a second at rest, before the force; of a cut record, the beginning is missing",
+    )
+
+
+def backwards(names: tuple[str, ...]) -> Finding:
+    """All motion stops with the force, without ringing, and does not begin from rest."""
+    return Finding(
+        cause="not at rest",
+        channels=names,
+        evidence="the motion does not begin at rest and stops at once where the force ends, as if time ran backwards",
+        mend="put the samples of all channels in the order in which they were taken",
     )

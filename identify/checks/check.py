@@ -28,6 +28,8 @@ SPOILS = ("dead", "copy", "clipped", "held samples", "spikes", "quantised", "off
 """A channel with such a fault is left out of what follows."""
 FIRST_S = {"acceleration": 0.02, "velocity": 0.05, "displacement": 0.1}
 """In which motion at rest has not begun yet."""
+RINGS_S, AT_REST = 0.25, 0.02
+"""A rig rings so long after its force has ended, by more than this share of its motion's standard deviation."""
 MOST_REST = 0.5
 """A record begins in motion if more than this share of its channels do."""
 
@@ -43,6 +45,8 @@ def check_recording(
     believed = tolerances or recording.rig.tolerances or LABORATORY
     found = _waveforms(recording, use)
     found += _against_model(recording, use, believed, found)
+    if not any(f.cause in ("units", "gain") for f in found):
+        found += _beyond_machines(recording, use)
     return merged(_without_explained(found, recording.force_names), recording.rig)
 
 
@@ -58,6 +62,11 @@ def _without_explained(findings: list[Finding], forces: Sequence[str]) -> list[F
     return [f for f in findings if f.cause not in ("noise", "drift", "offset", "force") or not is_explained(f)]
 
 
+def _beyond_machines(recording: Recording, use: Use) -> list[Finding]:
+    judged = [waveforms.beyond_machines(c.name, c.group, c.samples) for c in _channels(recording, use)]
+    return [f for f in judged if f is not None]
+
+
 @contextmanager
 def naming(findings: tuple[Finding, ...]) -> Iterator[None]:
     """Puts the first finding behind the sentence of a RigError: it may be the reason."""
@@ -66,7 +75,7 @@ def naming(findings: tuple[Finding, ...]) -> Iterator[None]:
     except RigError as error:
         if not findings:
             raise
-        raise RigError(f"{error} (the check of the record found: {findings[0].sentence})") from error
+        raise error.noting(f"(the check of the record found: {findings[0].sentence})") from error
 
 
 def _left_out(found: Finding, forces: Sequence[str]) -> tuple[str, ...]:
@@ -139,6 +148,8 @@ def _waveforms(recording: Recording, use: Use) -> list[Finding]:
     first = [fault for fault in map(_first_fault, channels) if fault is not None]
     live = [c for c in channels if c.name not in _concerned(f for f in first if f.cause == "dead")]
     in_motion = _in_motion(live) if recording.start_s == 0 else []
+    if recording.start_s == 0 and _runs_backwards(live, recording.forces_n, recording.rig.sample_rate_hz):
+        in_motion = [background.backwards(tuple(c.name for c in live if not c.is_force))]
     found = in_motion or [*first, *_spikes(live, _concerned(first))]
     return [*found, *waveforms.copies([c.name for c in live], [c.samples for c in live])]
 
@@ -189,6 +200,14 @@ def _spikes(channels: Sequence[_Channel], faulty: set[str]) -> Iterator[Finding]
             spiked = waveforms.spikes(channel.name, off[channel.name], others)
             if spiked is not None:
                 yield spiked
+
+
+def _runs_backwards(channels: Sequence[_Channel], force: Rows, rate_hz: float) -> bool:
+    """Whether all motion ends with the force, as it begins with it where time runs forwards: nothing rings on."""
+    quiet = 0 if quiet_samples(force, rate_hz) else quiet_samples(force[..., ::-1], rate_hz)
+    after = slice(max(0, quiet - round(RINGS_S * rate_hz)), quiet)
+    rows = [c.samples for c in channels if c.group in FIRST_S]
+    return bool(quiet and rows and all(float(row[::-1][after].std()) < AT_REST * float(row.std()) for row in rows))
 
 
 def _in_motion(channels: Sequence[_Channel]) -> list[Finding]:

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.checks.findings import Finding, named
+from rig.model.quantities import QUANTITIES
 
 STUCK = 1e-3
 """A channel that stands at its largest or smallest value for a larger share of the record is clipped."""
@@ -13,6 +14,7 @@ COARSE = 0.01
 """Steps of a larger share of a channel's root mean square are too coarse."""
 RECUR = 3.0
 """Levels that recur less often are not those of a quantiser."""
+LARGEST_FORCE_N = 1e9
 HELD = 8
 """So many equal samples in a row are held."""
 SPIKE = 25.0
@@ -33,6 +35,23 @@ def dead(name: str, row: Row, forces: Sequence[str] = ("force",)) -> Finding | N
         mend="check its cable and amplifier, unless it did not act, as in a free decay"
         if name in forces
         else "check its cable and amplifier, or take it out of rig.json",
+    )
+
+
+def beyond_machines(name: str, group: str, row: Row) -> Finding | None:
+    """Larger than anything on a test rig: 100 m, 1e4 m/s, 1e7 m/s^2, a strain of 10, a force of 1e9 N.
+
+    The model is linear but for the clearances, and cannot tell when all channels are too large alike.
+    """
+    largest, unit = (LARGEST_FORCE_N, "N") if group == "force" else (QUANTITIES[group].largest, QUANTITIES[group].unit)
+    reached = float(np.abs(row).max())
+    if reached <= largest:
+        return None
+    return Finding(
+        cause="units",
+        channels=(name,),
+        evidence=f"{name} reaches {reached:.3g} {unit}, and nothing on a test rig exceeds {largest:g} {unit}",
+        mend="check the unit and the scale that it was recorded or imported with",
     )
 
 

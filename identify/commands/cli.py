@@ -18,7 +18,7 @@ from identify.commands.history import compare, history
 from identify.commands.options import Believed, Export, Used, check_export
 from identify.contacts.curves import curves
 from identify.contacts.identified_rig import identified_rig
-from identify.contacts.pooled import LARGE_BYTES, SEGMENT_S, identify_long
+from identify.contacts.pooled import LARGE_BYTES, identify_long, longest_segment_s
 from identify.contacts.results import ContactReport, Estimate, Segments
 from identify.laws.curves import curves as law_curves
 from identify.laws.results import LawReport
@@ -131,7 +131,7 @@ def contact(
         for name in ("contact.json", "contact.html", "rig.json"):
             refuse_existing(out / name, force, file, new_folder=True)
     if segment is None and file.exists() and file.stat().st_size > LARGE_BYTES:
-        segment = SEGMENT_S
+        segment = longest_segment_s(file)
     settings = {
         "use": msgspec.convert(use, Use),
         "averaging": averaging,
@@ -258,6 +258,17 @@ def print_report(report: ContactReport, console: Console) -> None:
     console.print(table)
     for silent in report.unanswered:
         console.print(f"{silent.name}: not told by this record: {silent.reason}")
+    if report.nifo:
+        console.print(_nifo_table(report))
+    for note in report.notes:
+        console.print(f"note: {note}", soft_wrap=True)
+    for mode in report.modes:
+        console.print(
+            f"mode {mode.index} of {mode.beam}: {mode.frequency_hz:.3f} Hz, damping {100 * mode.damping_ratio:.2f} %"
+        )
+
+
+def _nifo_table(report: ContactReport) -> Table:
     spectra = Table(title="NIFO by modal equation: spectral mean ± 95 %, rms spread over frequency")
     for heading in ("equation", "contact", "stiffness, N/m", "spread, %", ""):
         spectra.add_column(heading)
@@ -273,12 +284,7 @@ def print_report(report: ContactReport, console: Console) -> None:
         answered = {s.contact for s in each.stiffness}
         for name in (n for n in each.nearly_invisible if n not in answered):
             spectra.add_row(each.equation, name, "", "", "on a node: not told")
-    if report.nifo:
-        console.print(spectra)
-    for mode in report.modes:
-        console.print(
-            f"mode {mode.index} of {mode.beam}: {mode.frequency_hz:.3f} Hz, damping {100 * mode.damping_ratio:.2f} %"
-        )
+    return spectra
 
 
 def _shown(estimate: Estimate, scale: float = 1.0) -> str:

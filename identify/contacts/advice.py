@@ -4,9 +4,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from identify.contacts.contact_record import STIFFNESS
 from identify.contacts.identification import Identification
-from identify.contacts.joint import Joint
-from identify.contacts.start import STIFFNESS
+from identify.contacts.joint_fit import JointEstimate
+from identify.contacts.separation import is_unforced
 from identify.pages.wording import percent
 from rig.model.description import Station
 from rig.model.tolerances import EXACT
@@ -34,7 +35,7 @@ def assumed(found: Identification) -> Iterator[str]:
     yield (
         "The bodies are those of rig.json, linear: "
         + "; ".join(
-            f"{b.name}, {_frequencies(b.frequencies_hz(4 + b.rigid_modes if b.length_m else 1))}" for b in rig.bodies
+            f"{b.name}, {_frequencies(b.frequencies_hz(min(4 + b.rigid_modes, b.max_modes)))}" for b in rig.bodies
         )
         + "."
     )
@@ -64,35 +65,34 @@ def assumed(found: Identification) -> Iterator[str]:
                 f"{place.contact.name} act between the same places: the record tells the sum of their forces; each "
                 "has the knee that comes nearest to its clearance and stiffness in rig.json."
             )
-    if found.forms is None:
+    if is_unforced(motion):
         yield (
             "No force was recorded: none acts during the record but those of the contacts, whose size rests on the "
             "masses of rig.json."
         )
     yield f"The accelerations' noise is taken from {report.noise_from}."
-    if not all(isinstance(a, Joint) and a.sides_known for a in found.estimates):
+    if found.outcomes.refusals or not _sides_known(found):
         yield "The zero of the relative displacement is not known: the two stops stand equally far from it."
 
 
-def surer(found: Identification) -> Iterator[str]:
+def recommendations(found: Identification) -> Iterator[str]:
     """Per source of error the estimates that it rules, and what would lessen it; then what else would help."""
-    for silent in found.report.unanswered:
-        yield f"{silent.name}: {silent.reason.rpartition('; ')[2]}."  # a reason ends with what to do
+    for name, refusal in found.outcomes.refusals.items():
+        yield f"{name}: {refusal.advice}."
     ruled: dict[str, list[str]] = {}
-    for contact, answer in zip(found.rig.contacts, found.estimates, strict=True):
-        if isinstance(answer, Joint):
-            for quantity, shares in variance_shares(answer).items():
-                for source, share in shares.items():
-                    if share >= HEAVY:
-                        ruled.setdefault(source, []).append(f"{contact.name}'s {quantity} ({percent(share)})")
+    for name, estimate in found.outcomes.estimates.items():
+        for quantity, shares in variance_shares(estimate).items():
+            for source, share in shares.items():
+                if share >= HEAVY:
+                    ruled.setdefault(source, []).append(f"{name}'s {quantity} ({percent(share)})")
     for source, estimates in ruled.items():
         yield f"Most of the variance of {_joined(estimates)} comes from {_REMEDY[source]}."
-    if any(isinstance(a, Joint) and not a.sides_known for a in found.estimates):
+    if not _sides_known(found):
         yield (
             "Only half the total play can be told: displacement sensors that show a standing displacement too, at both "
             "sides of a contact, would tell its two sides apart."
         )
-    if found.forms and found.motion.excited_from < QUIET_S * found.motion.sample_rate_hz:
+    if not is_unforced(found.motion) and found.motion.excited_from < QUIET_S * found.motion.sample_rate_hz:
         yield (
             f"The sensors' noise is taken from {found.report.noise_from}: let the record begin with a second or more "
             "without force to measure it."
@@ -100,7 +100,7 @@ def surer(found: Identification) -> Iterator[str]:
     yield "These intervals believe in the linear bodies of rig.json: identify gap asks whether they are right."
 
 
-def variance_shares(answer: Joint) -> dict[str, dict[str, float]]:
+def variance_shares(answer: JointEstimate) -> dict[str, dict[str, float]]:
     """Of the clearance and the stiffness, the shares of their variance by source; each sums to one."""
     parts = {"tolerances": answer.of_tolerances, "drift": answer.of_drift}
     found = {}
@@ -109,6 +109,11 @@ def variance_shares(answer: Joint) -> dict[str, dict[str, float]]:
         shares = {source: float(along @ part @ along) / whole for source, part in parts.items()} if whole > 0 else {}
         found[quantity] = shares | {"scatter": 1.0 - sum(shares.values())}
     return found
+
+
+def _sides_known(found: Identification) -> bool:
+    """Whether every estimate tells the two sides of its contact apart."""
+    return all(estimate.sides_known for estimate in found.outcomes.estimates.values())
 
 
 def _places(body: str, stations: tuple[Station, ...]) -> str:

@@ -8,8 +8,10 @@ def curves(found: Identification) -> dict[str, Table]:
     """By family: `motion` (relative displacements and separated contact forces over time), `surface` (restoring force
     of the main modal equation, as measured and as fitted) and `nifo` (over frequency; not of a free decay)."""
     names = [c.name for c in found.rig.contacts]
-    tables = {"motion": _motion(found), "surface": _surface(found, names)}
-    return tables | ({"nifo": _nifo(found, names)} if found.forms else {})
+    tables = {"motion": _motion(found)}
+    if found.methods.main_surfaces:
+        tables["surface"] = _surface(found, names)
+    return tables | ({"nifo": _nifo(found, names)} if found.methods.forms else {})
 
 
 def _motion(found: Identification) -> Table:

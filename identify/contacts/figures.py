@@ -7,8 +7,8 @@ import numpy as np
 from scipy.signal import welch
 
 from identify.contacts.identification import Identification
-from identify.contacts.joint import Joint
-from identify.contacts.linearised import law_force_n
+from identify.contacts.linearization import law_force_n
+from identify.contacts.paper_methods import attempted
 from identify.contacts.results import ContactReport, Segment
 from identify.linear.joined import Joined
 from identify.linear.modal import pushing_force, receptance
@@ -24,17 +24,19 @@ LONGEST = 1 << 18
 """So many samples show the output with and without the contacts."""
 
 
-def drawn(found: Identification, marks: Marks, marks_name: str) -> dict[str, Picture]:
+def drawn(found: Identification, marks: Marks, marks_name: str, notes: list[str] | None = None) -> dict[str, Picture]:
     """The figures of the paper (4 to 9, 12 to 17) for the main modal equation, and the separated contact forces.
 
-    marks are drawn as what `marks_name` says they are: the true values where they are known, else those of rig.json.
+    marks are drawn as what `marks_name` says they are: the true values where they are known, else those of rig.json. A
+    figure that cannot be drawn is left out, and a note is added.
     """
 
     def one(draw: Callable[..., None]) -> Picture:
         return picture(lambda figure: draw(figure, found, marks, marks_name))
 
-    figures = _FIGURES if found.forms else {n: draw for n, draw in _FIGURES.items() if n not in _OF_NIFO}
-    return {name: one(draw) for name, draw in figures.items()}
+    missing = {*(() if found.methods.forms else _OF_NIFO), *(() if found.methods.main_surfaces else _OF_SURFACE)}
+    figures = {name: draw for name, draw in _FIGURES.items() if name not in missing}
+    return attempted([] if notes is None else notes, "the figure", figures, one)
 
 
 def segments_drawn(report: ContactReport, parts: Sequence[Segment]) -> Picture:
@@ -147,8 +149,12 @@ def _separated(figure: Any, found: Identification, marks: Marks, marks_name: str
         force = separated[: eta.size]
         axes.plot(1e3 * eta, force, ".", ms=1.2, color=BLUE, alpha=0.4, label="separated, no law assumed")
         span = np.linspace(eta.min(), eta.max(), 400)
-        told = [(s, found.estimates[j]) for s, j in zip(place.signs, place.members, strict=True)]
-        laws = [s * law_force_n(a.values, s * span, np.zeros_like(span)) for s, a in told if isinstance(a, Joint)]
+        laws = [
+            s * law_force_n(estimate.values, s * span, np.zeros_like(span))
+            for s, j in zip(place.signs, place.members, strict=True)
+            for name, estimate in found.outcomes.estimates.items()
+            if name == found.rig.contacts[j].name
+        ]
         if laws:
             axes.plot(1e3 * span, np.sum(laws, axis=0), color=RED, lw=1.2, label="law found (without damping)")
         _mark_stops(axes, found, place, marks, marks_name)
@@ -265,4 +271,6 @@ _FIGURES = {
     "frf": _frf,
 }
 _OF_NIFO = ("outputs", "stiffness", "frf")
-"""Figures that need a force."""
+"""Figures that need NIFO, and so a force."""
+_OF_SURFACE = ("outputs", "surface", "section")
+"""Figures that need the main equation's surface."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -13,14 +13,18 @@ from identify.contacts.results import ContactReport, Estimate, Segment
 from identify.signals.kinematics import Use
 from identify.signals.spectra import Averaging
 from rig.errors import RigError
+from rig.limits import memory_bound_bytes
 from rig.model.tolerances import Tolerances
-from rig.recording.segments import segments
+from rig.recording.segments import bytes_per_second, segments
 
 LARGE_BYTES = 1 << 26
 """Files of more are identified segment by segment, ..."""
 SEGMENT_S = 40.0
 """... of this length, which takes less memory than that."""
 SHORTEST_S = 10.0
+COPIES, LAST_LONGER = 18, 1.5
+"""Identification takes so many times the memory of a segment's samples; the last segment is up to so much longer."""
+Struct = TypeVar("Struct", bound=msgspec.Struct)
 NAMES = ("name", "contact", "equation", "body", "beam", "index")
 """The fields by which what belongs together is found."""
 
@@ -60,15 +64,35 @@ def identify_long(
     return together([s.report for s in found]), tuple(found)
 
 
+def longest_segment_s(path: Path) -> float:
+    """The length of the segments of a large file, SEGMENT_S unless they would take more memory than the file may.
+
+    Raises RigError where that leaves less than SHORTEST_S, as of samples by the million a second.
+    """
+    per_s, bound = bytes_per_second(path), memory_bound_bytes(path.stat().st_size)
+    longest_s = bound / (COPIES * LAST_LONGER * per_s) - RING_S
+    if longest_s < SHORTEST_S:
+        raise RigError(
+            f"{path}: its channels have {per_s / 1e6:.3g} MB a second, of which {SHORTEST_S + RING_S:g} s at once take "
+            f"more memory than {bound / 1e6:.0f} MB; sample at a lower rate: rig export FILE --format csv --map MAP, "
+            "then a lower sample_rate_hz in its rig.json, resample = true in MAP, and rig import"
+        )
+    return min(SEGMENT_S, longest_s)
+
+
 def together(reports: Sequence[ContactReport]) -> ContactReport:
     """One report of several of the same rig: estimates pooled, figures without an error averaged, averages added."""
-    merged = _merged([msgspec.to_builtins(r) for r in reports])
-    answered = {c["name"] for c in merged["contacts"]}
-    merged["unanswered"] = [u for u in merged["unanswered"] if u["name"] not in answered]
-    found = [f for r in reports for f in r.findings]
-    merged["findings"] = list({(f.cause, f.channels, f.of): f for f in reversed(found)}.values())[::-1]
-    merged["main_equation"] = max((r.main_equation for r in reports), key=[r.main_equation for r in reports].count)
-    return msgspec.convert(merged, ContactReport)
+    merged = _of_one_kind(reports)
+    answered = {c.name for c in merged.contacts}
+    findings = {(f.cause, f.channels, f.of): f for r in reversed(reports) for f in reversed(r.findings)}
+    equations = [r.main_equation for r in reports]
+    return msgspec.structs.replace(
+        merged,
+        unanswered=tuple(u for u in merged.unanswered if u.name not in answered),
+        findings=tuple(findings.values())[::-1],
+        main_equation=max(equations, key=equations.count),
+        notes=tuple(dict.fromkeys(note for r in reports for note in r.notes)),
+    )
 
 
 def pooled(estimates: Sequence[Estimate]) -> Estimate:
@@ -97,17 +121,32 @@ def pooled(estimates: Sequence[Estimate]) -> Estimate:
     )
 
 
-def _merged(parts: Sequence[Any]) -> Any:
-    first = parts[0]
-    if isinstance(first, dict):
-        if {"value", "standard_error"} <= first.keys():
-            return msgspec.to_builtins(pooled([Estimate(**p) for p in parts]))
-        keys = dict.fromkeys(key for p in parts for key in p)
-        merged = {key: _merged([p[key] for p in parts if key in p]) for key in keys}
-        return merged | ({"averages": sum(p["averages"] for p in parts)} if "averages" in first else {})
-    if isinstance(first, list | tuple) and any(isinstance(item, dict) for p in parts for item in p):
-        alike: dict[tuple[Any, ...], list[Any]] = {}
-        for item in (item for p in parts for item in p):
-            alike.setdefault(tuple(item.get(name) for name in NAMES), []).append(item)
-        return [_merged(items) for items in alike.values()]
-    return float(np.mean(parts)) if isinstance(first, float) else first
+def _of_one_kind(parts: Sequence[Struct]) -> Struct:
+    """Field by field; the number of averages is added."""
+    merged: dict[str, Any] = {}
+    for name in parts[0].__struct_fields__:
+        given = [value for p in parts if (value := getattr(p, name)) is not None]
+        merged[name] = sum(given) if name == "averages" else _merged(given) if given else None
+    return type(parts[0])(**merged)
+
+
+def _merged(values: Sequence[Any]) -> Any:
+    """Estimates pooled, numbers averaged, structures merged that belong together; of all else the first."""
+    match values[0]:
+        case Estimate():
+            return pooled(values)
+        case msgspec.Struct():
+            return _of_one_kind(values)
+        case tuple():
+            return _by_name(values)
+        case float():
+            return float(np.mean(values))
+    return values[0]
+
+
+def _by_name(rows: Sequence[tuple[Any, ...]]) -> tuple[Any, ...]:
+    """Structures of several rows by the fields that name them; the first of rows of anything else."""
+    alike: dict[tuple[Any, ...], list[Any]] = {}
+    for item in (item for row in rows for item in row if isinstance(item, msgspec.Struct)):
+        alike.setdefault(tuple(getattr(item, name, None) for name in NAMES), []).append(item)
+    return tuple(map(_of_one_kind, alike.values())) if alike else rows[0]

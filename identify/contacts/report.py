@@ -1,13 +1,17 @@
 """An identification on disk: contact.json, the identified rig.json, the figures, and contact.html, a page."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 
-from identify.contacts.advice import assumed, surer
+import msgspec
+
+from identify.contacts.advice import assumed, recommendations
 from identify.contacts.identification import Identification
 from identify.contacts.identified_rig import identified_rig
-from identify.contacts.results import ContactEstimate, Estimate
+from identify.contacts.paper_methods import attempted
+from identify.contacts.results import ContactEstimate, ContactReport, Estimate
 from identify.pages import page
 from identify.pages.picture import Picture
 from identify.pages.wording import interval, number
@@ -42,7 +46,9 @@ def write_results(
 
     make_folder(out)
     marks = {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in laws.items()}
-    figures = drawn(found, marks, laws_name)
+    notes: list[str] = []
+    figures = drawn(found, marks, laws_name, notes)
+    found = replace(found, report=msgspec.structs.replace(found.report, notes=(*found.report.notes, *notes)))
     for name, picture in figures.items():
         picture.save(out / f"{name}.png")
     write_page(found, figures, title, laws, laws_name, out / "contact.html", sources)
@@ -61,7 +67,7 @@ def write_page(
 ) -> None:
     """Writes the page; figures by the names of `identify.contacts.figures`."""
     report = found.report
-    told, count = len(report.contacts), len(found.estimates)
+    told, count = len(report.contacts), len(found.rig.contacts)
     page.write(
         path,
         title=title,
@@ -80,9 +86,9 @@ def write_page(
             ),
             ("What was found", _values(found, laws, laws_name)),
             *([("What was refused", _refused(found))] if report.unanswered else []),
-            ("What would make it surer", page.listed(surer(found))),
+            ("What would make it surer", page.listed(recommendations(found))),
             ("What was assumed", page.listed(assumed(found))),
-            ("Figures", "".join(_figure(n, figures[n]) for n in _CAPTIONS if n in figures)),
+            ("Figures", _figures(figures)),
             ("Beside it: the paper's methods", _methods(found)),
         ],
         foot="Every identified value of this page stands in contact.json, unrounded, with its standard error.",
@@ -135,47 +141,51 @@ def _refused(found: Identification) -> str:
     )
 
 
-def _figure(name: str, picture: Picture) -> str:
-    return page.figure(name, picture, _CAPTIONS[name])
+def _figures(figures: Mapping[str, Picture]) -> str:
+    notes: list[str] = []
+    named = {name: (name, figures[name]) for name in _CAPTIONS if name in figures}
+    shown = attempted(notes, "the figure", named, lambda one: page.figure(*one, _CAPTIONS[one[0]]))
+    return (page.listed(notes) if notes else "") + "".join(shown.values())
 
 
 def _methods(found: Identification) -> str:
-    """NIFO, surface and histogram, which the answers above do not rest on."""
+    """NIFO, surface and histogram, which the answers above do not rest on; first what of them could not be made."""
     report = found.report
-    nifo = [
-        (
-            each.equation,
-            s.contact,
-            _said(s.mean_n_per_m, "N/m"),
-            f"{100 * s.rms_deviation_n_per_m / abs(s.mean_n_per_m.value):.2g} %",
-            "nearly invisible" if s.contact in each.nearly_invisible else "",
-        )
-        for each in report.nifo
-        for s in each.stiffness
-    ]
-    nifo += [
-        (each.equation, name, "not told", "", "on a node of this mode")
-        for each in report.nifo
-        for name in each.nearly_invisible
-        if name not in {s.contact for s in each.stiffness}
-    ]
-    ways = [(f"surface of {s.equation}", c) for s in report.surface.surfaces for c in s.clearances]
-    ways += [("histogram", c) for c in report.surface.histogram]
-    clearances = [(c.contact, way, _said(c.clearance_m, "mm", 1e3)) for way, c in ways]
-    told = {c.contact for c in report.surface.histogram}
-    clearances += [(c.name, "histogram", "not told") for c in report.contacts if c.name not in told]
+    bands = [n.band_hz for n in report.nifo]  # each that of the forces on its body
+    by_nifo = f"NIFO ({min(bands)[0]:.3g} to {max(b[1] for b in bands):.3g} Hz) and " if bands else ""
     modes = [
         (f"{m.beam} {m.index}", f"{m.frequency_hz:.3f} Hz", f"{100 * m.damping_ratio:.2f} %") for m in report.modes
     ]
-    bands = [n.band_hz for n in report.nifo]  # each that of the forces on its body
-    by_nifo = f"NIFO ({min(bands)[0]:.3g} to {max(b[1] for b in bands):.3g} Hz) and " if bands else ""
     return (
-        "<p>With the law found, the response of the modes beyond the fitted ones is taken off; then "
+        (page.listed(report.notes) if report.notes else "")
+        + "<p>With the law found, the response of the modes beyond the fitted ones is taken off; then "
         f"{by_nifo}the restoring force surface are applied to every modal equation. Their "
         "standard errors do not know the tolerances. The figures show "
         f"{escape(report.main_equation)}.</p><details><summary>All of them</summary>"
-        + page.table(("equation", "contact", "stiffness by NIFO", "rms deviation", ""), nifo)
-        + page.table(("contact", "clearance by", "value"), sorted(clearances))
+        + page.table(("equation", "contact", "stiffness by NIFO", "rms deviation", ""), _nifo_rows(report))
+        + page.table(("contact", "clearance by", "value"), sorted(_clearance_rows(report)))
         + page.table(("mode", "frequency", "damping"), modes)
         + "</details>"
     )
+
+
+def _nifo_rows(report: ContactReport) -> Iterator[tuple[str, ...]]:
+    for each in report.nifo:
+        for s in each.stiffness:
+            deviation = f"{100 * s.rms_deviation_n_per_m / abs(s.mean_n_per_m.value):.2g} %"
+            hidden = "nearly invisible" if s.contact in each.nearly_invisible else ""
+            yield each.equation, s.contact, _said(s.mean_n_per_m, "N/m"), deviation, hidden
+    for each in report.nifo:
+        for name in each.nearly_invisible:
+            if name not in {s.contact for s in each.stiffness}:
+                yield each.equation, name, "not told", "", "on a node of this mode"
+
+
+def _clearance_rows(report: ContactReport) -> Iterator[tuple[str, str, str]]:
+    ways = [(f"surface of {s.equation}", c) for s in report.surface.surfaces for c in s.clearances]
+    ways += [("histogram", c) for c in report.surface.histogram]
+    for way, c in ways:
+        yield c.contact, way, _said(c.clearance_m, "mm", 1e3)
+    for contact in report.contacts:
+        if contact.name not in {c.contact for c in report.surface.histogram}:
+            yield contact.name, "histogram", "not told"

@@ -3,6 +3,7 @@
 import msgspec
 
 from identify.checks.findings import Finding
+from identify.contacts.refusals import RefusalCode, RemedyCode
 
 
 class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -29,11 +30,15 @@ class ContactEstimate(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
     upper_clearance_m: Estimate | None = None
 
 
-class Unanswered(msgspec.Struct, frozen=True):
-    """A contact of which this record cannot tell, and why."""
+class Unanswered(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A contact that this record does not determine: the reason in words, and by code with its evidence and remedy."""
 
     name: str
     reason: str
+    code: RefusalCode | None = None
+    """None in files of before there were codes."""
+    remedy: RemedyCode | None = None
+    evidence: dict[str, float | int | str] = {}
 
 
 class Mode(msgspec.Struct, frozen=True):
@@ -113,6 +118,8 @@ class ContactReport(msgspec.Struct, frozen=True, kw_only=True):
     findings: tuple[Finding, ...] = ()
     noise_from: str = ""
     """What the accelerations' noise is taken from."""
+    notes: tuple[str, ...] = ()
+    """What could not be made beside the answers (NIFO, a surface, a figure), and why."""
 
 
 class Segment(msgspec.Struct, frozen=True):

@@ -1,55 +1,56 @@
 """From what the steps of the identification found to the report."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from identify.checks.findings import Finding
 from identify.contacts import results
-from identify.contacts.joint import Joint
-from identify.contacts.told import ContactFit
+from identify.contacts.determination import Outcomes
+from identify.contacts.joint_fit import JointEstimate
+from identify.contacts.paper_methods import PaperMethods
+from identify.contacts.refusals import Refusal
 from identify.linear.modal import NEARLY_INVISIBLE, Transformation
 from identify.paper.nifo import Nifo, fitted_mode
-from identify.paper.surface import Stops, Surface
-from identify.signals.kinematics import Kinematics
+from identify.paper.surface import Stops
 from identify.signals.noise import noise_source
 from rig.model.description import Rig
 
 
 def contact_report(
-    rig: Rig,
-    motion: Kinematics,
-    *,
-    estimates: tuple[ContactFit, ...],
-    transformations: list[Transformation],
-    surfaces: list[Surface],
-    histogram: list[Stops | None],
-    main_equation: str,
-    spectra: list[Nifo],
-    findings: tuple[Finding, ...] = (),
+    rig: Rig, outcomes: Outcomes, methods: PaperMethods, findings: tuple[Finding, ...] = ()
 ) -> results.ContactReport:
-    """The report; `surfaces` and `spectra` belong to all equations."""
-    named = [(c.name, a) for c, a in zip(rig.contacts, estimates, strict=True)]
+    """The report: the answers, and what the paper's methods say beside them."""
+    motion = methods.motion
     return results.ContactReport(
         rig=rig.name,
-        contacts=tuple(_contact(name, a) for name, a in named if isinstance(a, Joint)),
-        unanswered=tuple(results.Unanswered(name, a) for name, a in named if isinstance(a, str)),
-        main_equation=main_equation,
-        modes=_modes(spectra),
-        nifo=tuple(_nifo_result(rig, n) for n in spectra),
+        contacts=tuple(_contact(name, estimate) for name, estimate in outcomes.estimates.items()),
+        unanswered=unanswered(outcomes.refusals),
+        main_equation=methods.main_equation,
+        modes=_modes(methods.spectra),
+        nifo=tuple(_nifo_result(rig, n) for n in methods.spectra),
         surface=results.Surfaces(
-            tuple(results.SurfaceResult(s.equation.name, _clearances(rig, s.stops)) for s in surfaces),
-            _clearances(rig, histogram),
+            tuple(results.SurfaceResult(s.equation.name, _clearances(rig, s.stops)) for s in methods.surfaces),
+            _clearances(rig, methods.histogram),
         ),
-        transformation=tuple(_transformation_result(t) for t in transformations),
+        transformation=tuple(_transformation_result(t) for t in methods.transformations),
         trusted_hz=motion.trusted_hz,
         channels_used=(*rig.force_names, *motion.channels),
         findings=findings,
         noise_from=noise_source(motion, rig),
+        notes=methods.notes,
     )
 
 
-def _contact(name: str, found: Joint) -> results.ContactEstimate:
+def unanswered(refusals: Mapping[str, Refusal]) -> tuple[results.Unanswered, ...]:
+    """As the reports have them."""
+    return tuple(
+        results.Unanswered(name, refusal.sentence, refusal.code, refusal.remedy, dict(refusal.evidence))
+        for name, refusal in refusals.items()
+    )
+
+
+def _contact(name: str, found: JointEstimate) -> results.ContactEstimate:
     lower, upper, stiffness, damping, clearance = (
         results.Estimate(float(of @ found.values), found.error(of), found.own_error(of))
         for of in (*np.eye(len(found.values)), found.clearance)
@@ -64,7 +65,7 @@ def _contact(name: str, found: Joint) -> results.ContactEstimate:
     )
 
 
-def _modes(spectra: list[Nifo]) -> tuple[results.Mode, ...]:
+def _modes(spectra: Sequence[Nifo]) -> tuple[results.Mode, ...]:
     """The elastic modes within the band."""
     inside = [n for n in spectra if 0 < n.equation.frequency_hz < n.frequency_hz[-1]]
     return tuple(results.Mode(n.equation.body, n.equation.index, *fitted_mode(n)) for n in inside)

@@ -2,20 +2,19 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
-from scipy.signal import resample
 
-from identify.checks import naming
-from identify.contacts.estimates import Contacts, find_contacts
-from identify.contacts.joint import Joint
-from identify.contacts.linearised import law_force_n
-from identify.contacts.quality import findings_before, fit_findings
-from identify.contacts.results import Estimate, Unanswered
-from identify.contacts.start import ContactRecord
-from identify.contacts.unforced import is_unforced, without_dead_force
-from identify.laws.piecewise import FINEST, PiecewiseLinear, Sampled, polynomial, sampled, slope_jumps, straight_pieces
+from identify.contacts.acceptance import Contacts, checked_contacts
+from identify.contacts.contact_record import ContactRecord, Law
+from identify.contacts.joint_fit import JointEstimate
+from identify.contacts.linearization import law_force_n
+from identify.contacts.refusals import Refusal
+from identify.contacts.results import Estimate
+from identify.contacts.summary import unanswered
+from identify.laws.piecewise import FINEST, PiecewiseLinear, Sampled, Signal, polynomial, slope_jumps, straight_pieces
 from identify.laws.piecewise import unfiltered as without_low_pass
 from identify.laws.results import ContactLawEstimate, LawReport, SlidingLaw, TriedLaw
 from identify.laws.sliding import SlidingFriction, sliding_friction
@@ -24,7 +23,7 @@ from identify.linear.joined import Joined
 from identify.pages.wording import interval
 from identify.signals.kinematics import Use
 from rig.errors import RigError
-from rig.model.tolerances import LABORATORY, Tolerances
+from rig.model.tolerances import Tolerances
 from rig.recording import Recording
 
 POINTS = 4000
@@ -73,7 +72,7 @@ class FoundLaw:
     @property
     def drawn_n(self) -> Float[np.ndarray, " samples"]:
         """Its force, low-passed as the separated one is."""
-        return self.record.low_passed((self.sliding or self.pieces)(self.record.eta_m))
+        return self.record.low_passed(self.sliding or self.pieces)
 
 
 @dataclass(frozen=True)
@@ -107,80 +106,82 @@ def identify_law(
     if contact is not None and contact not in names:
         raise RigError(f"no contact {contact!r} in the recording; there are {', '.join(names)}")
     pyoperon()  # whose lack had better be known before the work
-    findings = findings_before(recording, use, tolerances)
-    with naming(findings):
-        contacts = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY)
-    findings = without_dead_force(findings, recording.force_names) if is_unforced(contacts.motion) else findings
-    findings += tuple(fit_findings(names, contacts.estimates, contacts.separated.nuisances.parameters))
+    contacts = checked_contacts(recording, use, tolerances)
     progress(0.1)
-    chosen = [p for p in contacts.same_place if contact in (None, *(names[j] for j in p.members))]
+    separation, refusals = contacts.separation, contacts.outcomes.refusals
+    pairs = zip(separation.same_place, separation.records, strict=True)
+    chosen = [(place, one) for place, one in pairs if contact in (None, *(names[j] for j in place.members))]
     found: list[FoundLaw] = []
-    silent: list[Unanswered] = []
-    for done, place in enumerate(chosen):
-        seen = contacts.observed[contacts.same_place.index(place)]
-        why = {names[j]: a for j in place.members if isinstance(a := contacts.estimates[j], str)}
-        if len(why) == len(place.members) and (seen.drift is not None or not np.ptp(seen.eta_m)):
-            silent += [Unanswered(name, reason) for name, reason in why.items()]
+    silent: dict[str, Refusal] = {}
+    for done, (place, one) in enumerate(chosen, start=1):
+        members = [names[j] for j in place.members]
+        if set(members) <= refusals.keys() and (one.drift is not None or not np.ptp(one.eta_m)):
+            silent |= {name: refusals[name] for name in members}
         else:
-            found.append(_law(contacts, place, seen, seconds / len(chosen), seed))
-        progress(0.1 + 0.9 * (done + 1) / len(chosen))
-    return Laws(
-        LawReport(
-            rig=recording.rig.name,
-            laws=tuple(f.result for f in found),
-            unanswered=tuple(silent),
-            findings=findings,
-        ),
-        tuple(found),
+            found.append(_law(contacts, place, one, seconds / len(chosen), seed))
+        progress(0.1 + 0.9 * done / len(chosen))
+    report = LawReport(
+        rig=recording.rig.name,
+        laws=tuple(law.result for law in found),
+        unanswered=unanswered(silent),
+        findings=contacts.findings,
     )
+    return Laws(report, tuple(found))
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """A contact's force and complete relative displacement, its joint estimates, and the rows that laws are fitted to
+    (the first half of what is excited), judged by (the other half), and fitted to once judged."""
+
+    record: Sampled
+    velocity_m_per_s: Float[np.ndarray, " more"]
+    estimates: tuple[JointEstimate, ...]
+    taught: slice
+    held_out: slice
+
+    @property
+    def whole(self) -> slice:
+        return slice(self.taught.start, self.held_out.stop)
+
+    @property
+    def finest_n(self) -> float:
+        """Errors that differ by less are alike."""
+        return FINEST * float(np.std(self.record.force_n[self.whole]))
+
+    @property
+    def values(self) -> Float[np.ndarray, " laws"]:
+        """Of the joint estimates' laws."""
+        return np.array([estimate.values for estimate in self.estimates]).ravel()
+
+
+@dataclass(frozen=True)
+class _Searched:
+    """The formula with the points that it was searched on."""
+
+    formula: Formula
+    least_error_n: float
+    eta_m: Float[np.ndarray, " points"]
+    force_n: Float[np.ndarray, " points"]
+    out_of_time: bool
 
 
 def _law(contacts: Contacts, place: Joined, seen: ContactRecord, seconds: float, seed: int) -> FoundLaw:
-    fits = [(s, contacts.estimates[j]) for s, j in zip(place.signs, place.members, strict=True)]
-    joints = [fit if sign > 0 else fit.reversed for sign, fit in fits if isinstance(fit, Joint)]
-    record, velocity = _complete(seen, joints[0] if joints else None)
-    values = np.array([joint.values for joint in joints]).ravel()
-    if len(joints) > 1:  # their damping hides the knee of a soft stop before a hard one
-        damped = law_force_n(values, record.eta_m, velocity) - law_force_n(values, record.eta_m, 0 * velocity)
-        record = replace(record, force_n=record.force_n - record.low_passed(damped))
-    first = contacts.motion.excited_from // seen.factor + ENDS
-    last = record.force_n.size - ENDS
-    if last - first < LEAST_SAMPLES:
-        raise RigError(
-            f"the excited part of the record holds {max(last - first, 0)} samples of the contact force; record longer"
-        )
-    middle = (first + last) // 2
-    taught, held_out, whole = slice(first, middle), slice(middle, last), slice(first, last)
-
-    eta, force = record.at_force_m[taught], without_low_pass(record, taught)
-    drawn = _evenly(eta, np.random.default_rng(seed))
-    eta, force = eta[drawn], force[drawn]
-    eta_unit, force_unit = float(np.abs(eta).max()), float(np.abs(force).max())
-    searched = search(eta / eta_unit, force / force_unit, seconds, seed)
-    formulas = [f.scaled(eta_unit, force_unit) for f in searched.formulas]
-    finest = FINEST * float(np.std(record.force_n[whole]))
-    errors = [record.error_n(f, taught) for f in formulas]
-    formula = formulas[_first_as_good(errors, finest)]
-
-    low, high = float(eta.min()), float(eta.max())
+    samples = _samples(contacts, place, seen)
+    record, finest = samples.record, samples.finest_n
+    searched = _searched(samples, seconds, seed)
+    formula, low, high = searched.formula, float(searched.eta_m.min()), float(searched.eta_m.max())
     knees = slope_jumps(formula, low, high)
-    pieces = straight_pieces(record, taught, knees)
-    others = []
-    if record.error_n(pieces, taught) > AS_GOOD * min(errors) + finest:
-        others.append(np.linspace(low, high, UNTOLD + 2)[1:-1])
-    if len(joints) > 1:  # soft stops before a hard one
-        stops = np.array([side * joint.values[k] for joint in joints for k, side in enumerate((-1, 1))])
-        others.append(stops[(stops > low) & (stops < high)])
-    tried = [pieces, *(straight_pieces(record, taught, start) for start in others)]
-    pieces = min(tried, key=lambda law: record.error_n(law, taught))
+    pieces = _straight(samples, searched, knees)
     laws: dict[str, Callable[[np.ndarray], np.ndarray]] = {PIECEWISE: pieces}
-    if joints:
-        laws[DEAD_ZONE] = lambda e: law_force_n(values, e, np.zeros_like(e))
-    laws |= {SLIDING: sliding_friction(record, taught), CUBIC: polynomial(record, taught, 3), FORMULA: formula}
-    candidates = tuple(TriedLaw(name, record.error_n(law, held_out)) for name, law in laws.items())
+    if samples.estimates:
+        laws[DEAD_ZONE] = lambda e: law_force_n(samples.values, e, np.zeros_like(e))
+    laws[SLIDING] = sliding_friction(record, samples.taught)
+    laws |= {CUBIC: polynomial(record, samples.taught, 3), FORMULA: formula}
+    candidates = tuple(TriedLaw(name, record.error_n(law, samples.held_out)) for name, law in laws.items())
     best = candidates[_first_as_good([c.held_out_error_n for c in candidates], finest)]
-    pieces = straight_pieces(record, whole, pieces.knees_m)  # once judged, from all there is
-    sliding = sliding_friction(record, whole) if best.law == SLIDING else None
+    pieces = straight_pieces(record, samples.whole, pieces.knees_m)  # once judged, from all there is
+    sliding = sliding_friction(record, samples.whole) if best.law == SLIDING else None
     shown = f"f = {formula.scaled(1e3, 1.0).text('eta')} (N, eta in mm)"
     result = ContactLawEstimate(
         contact=place.contact.name,
@@ -193,24 +194,77 @@ def _law(contacts: Contacts, place: Joined, seen: ContactRecord, seconds: float,
         fitted_slopes_n_per_m=_estimates(pieces.slopes_n_per_m, pieces.slope_errors_n_per_m),
         sliding=None if sliding is None else _sliding(sliding),
         candidates=candidates,
-        force_rms_n=float(np.std(record.force_n[whole])),
-        hysteresis_share=_hysteresis(record, velocity, pieces, held_out),
+        force_rms_n=float(np.std(record.force_n[samples.whole])),
+        hysteresis_share=_hysteresis(record, samples.velocity_m_per_s, pieces, samples.held_out),
         sides_known=seen.sides_known,
-        points=drawn.size,
+        points=searched.eta_m.size,
         repeatable=not searched.out_of_time,
     )
-    time_s = contacts.motion.time_s(record.force_n.size, seen.factor)
-    return FoundLaw(result, eta, force, formula, pieces, sliding, record, time_s)
+    time_s = contacts.separation.motion.time_s(record.force_n.size, seen.factor)
+    return FoundLaw(result, searched.eta_m, searched.force_n, formula, pieces, sliding, record, time_s)
 
 
-def _complete(seen: ContactRecord, joint: Joint | None) -> tuple[Sampled, Float[np.ndarray, " more"]]:
-    """Force and relative displacement with the drift put right; the relative velocity (m/s), as fine."""
+def _samples(contacts: Contacts, place: Joined, seen: ContactRecord) -> _Samples:
+    """Of several contacts without the damping of their estimates, which hides a soft stop's knee before a hard one.
+
+    Raises RigError if too little of the record is excited.
+    """
+    separation, known = contacts.separation, contacts.outcomes.estimates
+    signed = zip(place.signs, (separation.rig.contacts[j].name for j in place.members), strict=True)
+    estimates = tuple(known[name] if sign > 0 else known[name].reversed for sign, name in signed if name in known)
+    record, velocity = _complete(seen, estimates[:1])
+    if len(estimates) > 1:
+        values = np.array([estimate.values for estimate in estimates]).ravel()
+        damped_n = record.low_passed(partial(_damping_force_n, values), velocity)
+        record = replace(record, force_n=record.force_n - damped_n)
+    first = separation.motion.excited_from // seen.factor + ENDS
+    last = record.force_n.size - ENDS
+    if last - first < LEAST_SAMPLES:
+        raise RigError(
+            f"the excited part of the record holds {max(last - first, 0)} samples of the contact force; record longer"
+        )
+    middle = (first + last) // 2
+    return _Samples(record, velocity, estimates, slice(first, middle), slice(middle, last))
+
+
+def _searched(samples: _Samples, seconds: float, seed: int) -> _Searched:
+    """The plainest formula that leaves as little as the best."""
+    record, taught = samples.record, samples.taught
+    eta, force = record.at_force_m[taught], without_low_pass(record, taught)
+    drawn = _evenly(eta, np.random.default_rng(seed))
+    eta, force = eta[drawn], force[drawn]
+    eta_unit, force_unit = float(np.abs(eta).max()), float(np.abs(force).max())
+    searched = search(eta / eta_unit, force / force_unit, seconds, seed)
+    formulas = [f.scaled(eta_unit, force_unit) for f in searched.formulas]
+    errors = [record.error_n(f, taught) for f in formulas]
+    formula = formulas[_first_as_good(errors, samples.finest_n)]
+    return _Searched(formula, min(errors), eta, force, searched.out_of_time)
+
+
+def _straight(samples: _Samples, searched: _Searched, knees: Float[np.ndarray, " knees"]) -> PiecewiseLinear:
+    """Straight pieces from the knees of the formula; from others too, where those do not serve or stops are several."""
+    record, taught = samples.record, samples.taught
+    low, high = float(searched.eta_m.min()), float(searched.eta_m.max())
+    tried = [straight_pieces(record, taught, knees)]
+    if record.error_n(tried[0], taught) > AS_GOOD * searched.least_error_n + samples.finest_n:
+        tried.append(straight_pieces(record, taught, np.linspace(low, high, UNTOLD + 2)[1:-1]))
+    if len(samples.estimates) > 1:  # soft stops before a hard one
+        stops = np.array([side * one.values[k] for one in samples.estimates for k, side in enumerate((-1, 1))])
+        tried.append(straight_pieces(record, taught, stops[(stops > low) & (stops < high)]))
+    return min(tried, key=lambda law: record.error_n(law, taught))
+
+
+def _complete(seen: ContactRecord, estimates: tuple[JointEstimate, ...]) -> tuple[Sampled, Float[np.ndarray, " more"]]:
+    """Force and relative displacement with the drift put right; the relative velocity (m/s)."""
     eta, force, velocity = seen.eta_m, seen.force_n, seen.velocity_m_per_s
-    if joint is not None and seen.drift is not None:
-        eta, velocity = eta + joint.drift_m, velocity + joint.drift_m_per_s
-        force = force - seen.spring_n_per_m * joint.drift_m[:: seen.factor][: force.size]
-    record = sampled(eta, seen.sample_rate_hz, force, seen.factor)
-    return record, resample(velocity, record.eta_m.size) if record.eta_m.size > eta.size else velocity
+    for estimate in estimates if seen.drift is not None else ():
+        eta, velocity = eta + estimate.drift_m, velocity + estimate.drift_m_per_s
+        force = force - seen.spring_n_per_m * estimate.drift_m[:: seen.factor][: force.size]
+    return Sampled(eta, force, seen.sample_rate_hz, seen.factor), velocity
+
+
+def _damping_force_n(law: Law, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
+    return law_force_n(law, eta_m, rate_m_per_s) - law_force_n(law, eta_m, np.zeros_like(rate_m_per_s))
 
 
 def _evenly(eta: Float[np.ndarray, " samples"], rng: np.random.Generator) -> np.ndarray:
@@ -243,9 +297,12 @@ def _estimates(values: Float[np.ndarray, " n"], errors: Float[np.ndarray, " n"])
 def _hysteresis(record: Sampled, velocity: Float[np.ndarray, " more"], law: PiecewiseLinear, rows: slice) -> float:
     """The share of the variance left that a damper explains which acts in proportion to the law's local slope."""
     slopes = np.abs(law.slopes_n_per_m)
-    local = slopes[np.searchsorted(law.knees_m, record.eta_m)] / slopes.max()
-    damper = record.low_passed(local * velocity)[rows]
-    left = (record.force_n - record.low_passed(law(record.eta_m)))[rows]
+
+    def by_slope(eta_m: Signal, rate_m_per_s: Signal) -> Signal:
+        return slopes[np.searchsorted(law.knees_m, eta_m)] / slopes.max() * rate_m_per_s
+
+    damper = record.low_passed(by_slope, velocity)[rows]
+    left = (record.force_n - record.low_passed(law))[rows]
     return float((damper @ left) ** 2 / ((damper @ damper) * (left @ left)))
 
 

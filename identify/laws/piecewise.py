@@ -1,19 +1,18 @@
 """Laws f(eta) held against a low-passed contact force: any law's error, a curve without a law, straight pieces."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, partial
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.optimize import least_squares
-from scipy.signal import resample
 
+from identify.signals.law_evaluation import evaluated, interpolated, low_passed
 from identify.signals.scores import part_scores
-from identify.signals.spectra import decimated
 
-FINE_HZ = 4096.0
-"""A law is evaluated at this rate at least, so that its knees do not alias."""
-HATS = 81
+HATS, TOGETHER = 81, 9
 MOST_KNEES = 8
 STIFFENING = 1e-3
 WORSE = 1.02
@@ -21,20 +20,52 @@ WORSE = 1.02
 FINEST = 1e-3
 """Errors are told apart down to this share of the force's standard deviation."""
 
-Function = Callable[[Float[np.ndarray, " more"]], Float[np.ndarray, " more"]]
+Signal = Float[np.ndarray, "*shape"]
+Function = Callable[..., Signal]
 Rows = slice
+
+
+@dataclass(frozen=True)
+class Course:
+    """A relative displacement by its runs, from one turning point to the next, in which it only grows or only falls."""
+
+    steps_m: tuple[float, ...]
+    """From each turning point to the next."""
+    run: Int[np.ndarray, " more"]
+    """The run of each sample."""
+    since_turn_m: Float[np.ndarray, " more"]
+
+
+def course_of(eta_m: Float[np.ndarray, " more"]) -> Course:
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(eta_m)))) + 1
+    begins = np.concatenate([[0], turns])
+    run = np.repeat(np.arange(begins.size), np.diff(begins, append=eta_m.size))
+    return Course(tuple(np.diff(eta_m[begins]).tolist()), run, eta_m - eta_m[begins][run])
+
+
+class LawWithMemory(ABC):
+    """A law whose force depends on the course of the relative displacement since its first sample."""
+
+    @abstractmethod
+    def along(self, course: Course) -> Float[np.ndarray, " more"]:
+        """The force at every sample."""
+
+    def __call__(self, eta_m: Float[np.ndarray, " more"]) -> Float[np.ndarray, " more"]:
+        """The force along a relative displacement, all samples from the first on."""
+        return self.along(course_of(eta_m))
 
 
 @dataclass(frozen=True)
 class Sampled:
     """A contact force (N), low-passed, and the relative displacement (m) that it belongs to.
 
-    eta_m is fine: of every sample of the force there are `factor`. Rows at the ends, which the low-pass falsifies, are
-    left to the user's choice of rows.
+    Of every sample of the force there are `factor` of the relative displacement, which has the rate. Rows at the ends,
+    which the low-pass falsifies, are left to the user's choice of rows.
     """
 
     eta_m: Float[np.ndarray, " more"]
     force_n: Float[np.ndarray, " samples"]
+    sample_rate_hz: float
     factor: int
 
     @property
@@ -42,21 +73,24 @@ class Sampled:
         """The relative displacement at the force's samples."""
         return self.eta_m[:: self.factor][: self.force_n.size]
 
-    def low_passed(self, values: Float[np.ndarray, "*rows more"]) -> Float[np.ndarray, "*rows samples"]:
-        """As the force is."""
-        return decimated(values, self.factor)[..., : self.force_n.size]
+    @cached_property
+    def course(self) -> Course:
+        """For laws with a memory."""
+        return course_of(interpolated(self.eta_m, self.sample_rate_hz))
 
-    def error_n(self, law: Function, rows: Rows) -> float:
+    def low_passed(
+        self, law: Function | LawWithMemory, *beside: Float[np.ndarray, " more"]
+    ) -> Float[np.ndarray, "*rows samples"]:
+        """law(eta, *beside), without aliasing, as the force is low-passed."""
+        if isinstance(law, LawWithMemory):
+            force = low_passed(law.along(self.course), self.sample_rate_hz, self.factor)
+        else:
+            force = evaluated(law, np.stack([self.eta_m, *beside]), self.sample_rate_hz, self.factor)
+        return force[..., : self.force_n.size]
+
+    def error_n(self, law: Function | LawWithMemory, rows: Rows) -> float:
         """Rms of the force less the low-passed law."""
-        return float(np.sqrt(np.mean((self.force_n - self.low_passed(law(self.eta_m)))[rows] ** 2)))
-
-
-def sampled(
-    eta_m: Float[np.ndarray, " many"], sample_rate_hz: float, force_n: Float[np.ndarray, " samples"], factor: int
-) -> Sampled:
-    """The relative displacement, which is smooth, interpolated band-limited to 4096 Hz or more."""
-    fine = max(1, int(np.ceil(FINE_HZ / sample_rate_hz)))
-    return Sampled(resample(eta_m, fine * eta_m.size) if fine > 1 else eta_m, force_n, fine * factor)
+        return float(np.sqrt(np.mean((self.force_n - self.low_passed(law))[rows] ** 2)))
 
 
 def unfiltered(seen: Sampled, rows: Rows) -> Float[np.ndarray, " fewer"]:
@@ -65,20 +99,23 @@ def unfiltered(seen: Sampled, rows: Rows) -> Float[np.ndarray, " fewer"]:
     A curve of 81 straight pieces is fitted under the low-pass (linear least squares, lightly held straight); what the
     low-pass does to that curve is taken off the force.
     """
-    eta = seen.eta_m
-    places = np.linspace(eta.min(), eta.max(), HATS)
+    places = np.linspace(seen.eta_m.min(), seen.eta_m.max(), HATS)
     width = places[1] - places[0]
-    hats = np.stack([seen.low_passed(np.clip(1 - np.abs(eta - p) / width, 0, None)) for p in places], axis=1)
+    hats = np.concatenate([seen.low_passed(partial(_hats, some, width)) for some in np.split(places, TOGETHER)]).T
     straight = STIFFENING * np.sqrt(np.sum(hats[rows] ** 2) / HATS) * np.diff(np.eye(HATS), 2, axis=0)
     system = np.concatenate([hats[rows], straight])
     heights = np.linalg.lstsq(system, np.concatenate([seen.force_n[rows], np.zeros(HATS - 2)]), rcond=None)[0]
     return (seen.force_n - hats @ heights + np.interp(seen.at_force_m, places, heights))[rows]
 
 
+def _hats(places_m: Float[np.ndarray, " places"], width_m: float, eta_m: Signal) -> Float[np.ndarray, "places *shape"]:
+    return np.stack([np.clip(1 - np.abs(eta_m - place) / width_m, 0, None) for place in places_m])
+
+
 def polynomial(seen: Sampled, rows: Rows, degree: int) -> Function:
     """The polynomial in eta that fits the rows best under the low-pass."""
     size = float(np.abs(seen.eta_m).max())
-    columns = seen.low_passed(np.stack([(seen.eta_m / size) ** n for n in range(degree + 1)]))
+    columns = seen.low_passed(lambda eta: np.stack([(eta / size) ** n for n in range(degree + 1)]))
     found = np.linalg.lstsq(columns[:, rows].T, seen.force_n[rows], rcond=None)[0]
     return lambda eta: np.polynomial.polynomial.polyval(eta / size, found)
 
@@ -137,17 +174,17 @@ def _fitted(seen: Sampled, rows: Rows, start_m: Float[np.ndarray, " knees"]) -> 
     force = seen.force_n[rows]
     low, high = float(seen.eta_m.min()), float(seen.eta_m.max())
     size = high - low
-    line = seen.low_passed(np.stack([np.ones_like(seen.eta_m), seen.eta_m / size]))[:, rows]
 
     def linear(knees: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        hinges = [seen.low_passed(np.maximum(seen.eta_m / size - k, 0.0))[rows] for k in knees]
-        columns = np.stack([*line, *hinges], axis=1)
+        columns = seen.low_passed(
+            lambda eta: np.stack([np.ones_like(eta), eta / size, *(np.maximum(eta / size - k, 0.0) for k in knees)])
+        )[:, rows].T
         heights = np.linalg.lstsq(columns, force, rcond=None)[0]
         return columns, heights, force - columns @ heights
 
     def by_knees(knees: np.ndarray, heights: np.ndarray) -> np.ndarray:
-        steps = [seen.low_passed((seen.eta_m / size > k).astype(float))[rows] for k in knees]
-        return np.stack([h * s for h, s in zip(heights[2:], steps, strict=True)], axis=1)
+        steps = seen.low_passed(lambda eta: np.stack([(eta / size > k).astype(float) for k in knees]))
+        return (heights[2:, None] * steps[:, rows]).T
 
     def jacobian(knees: np.ndarray) -> np.ndarray:
         columns, heights, _ = linear(knees)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import least_squares
 
-from identify.laws.piecewise import Rows, Sampled
+from identify.laws.piecewise import Course, LawWithMemory, Rows, Sampled
 from identify.signals.scores import part_scores
 
 BACKLASHES, STIFFNESSES = (0.02, 0.1, 0.3, 0.6), (3.0, 10.0, 40.0)
@@ -19,11 +19,9 @@ SLIDES = 0.85
 """The quantile of the force either way from which its sliding force starts."""
 STEP = 1e-3
 
-Course = Float[np.ndarray, " more"]
-
 
 @dataclass(frozen=True)
-class SlidingFriction:
+class SlidingFriction(LawWithMemory):
     """A slider that rubs, reached through a backlash B by a spring k to either side::
 
         s' = eta' while -B/2 - F_lower / k <= s <= B/2 + F_upper / k, which s never leaves
@@ -40,17 +38,13 @@ class SlidingFriction:
     stiffness_n_per_m: float
     errors: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
 
-    def __call__(self, eta: Course) -> Course:
-        """The force along the course of eta, all samples from the first on."""
+    def along(self, course: Course) -> Float[np.ndarray, " more"]:
         half, k = self.backlash_m / 2, self.stiffness_n_per_m
         low, high = -half - self.lower_n / k, half + self.upper_n / k
-        turns = np.flatnonzero(np.diff(np.sign(np.diff(eta)))) + 1
-        begins = np.concatenate([[0], turns])  # from one of them to the next eta only grows, or only falls
-        at = [0.0]
-        for step in np.diff(eta[begins]).tolist():
-            at.append(min(max(at[-1] + step, low), high))
-        run = np.repeat(np.arange(begins.size), np.diff(begins, append=eta.size))
-        s = np.clip(np.array(at)[run] + eta - eta[begins][run], low, high)
+        at_turns = [0.0]
+        for step in course.steps_m:
+            at_turns.append(min(max(at_turns[-1] + step, low), high))
+        s = np.clip(np.array(at_turns)[course.run] + course.since_turn_m, low, high)
         return np.asarray(k * (s - np.clip(s, -half, half)))
 
 
@@ -66,7 +60,7 @@ def sliding_friction(seen: Sampled, rows: Rows) -> SlidingFriction:
         return SlidingFriction(upper, lower, backlash, stiffness)
 
     def error(logarithms: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " rows"]:
-        return (force - seen.low_passed(law(logarithms)(seen.eta_m))[rows]) / span_n
+        return (force - seen.low_passed(law(logarithms))[rows]) / span_n
 
     starts = [np.log([1.0, 1.0, b, k]) for b, k in product(BACKLASHES, STIFFNESSES)]
     starts.sort(key=lambda start: float(np.sum(error(start) ** 2)))

@@ -109,6 +109,11 @@ def blocks(samples: int, sample_rate_hz: float, averaging: Averaging, band_hz: t
             f"a block of {length / sample_rate_hz:.4g} s does not fit a record with {samples / sample_rate_hz:.4g} "
             "usable seconds; choose another block or record longer"
         )
+    if band_hz[0] >= band_hz[1]:
+        raise RigError(
+            f"the force, or what the sensors show, begins at {band_hz[0]:.4g} Hz, and {sample_rate_hz:g} samples a "
+            f"second show the motion up to {band_hz[1]:.4g} Hz; excite below that, or sample faster"
+        )
     resolution = sample_rate_hz / length
     lines = slice(int(np.ceil(band_hz[0] / resolution - 1e-9)), int(np.floor(band_hz[1] / resolution + 1e-9)) + 1)
     if lines.stop <= lines.start or lines.stop > length // 2:

@@ -121,8 +121,8 @@ def record(
         actual = reduce(lambda so_far, text: effect_named(text).applied_to(so_far), effect or [], rig)
     except RigError as error:
         raise typer.BadParameter(str(error), param_hint="--effect") from error
-    for path in (out, truth_path(out)):
-        refuse_existing(path, force)
+    refuse_existing(out, force)
+    refuse_existing(truth_path(out), force)
     try:
         with progress_bar(f"recording {out.name} ({plant})") as progress:
             record_rig(

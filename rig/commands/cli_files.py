@@ -75,9 +75,12 @@ def export_(
     """
     if format_ not in WRITERS:
         raise typer.BadParameter(f"{format_!r} is none of {', '.join(WRITERS)}", param_hint="--format")
-    written = [out, *([] if map_ is None else [map_, map_.with_name("rig.json")])]
-    for number, path in enumerate(written):
-        refuse_existing(path, force, file, *written[:number])
+    refuse_existing(out, force, file)
+    written = [out]
+    if map_ is not None:
+        refuse_existing(map_, force, file, out)
+        written += [map_, map_.with_name("rig.json")]
+        refuse_existing(written[-1], force, file, out, map_)
     with progress_bar(f"writing {out.name}") as progress:
         export(read(file), format_, out, map_, progress)
     print(f"{', '.join(map(str, written))}: written")

@@ -1,5 +1,7 @@
 """Is a measured record evenly sampled, and at which rate: refused if not, or resampled if its owner says so."""
 
+import math
+from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
@@ -16,13 +18,46 @@ GAP = 1.5
 BRIDGED = 4.5
 """The longest gap that is interpolated over, in intervals."""
 RATE_TOLERANCE = 1e-4
+MAX_DECIMATION = 1000
+"""Over so many times the rig's rate a record is not resampled: its time is rather in another unit."""
+PIECE, OVERLAP = 2**18, 64
+"""Samples of all channels that a spline leads at once, and knots beyond, of which nothing is felt (0.27^64)."""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """When the samples of a record were taken; stamps_s is None where they are known to be even.
+
+    fault says in words what is wrong with the stamps, if anything.
+    """
+
+    samples: int
+    rate_hz: float
+    stamps_s: Float[np.ndarray, " samples"] | None = None
+    fault: str = ""
+
+    @classmethod
+    def of_rate(cls, rate_hz: float, samples: int) -> "Clock":
+        if samples < 2:
+            raise RigError("it holds fewer than two samples; export more")
+        return cls(samples, rate_hz)
+
+    @classmethod
+    def of_stamps(cls, stamps_s: Float[np.ndarray, " samples"]) -> "Clock":
+        """Raises RigError for stamps that do not increase, and for long gaps."""
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            rate_hz, fault = _rate_and_fault(stamps_s)
+        return cls(stamps_s.size, rate_hz, stamps_s, fault)
+
+    def stamps(self, first: int, last: int) -> Float[np.ndarray, " some"]:
+        """From one sample up to before another, s."""
+        if self.stamps_s is None:
+            return np.arange(first, last) / self.rate_hz
+        return self.stamps_s[first:last]
 
 
 def even(
-    values: Float[np.ndarray, "channels samples"],
-    time_s: Float[np.ndarray, " samples"],
-    rate_hz: float,
-    resample: bool,
+    values: Float[np.ndarray, "channels samples"], clock: Clock, rate_hz: float, resample: bool
 ) -> tuple[Float[np.ndarray, "channels evenly"], tuple[str, ...]]:
     """The samples at the times k / rate_hz after the first, and what was done to get them.
 
@@ -30,37 +65,65 @@ def even(
     5/384 (omega interval)^4 of the amplitude at the frequency omega); another rate is then reached by a linear-phase
     filter, flat within 1e-3 to 0.37 of the new rate and down by 80 dB at 0.63 of it. Both only if `resample` is true.
     Raises RigError, without the name of the file, if the stamps are uneven or at another rate and it is not, and
-    always for stamps that do not increase, for long gaps and for a rate below rate_hz.
+    always for a rate below rate_hz or over MAX_DECIMATION times as high.
     """
-    found, fault = _examined(time_s)
+    measured_hz, fault = clock.rate_hz, clock.fault
     if fault and not resample:
         raise RigError(f"{fault}; mend the record, or set resample = true in the map")
-    other = abs(found / rate_hz - 1) > RATE_TOLERANCE
-    if other and found < rate_hz:
+    differs = abs(measured_hz / rate_hz - 1) > RATE_TOLERANCE
+    if differs and measured_hz < rate_hz:
         raise RigError(
-            f"it is sampled at {found:.6g} Hz, below sample_rate_hz {rate_hz:g} of the rig; correct rig.json"
+            f"it is sampled at {measured_hz:.6g} Hz, below sample_rate_hz {rate_hz:g} of the rig; correct rig.json"
         )
-    if other and not resample:
+    if measured_hz > MAX_DECIMATION * rate_hz:
         raise RigError(
-            f"it is sampled at {found:.6g} Hz, sample_rate_hz of the rig is {rate_hz:g}; correct rig.json, or set "
-            "resample = true in the map"
+            f"it is sampled at {measured_hz:.6g} Hz, over {MAX_DECIMATION} times sample_rate_hz {rate_hz:g} of the "
+            "rig; correct the unit or scale of its time, or rig.json"
         )
-    ratio = Fraction(rate_hz / found).limit_denominator(1000) if other else Fraction(1)
+    if differs and not resample:
+        raise RigError(
+            f"it is sampled at {measured_hz:.6g} Hz, sample_rate_hz of the rig is {rate_hz:g}; correct rig.json, or "
+            "set resample = true in the map"
+        )
+    ratio = Fraction(rate_hz / measured_hz).limit_denominator(MAX_DECIMATION) if differs else Fraction(1)
     own_hz = rate_hz / float(ratio)
     done: tuple[str, ...] = ()
-    if fault or abs(own_hz / found - 1) > RATE_TOLERANCE:
-        grid_s = time_s[0] + np.arange(int((time_s[-1] - time_s[0]) * own_hz * (1 + 1e-12)) + 1) / own_hz
-        values = CubicSpline(time_s, values, axis=1)(grid_s)
+    if fault or abs(own_hz / measured_hz - 1) > RATE_TOLERANCE:
+        values = _on_grid(values, clock, own_hz)
         done = (f"resampled to an even {own_hz:.9g} Hz by a cubic spline, since {fault or 'the rate is uneven'}",)
     if ratio != 1:
-        values = resample_poly(
-            values, ratio.numerator, ratio.denominator, axis=1, window=("kaiser", 8.0), padtype="line"
-        )
+        values = np.stack([_filtered(row, ratio) for row in values])
         done = (*done, f"resampled from {own_hz:.9g} to {rate_hz:.9g} Hz by a linear-phase filter")
     return values, done
 
 
-def _examined(time_s: Float[np.ndarray, " samples"]) -> tuple[float, str]:
+def _on_grid(
+    values: Float[np.ndarray, "channels samples"], clock: Clock, rate_hz: float
+) -> Float[np.ndarray, "channels evenly"]:
+    """By cubic splines piece by piece, whose knots overlap."""
+    (start_s,), (end_s,) = clock.stamps(0, 1), clock.stamps(clock.samples - 1, clock.samples)
+    grid = np.empty((len(values), int((end_s - start_s) * rate_hz * (1 + 1e-12)) + 1))
+    length = max(PIECE // len(values), OVERLAP)
+    begin = 0
+    for first in range(0, clock.samples - 1, length):
+        last = min(first + length, clock.samples - 1)
+        low, high = max(first - OVERLAP, 0), min(last + OVERLAP, clock.samples)
+        knots_s = clock.stamps(low, high)
+        final = last == clock.samples - 1
+        end = grid.shape[1] if final else math.ceil((knots_s[last - low] - start_s) * rate_hz)
+        times_s = start_s + np.arange(begin, end) / rate_hz
+        grid[:, begin:end] = CubicSpline(knots_s, values[:, low:high], axis=1)(times_s)
+        begin = end
+    return grid
+
+
+def _filtered(row: Float[np.ndarray, " samples"], ratio: Fraction) -> Float[np.ndarray, " fewer"]:
+    return np.asarray(
+        resample_poly(row, ratio.numerator, ratio.denominator, window=("kaiser", 8.0), padtype="line"), dtype=float
+    )
+
+
+def _rate_and_fault(time_s: Float[np.ndarray, " samples"]) -> tuple[float, str]:
     """The sampling rate of time stamps, and what is wrong with them in words, if anything."""
     if time_s.size < 2:
         raise RigError("it holds fewer than two samples; export more")
@@ -69,6 +132,7 @@ def _examined(time_s: Float[np.ndarray, " samples"]) -> tuple[float, str]:
         first = int(np.argmin(steps_s > 0))
         raise RigError(f"its time does not increase after {time_s[first]:.6f} s (sample {first}); sort or mend it")
     interval_s = float(np.median(steps_s))
+    duration_s = float(time_s[-1] - time_s[0])
     gaps = np.flatnonzero(steps_s > GAP * interval_s)
     if gaps.size:
         widest = int(np.argmax(steps_s))
@@ -77,12 +141,16 @@ def _examined(time_s: Float[np.ndarray, " samples"]) -> tuple[float, str]:
                 f"its time stamps have a gap of {steps_s[widest]:.6g} s after {time_s[widest]:.6f} s; cut the record "
                 "there and import the longer part"
             )
-        intervals = np.round(steps_s / interval_s).sum()
-        return intervals / float(time_s[-1] - time_s[0]), (
-            f"its time stamps have {gaps.size} gaps, the first after {time_s[gaps[0]]:.6f} s"
-        )
-    rate_hz = (time_s.size - 1) / float(time_s[-1] - time_s[0])
-    strays = np.abs((time_s - time_s[0]) * rate_hz - np.arange(time_s.size))
+        intervals = float(np.round(steps_s / interval_s).sum())
+        return float(
+            np.divide(intervals, duration_s)
+        ), f"its time stamps have {gaps.size} gaps, the first after {time_s[gaps[0]]:.6f} s"
+    del steps_s
+    rate_hz = float(np.divide(time_s.size - 1, duration_s))
+    strays = time_s - time_s[0]
+    strays *= rate_hz
+    strays -= np.arange(time_s.size)
+    np.abs(strays, out=strays)
     worst = int(np.argmax(strays))
     if strays[worst] > JITTER:
         return rate_hz, (

@@ -10,13 +10,16 @@ import numpy as np
 from jaxtyping import Float
 
 from rig.errors import RigError
-from rig.files import check_target, contents, sha256_of
-from rig.lab.clock import RATE_TOLERANCE, even
+from rig.files import check_target, sha256_of
+from rig.lab.clock import RATE_TOLERANCE, Clock, even
 from rig.lab.column import Column
-from rig.lab.tables import TextForm, columns_of
+from rig.lab.csv_text import TextForm
+from rig.lab.tables import Table, read_table
 from rig.lab.units import si_factor
 from rig.model.description import Rig, read_rig
+from rig.model.toml_file import read_toml
 from rig.recording import RECORDED, RIG_NAME, channel_groups, with_history, writing
+from rig.recording.writer import AT_ONCE
 
 
 class Source(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -66,19 +69,20 @@ def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
     the data cannot be used; nothing is written then.
     """
     mapping, rig = _read_map(map_path, out)
-    columns = columns_of(source, mapping.csv)
+    wanted = [entry.column for entry in (*mapping.forces, *mapping.sensors.values(), mapping.time) if entry]
+    table = read_table(source, mapping.csv, wanted)
     changed = datetime.fromtimestamp(source.stat().st_mtime, UTC).isoformat(timespec="seconds")
     origin = {"source": source.name, "source_sha256": sha256_of(source), RECORDED: changed}
-    return _import(columns, origin, str(source), mapping, rig, map_path, out)
+    return _import(table, origin, str(source), mapping, rig, map_path, out)
 
 
 def import_columns(columns: Sequence[Column], source: str, map_path: Path, out: Path) -> tuple[str, ...]:
     """As `import_file` of columns that are there already; source says what they are."""
-    return _import(columns, {"source": source}, source, *_read_map(map_path, out), map_path, out)
+    return _import(Table.of(columns), {"source": source}, source, *_read_map(map_path, out), map_path, out)
 
 
 def _import(
-    columns: Sequence[Column],
+    table: Table,
     origin: Mapping[str, str],
     source: str,
     mapping: Map,
@@ -98,13 +102,13 @@ def _import(
     wanted = {name: ("force", source) for name, source in zip(rig.force_names, forces, strict=False)}
     wanted |= {s.name: (s.quantity, mapping.sensors[s.name]) for s in rig.sensors}
     try:
-        taken, factors = taken_columns(columns, wanted)
+        taken, factors = taken_columns(table, wanted)
     except RigError as error:
         raise RigError(f"{map_path}: {error}") from error
     try:
-        time_s = time_stamps(columns, list(taken.values()), mapping.time, mapping.sample_rate_hz)
+        clock = clock_of(table, list(taken.values()), mapping.time, mapping.sample_rate_hz)
         rows = rows_in_si(taken, factors)
-        values, resampled = even(rows, time_s, rig.sample_rate_hz, mapping.resample)
+        values, resampled = even(rows, clock, rig.sample_rate_hz, mapping.resample)
     except RigError as error:
         raise RigError(f"{source}: {error}") from error
     steps = (
@@ -118,46 +122,53 @@ def _import(
         **origin,
         "map": map_path.name,
     }
-    unforced = dict.fromkeys(rig.force_names, np.zeros(values.shape[1]))
+    unforced = dict.fromkeys(rig.force_names, np.broadcast_to(0.0, values.shape[1]))
     _write(out, rig, unforced | dict(zip(taken, values, strict=True)), with_history(provenance, *steps))
     return steps
 
 
-def taken_columns(
-    columns: Sequence[Column], wanted: Mapping[str, tuple[str, Source]]
-) -> tuple[dict[str, Column], dict[str, float]]:
+def taken_columns(table: Table, wanted: Mapping[str, tuple[str, Source]]) -> tuple[dict[str, Column], dict[str, float]]:
     """By name the column of each source, and what leads its numbers to the SI unit of the quantity.
 
     Raises RigError if a column is not there, does not fit the others, or is in no unit of the quantity.
     """
-    taken = {name: _found(columns, entry) for name, (_, entry) in wanted.items()}
+    taken = {name: table.column(entry.column) for name, (_, entry) in wanted.items()}
     _check_taken(taken)
     return taken, {name: _factor(quantity, entry, taken[name]) for name, (quantity, entry) in wanted.items()}
 
 
 def rows_in_si(taken: Mapping[str, Column], factors: Mapping[str, float]) -> Float[np.ndarray, "channels samples"]:
     """A row a column; raises RigError if a number becomes too large."""
-    return np.stack([_in_si(factors[name], column) for name, column in taken.items()])
+    rows = np.empty((len(taken), next(iter(taken.values())).values.size))
+    for row, (name, column) in zip(rows, taken.items(), strict=True):
+        with np.errstate(over="ignore"):
+            np.multiply(factors[name], column.values, out=row)
+        if not np.isfinite(row).all():
+            raise RigError(
+                f"column {column.name!r} times {factors[name]:g} is too large for a number; correct its scale"
+            )
+    return rows
 
 
-def time_stamps(
-    columns: Sequence[Column], taken: Sequence[Column], time: Source | None, sample_rate_hz: float | None
-) -> Float[np.ndarray, " samples"]:
-    """When the samples were taken, s: by a column of time, or at the even rate that is given or that the file says."""
+def clock_of(table: Table, taken: Sequence[Column], time: Source | None, sample_rate_hz: float | None) -> Clock:
+    """When the samples were taken: by a column of time, or at the even rate that is given or that the file says."""
     samples = taken[0].values.size
     if time is not None:
-        column = _found(columns, time)
+        column = table.column(time.column)
         if column.values.size != samples or not np.isfinite(column.values).all():
             raise RigError(f"its time, column {column.name!r}, does not hold {samples} finite numbers; repair it")
-        return column.values * time.scale * si_factor("time", time.unit or "s")
+        stamps_s = rows_in_si({"time": column}, {"time": time.scale * si_factor("time", time.unit or "s")})[0]
+        return Clock.of_stamps(stamps_s)
     rates = {c.sample_rate_hz for c in taken if c.sample_rate_hz is not None}
+    if wrong := [rate for rate in rates if not 0 < rate < np.inf]:
+        raise RigError(f"it says that it is sampled at {wrong[0]} Hz; give its sampling rate or column of time")
     rate = sample_rate_hz or min(rates, default=None)
     if rate is None:
         raise RigError("it does not say when its samples were taken; give their sampling rate or column of time")
     for other in rates:
         if abs(other / rate - 1) > RATE_TOLERANCE:
             raise RigError(f"it has columns at {other:.6g} and at {rate:.6g} Hz; all need one rate")
-    return np.arange(samples) / rate
+    return Clock.of_rate(rate, samples)
 
 
 def _write(
@@ -165,35 +176,16 @@ def _write(
 ) -> None:
     groups = channel_groups(rig)
     with writing(out, rig, groups, provenance) as recording:
-        recording.append_all({name: np.stack([rows[c] for c in group.names]) for name, group in groups.items()})
+        for first in range(0, next(iter(rows.values())).size, AT_ONCE):
+            part = slice(first, first + AT_ONCE)
+            recording.append_all({name: np.stack([rows[c][part] for c in g.names]) for name, g in groups.items()})
 
 
 def _read_map(path: Path, out: Path) -> tuple[Map, Rig]:
-    text = contents(path)
-    try:
-        given = msgspec.toml.decode(text)
-        mapping = msgspec.convert(given, Map)
-    except RigError:
-        raise
-    except (msgspec.DecodeError, ValueError, RecursionError) as error:
-        raise RigError(f"{path}: is no map ({error}); see rig/lab/README.md") from error
+    mapping = read_toml(path, Map, "map", "rig/lab/README.md")
     place = path.parent / mapping.rig
     check_target(out, place)
     return mapping, read_rig(place)
-
-
-def _found(columns: Sequence[Column], entry: Source) -> Column:
-    if isinstance(entry.column, int):
-        if not 1 <= entry.column <= len(columns):
-            raise RigError(f"there is no column {entry.column}; the file has 1 to {len(columns)}")
-        return columns[entry.column - 1]
-    same = [c for c in columns if c.name == entry.column]
-    if len(same) > 1:
-        raise RigError(f"{len(same)} columns are named {entry.column!r}; give the number of the one meant")
-    if not same:
-        shown = ", ".join(repr(c.name) for c in columns[:12]) + (", ..." if len(columns) > 12 else "")
-        raise RigError(f"there is no column {entry.column!r}; the file has {shown}")
-    return same[0]
 
 
 def _check_taken(taken: Mapping[str, Column]) -> None:
@@ -229,11 +221,3 @@ def _factor(quantity: str, entry: Source, column: Column) -> float:
         if said != factor:
             raise RigError(f"column {column.name!r} is in {column.unit!r} by the file, {entry.unit!r} by the map")
     return factor * entry.scale
-
-
-def _in_si(factor: float, column: Column) -> Float[np.ndarray, " samples"]:
-    with np.errstate(over="ignore"):
-        values = factor * column.values
-    if not np.isfinite(values).all():
-        raise RigError(f"column {column.name!r} times {factor:g} is too large for a number; correct its scale")
-    return values

@@ -1,48 +1,57 @@
 """Measured data as columns, from the files in which laboratories keep them: CSV, UFF, MATLAB, TDMS and HDF5."""
 
-import csv
-import logging
-import struct
-from collections.abc import Callable, Iterable
-from io import BytesIO
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
-import numpy as np
-
 from rig.errors import RigError
-from rig.extras import needs_extra
 from rig.files import check_source
-from rig.lab.column import Column
-from rig.lab.containers import read_hdf5
-from rig.lab.matlab import arrays_of, most_bytes
+from rig.lab.column import Blocks, Column, Refused, UnreadableError
+from rig.lab.csv_text import TextForm, csv_blocks
+from rig.lab.hdf5 import hdf5_blocks
+from rig.lab.matlab import matlab_blocks
+from rig.lab.tdms import tdms_blocks
+from rig.lab.uff import uff_blocks
+from rig.limits import MAX_ITEMS, MAX_NAME, PROGRAM_BYTES, check_decoded_size
 
-_SEGMENT_HEAD_BYTES = 28  # of TDMS
-_BIG_ENDIAN = 1 << 6
-
-
-class TextForm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How a CSV file is written: one line of names stands between the lines that are skipped."""
-
-    encoding: str = "utf-8-sig"
-    delimiter: str = ","
-    decimal: str = "."
-    lines_before_names: int = 0
-    lines_after_names: int = 0
-
-    def __post_init__(self) -> None:
-        if len(self.delimiter) != 1 or len(self.decimal) != 1 or self.delimiter == self.decimal:
-            raise RigError(
-                f"delimiter is {self.delimiter!r} and decimal {self.decimal!r}; give two different characters"
-            )
-        if min(self.lines_before_names, self.lines_after_names) < 0:
-            raise RigError("a number of lines in [csv] is negative; give zero or more")
+Key = str | int
+"""A column's name, or its number from 1."""
+WORKING_BYTES_PER_SAMPLE = 16
+"""While a recording is made, a sample is held twice as a double: in its column and among the rows in SI."""
 
 
-def columns_of(path: Path, text: TextForm) -> tuple[Column, ...]:
-    """Every column of numbers in a file, whose format is told by its suffix.
+@dataclass(frozen=True)
+class Table:
+    """The names of all columns of a file, and those columns that were asked for, by their place."""
 
-    Raises RigError with a sentence if the file cannot be opened, is empty, is not of its format or holds no numbers.
+    names: tuple[str, ...]
+    columns: Mapping[int, Column]
+
+    @classmethod
+    def of(cls, columns: Sequence[Column]) -> "Table":
+        return cls(tuple(c.name for c in columns), dict(enumerate(columns)))
+
+    def column(self, key: Key) -> Column:
+        """The column meant; raises RigError if there is none, or more than one."""
+        if isinstance(key, int):
+            if not 1 <= key <= len(self.names):
+                raise RigError(f"there is no column {key}; the file has 1 to {len(self.names)}")
+            return self.columns[key - 1]
+        same = [place for place, name in enumerate(self.names) if name == key]
+        if len(same) > 1:
+            raise RigError(f"{len(same)} columns are named {key!r}; give the number of the one meant")
+        if not same:
+            shown = ", ".join(map(repr, self.names[:12])) + (", ..." if len(self.names) > 12 else "")
+            raise RigError(f"there is no column {key!r}; the file has {shown}")
+        return self.columns[same[0]]
+
+
+def read_table(path: Path, text: TextForm, keys: Collection[Key] | None = None) -> Table:
+    """The columns of a file that are asked for (None: all), whose format is told by its suffix; no other is decoded.
+
+    Raises RigError with a sentence if the file cannot be opened, is empty, is not of its format, holds no numbers,
+    keeps a column that is asked for elsewhere, or would take more memory than `rig.limits` allows.
     """
     if (suffix := path.suffix.lower()) not in READERS:
         raise RigError(f"{path}: the suffix {suffix!r} is none of {', '.join(READERS)}; rename the file or convert it")
@@ -50,163 +59,62 @@ def columns_of(path: Path, text: TextForm) -> tuple[Column, ...]:
     try:
         if not path.stat().st_size:
             raise RigError(f"{path}: is empty; export it again")
-        columns = tuple(READERS[suffix](path, text))
+        with closing(READERS[suffix](path, text)) as blocks:
+            table = _read(path, blocks, keys)
     except OSError as error:
+        if error.errno is None:  # of a format's library, in words of its own
+            raise RigError(f"{path}: cannot be read as {suffix}, whole or in part; export it again") from error
         raise RigError(f"{path}: cannot be opened ({error.strerror or error}); check the name") from error
     except RigError:
         raise
     except MemoryError as error:
         raise RigError(f"{path}: needs more memory than there is; export it again, or a shorter record") from error
+    except UnreadableError as error:
+        raise RigError(f"{path}: cannot be read as {suffix} ({error}); export it again") from error
     except Exception as error:  # what the formats' libraries raise on a bad file is not to be listed
-        reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise RigError(f"{path}: cannot be read as {suffix} ({reason}); export it again") from error
-    if not columns:
+        raise RigError(f"{path}: cannot be read as {suffix}, whole or in part; export it again") from error
+    if not table.names:
         raise RigError(f"{path}: holds no column of numbers over time; check what was exported")
-    return columns
+    return table
 
 
-def _csv(path: Path, text: TextForm) -> Iterable[Column]:
-    try:
-        content = path.read_bytes().decode(text.encoding)
-    except UnicodeDecodeError as error:
-        raise RigError(
-            f"{path}: is not text in {text.encoding} (byte {error.start}); name its encoding in the map, "
-            'e.g. encoding = "latin-1" or "utf-16"'
-        ) from error
-    except LookupError as error:
-        raise RigError(f"{path}: there is no encoding {text.encoding!r}; give e.g. utf-8 or latin-1") from error
-    lines = content.splitlines()[text.lines_before_names :]
-    if not lines:
-        raise RigError(f"{path}: has no line after the first {text.lines_before_names}; check lines_before_names")
-    names = [cell.strip() for cell in next(csv.reader(lines[:1], delimiter=text.delimiter))]
-    named = not all(_is_number(name, text.decimal) for name in names if name)
-    skipped = (1 if named else 0) + text.lines_after_names
-    body = [line for line in lines[skipped:] if line.strip()]
-    if not body:
-        raise RigError(f"{path}: holds no samples; export it again")
-    body, emptied = _without_empty_columns(body, text.delimiter)
-    width = len(next(csv.reader(body[:1], delimiter=text.delimiter)))
-    used = _used_columns(path, names, width, emptied) if named else width
-    if text.decimal != ".":
-        body = [line.replace(text.decimal, ".") for line in body]
-    only = range(used) if used < width else None  # None: every row must have the same number of columns
-    try:
-        values = np.loadtxt(body, delimiter=text.delimiter, ndmin=2, comments=None, quotechar='"', usecols=only)
-    except ValueError as error:
-        reason = str(error).split(";")[0]
-        raise RigError(
-            f"{path}: {reason} (rows counted from the first sample); check delimiter, decimal and the lines skipped"
-        ) from error
-    for number, column in enumerate(values.T, start=1):
-        yield Column(names[number - 1] if named else f"column {number}", np.ascontiguousarray(column))
-
-
-def _without_empty_columns(body: list[str], delimiter: str) -> tuple[list[str], int]:
-    """The lines without the last columns that are empty in all of them, and how many those are."""
-    emptied = 0
-    blanks = " \t".replace(delimiter, "")
-    while all(line.rstrip(blanks).endswith(delimiter) for line in body):
-        body, emptied = [line.rstrip(blanks).removesuffix(delimiter) for line in body], emptied + 1
-    return body, emptied
-
-
-def _used_columns(path: Path, names: list[str], width: int, emptied: int) -> int:
-    """How many columns have a name and values; only last ones may lack either."""
-    named = next((k for k in range(len(names), 0, -1) if names[k - 1]), 0)
-    if width > len(names) or named > width + emptied or not named:
-        raise RigError(f"{path}: {named} names for {width} columns; check the line of names")
-    return min(named, width)
-
-
-def _is_number(cell: str, decimal: str) -> bool:
-    try:
-        float(cell.replace(decimal, "."))
-    except ValueError:
-        return False
-    return True
-
-
-def _uff(path: Path, _: TextForm) -> Iterable[Column]:
-    with needs_extra("lab", f"{path}: a UFF file"):
-        import pyuff
-
-    file = pyuff.UFF(str(path))
-    for place, kind in enumerate(file.get_set_types()):
-        if kind != 58:
+def _read(path: Path, blocks: Blocks, keys: Collection[Key] | None) -> Table:
+    names: list[str] = []
+    columns: dict[int, Column] = {}
+    file_bytes, needed_bytes = path.stat().st_size, PROGRAM_BYTES
+    for block in blocks:
+        first = len(names)
+        if isinstance(block, Refused):
+            if _may_mean(block, first, keys):
+                raise RigError(f"{path}: {block.sentence}")
             continue
-        dataset = file.read_sets(place)
-        name = str(dataset["id1"]).strip()
-        if dataset["func_type"] != 1 or np.iscomplexobj(dataset["data"]):
-            raise RigError(f"{path}: dataset {name!r} is no time history; export time histories alone")
-        if len(dataset["data"]) != dataset["num_pts"]:
-            raise RigError(f"{path}: dataset {name!r} holds {len(dataset['data'])} of {dataset['num_pts']} samples")
-        unit = str(dataset["ordinate_axis_units_lab"]).strip()
-        interval = np.diff(dataset["x"]).mean() if len(dataset["x"]) > 1 else 0.0
-        if dataset["abscissa_spacing"] == 0:
-            yield Column(f"{name} time", dataset["x"], "s")
-            interval = 0.0
-        yield Column(name, dataset["data"], unit if unit and unit != "NONE" else None, _rate(interval))
+        names += block.names
+        if len(names) > MAX_ITEMS or max(map(len, block.names)) > MAX_NAME:
+            raise UnreadableError(f"it has more than {MAX_ITEMS} columns, or names of over {MAX_NAME} characters")
+        chosen = [k for k, name in enumerate(block.names) if keys is None or name in keys or first + k + 1 in keys]
+        if chosen:
+            needed_bytes += WORKING_BYTES_PER_SAMPLE * block.samples * len(chosen)
+            more = len(columns) + len(chosen) - 1
+            content = f"{path}: column {block.names[chosen[-1]]!r}" + (f" with {more} more" if more else "")
+            check_decoded_size(needed_bytes + block.working_bytes, file_bytes, content)
+            columns |= zip((first + k for k in chosen), block.read(chosen), strict=True)
+    return Table(tuple(names), columns)
 
 
-def _mat(path: Path, _: TextForm) -> Iterable[Column]:
-    for name, array in arrays_of(path):
-        if array.ndim != 2 or array.size < 2:
-            continue
-        rows = array if array.shape[0] < array.shape[1] else array.T  # a record is longer than it has channels
-        for number, row in enumerate(rows, start=1):
-            yield Column(name if len(rows) == 1 else f"{name}[{number}]", row.astype(float))
+def _may_mean(refused: Refused, columns: int, keys: Collection[Key] | None) -> bool:
+    """Whether a key is the name of what is refused, of a channel of it, or a number behind the columns before it."""
+    if keys is None:
+        return True
+    return any(key > columns if isinstance(key, int) else refused.name in (key, key.partition("[")[0]) for key in keys)
 
 
-def _tdms(path: Path, _: TextForm) -> Iterable[Column]:
-    with needs_extra("lab", f"{path}: a TDMS file"):
-        from nptdms import TdmsFile
-        from nptdms.log import log_manager
-
-    log_manager.set_level(logging.CRITICAL)  # what it finds is said by an error, or is no fault
-    content = BytesIO(path.read_bytes())  # a read from it takes no more memory than there is to read
-    _check_segments(path, content.getbuffer())
-    declared = sum(len(c) for group in TdmsFile.read_metadata(content).groups() for c in group.channels())
-    if declared > len(content.getbuffer()):
-        raise RigError(f"{path}: declares {declared} values, more than it has bytes; export it again")
-    content.seek(0)
-    for group in TdmsFile.read(content).groups():
-        for channel in group.channels():
-            values = channel[:]
-            if values.dtype.kind in "iuf":
-                unit = channel.properties.get("unit_string")
-                rate = _rate(float(channel.properties.get("wf_increment", 0.0)))
-                yield Column(f"{group.name}/{channel.name}", values.astype(float), str(unit) if unit else None, rate)
-
-
-def _check_segments(path: Path, content: memoryview) -> None:
-    """Raises RigError unless a TDMS file ends where its last segment does."""
-    at = 0
-    while at < len(content):
-        head = content[at : at + _SEGMENT_HEAD_BYTES]
-        if len(head) < _SEGMENT_HEAD_BYTES or bytes(head[:4]) != b"TDSm":
-            raise RigError(f"{path}: has no whole segment at byte {at}; export it again")
-        (kind,) = struct.unpack_from("<I", head, 4)
-        (length,) = struct.unpack_from(">Q" if kind & _BIG_ENDIAN else "<Q", head, 12)
-        at += _SEGMENT_HEAD_BYTES + length
-    if at != len(content):
-        raise RigError(f"{path}: is cut off; export it again")
-
-
-def _hdf5(path: Path, _: TextForm) -> Iterable[Column]:
-    return read_hdf5(path, most_bytes(path.stat().st_size))
-
-
-def _rate(interval_s: float) -> float | None:
-    return 1 / interval_s if interval_s > 0 else None
-
-
-READERS: dict[str, Callable[[Path, TextForm], Iterable[Column]]] = {
-    ".csv": _csv,
-    ".txt": _csv,
-    ".uff": _uff,
-    ".unv": _uff,
-    ".mat": _mat,
-    ".tdms": _tdms,
-    ".h5": _hdf5,
-    ".hdf5": _hdf5,
+READERS: dict[str, Callable[[Path, TextForm], Blocks]] = {
+    ".csv": csv_blocks,
+    ".txt": csv_blocks,
+    ".uff": lambda path, _: uff_blocks(path),
+    ".unv": lambda path, _: uff_blocks(path),
+    ".mat": lambda path, _: matlab_blocks(path),
+    ".tdms": lambda path, _: tdms_blocks(path),
+    ".h5": lambda path, _: hdf5_blocks(path),
+    ".hdf5": lambda path, _: hdf5_blocks(path),
 }

@@ -10,6 +10,7 @@ from jaxtyping import Complex, Float
 
 from rig.errors import RigError, is_plain
 from rig.files import contents
+from rig.limits import check_json
 from rig.model.beam import Beam
 from rig.model.contact_laws import AnyLaw, DeadZone
 from rig.model.largest import check_largest
@@ -433,6 +434,7 @@ def from_json(text: bytes, source: str) -> Rig:
 
     Raises RigError with the place and the reason if the text is no valid rig.
     """
+    check_json(text, source)
     try:
         given = _with_laws_named(msgspec.json.decode(text))
         check_largest(given, source)

@@ -1,13 +1,12 @@
 """How exactly a rig's description is believed: the one place where tolerances and their defaults are written."""
 
-import tomllib
 from pathlib import Path
 
 import msgspec
 import numpy as np
 
 from rig.errors import RigError
-from rig.files import contents
+from rig.model.toml_file import read_toml
 
 
 def _check(what: str, given: msgspec.Struct) -> None:
@@ -116,7 +115,4 @@ def tolerances_named(text: str) -> Tolerances:
         return NAMED[text]
     if not Path(text).exists():
         raise RigError(f"{text}: no tolerances can be read there; give {', '.join(NAMED)} or a TOML file")
-    try:
-        return msgspec.convert(tomllib.loads(contents(Path(text)).decode()), Tolerances)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, msgspec.ValidationError, RecursionError) as error:
-        raise RigError(f"{text}: not a file of tolerances: {error}; see rig.model.tolerances") from error
+    return read_toml(Path(text), Tolerances, "file of tolerances", "rig.model.tolerances")

@@ -59,8 +59,9 @@ class Assembly:
         begin = self._end - self._first
         end = begin + block.values.shape[1]
         if end > self._values.shape[1]:
-            more = np.empty((len(self._values), end))
-            self._values = np.concatenate([self._values, more], axis=1)
+            grown = np.empty((len(self._values), max(end, 3 * self._values.shape[1] // 2)))
+            grown[:, :begin] = self._values[:, :begin]
+            self._values = grown
         place = self._values[:, begin:end]
         place[:] = block.values
         if not np.einsum("ij,ij->", place, place) < LARGEST**2:  # or only together; the fastest sum, without warnings

@@ -6,7 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from rig.errors import RigError
+from rig.limits import unique_keys
 from rig.model.description import Station, check_name
+
+_JSON = ("names", "stations", "sample_rate_hz")
 
 
 @dataclass(frozen=True)
@@ -33,17 +36,25 @@ def described(channels: Channels) -> dict[str, str]:
 
 
 def understood(topic: str, metadata: Mapping[str, str]) -> Channels:
+    if missing := [key for key in ("quantity", "unit", *_JSON) if key not in metadata]:
+        raise RigError(f"the metadata of channel {topic} lack {missing[0]!r}; see rig/recording/README.md")
     try:
         names = tuple(str(n) for n in json.loads(metadata["names"]))
-        places = json.loads(metadata["stations"])
+        places = json.loads(metadata["stations"], object_pairs_hook=unique_keys)
         stations = tuple(None if p is None else Station(str(p["body"]), float(p["position_m"])) for p in places)
         for name in names:
             check_name("channel", name)
         rate = float(json.loads(metadata["sample_rate_hz"]))
         if not names or len(names) != len(stations) or len(set(names)) < len(names) or not 0 < rate < math.inf:
-            raise ValueError(f"{len(names)} names, {len(stations)} stations, {rate} Hz")
-        return Channels(metadata["quantity"], metadata["unit"], names, stations, rate)
+            raise RigError(
+                f"{len(names)} names ({len(set(names))} different), {len(stations)} stations and {rate:g} Hz; give "
+                "each channel a name of its own and a station or null, and a rate above zero"
+            )
+    except RigError as error:
+        raise RigError(f"the metadata of channel {topic} cannot be used: {error}") from error
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise RigError(
-            f"the metadata of channel {topic} cannot be read ({error!r}); see rig/recording/README.md"
+            f"the metadata of channel {topic} cannot be read: give {', '.join(_JSON)} as JSON, as "
+            "rig/recording/README.md says"
         ) from error
+    return Channels(metadata["quantity"], metadata["unit"], names, stations, rate)

@@ -3,6 +3,7 @@
 mcap's own readers allocate what a record declares, decompress whatever comes, and skip the checksum of attachments.
 """
 
+import os
 import struct
 from collections.abc import Callable, Container, Iterator
 from contextlib import ExitStack
@@ -20,11 +21,17 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, DataEnd, McapRecord, Message, Metadata, Schema, Statistics
 from zlib_ng.zlib_ng import crc32
 
-from rig.errors import RigError
+from rig.errors import RigError, TooLargeError
 from rig.files import check_source
+from rig.limits import Held
 
 MAX_BYTES = 64 * 1024 * 1024
 """The largest record, and the largest content of a chunk, that is read."""
+MAX_DESCRIPTION_BYTES = 4 * 1024 * 1024
+"""The largest record that is no chunk, message or attachment."""
+CONTENT_COPIES, MESSAGE_BYTES, ENTRY_BYTES = 4, 400, 200
+"""Memory counted for what the chunks of a file hold: so many times its bytes, and what each message and each entry of a
+map takes beside them where it is kept."""
 _PIECE_BYTES = 1024 * 1024  # a file is read in pieces of this size, which a processor's cache holds
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
@@ -71,9 +78,9 @@ def whole(file: BufferedReader, wanted: Callable[[Channel], bool] = lambda _: Tr
     The data of a message are there until the next record is asked for. The messages of channels that are not wanted
     are counted, no more. A record that is refused for its size or name raises RigError, without the name of the file.
     """
-    crc, messages, unwanted = crc32(_MAGIC), 0, set[int]()
+    crc, messages, unwanted, held = crc32(_MAGIC), 0, set[int](), held_of(file)
     for opcode, content in _split(file):
-        for record in records(opcode, content[_HEAD.size :], unwanted):
+        for record in records(opcode, content[_HEAD.size :], held, unwanted):
             if isinstance(record, DataEnd) and record.data_section_crc not in (0, crc):
                 raise ValueError("the checksum of its data is wrong")
             if isinstance(record, Statistics) and record.message_count != messages:
@@ -93,25 +100,38 @@ def with_path_in_error(path: Path, steps: Iterator[Step]) -> Iterator[Step]:
         raise RigError(f"{path}: {error}") from error
     except DAMAGE as error:
         state = "damaged" if isinstance(error, ValueError) else "cut off or damaged"
-        reason = str(error) or type(error).__name__
-        raise RigError(f"{path}: is {state} ({reason}); try `rig recover`, or restore a copy") from error
+        raise RigError(f"{path}: is {state} ({reason_of(error)}); try `rig recover`, or restore a copy") from error
+
+
+def reason_of(error: Exception) -> str:
+    """Why a record could not be read: in words of this module, or, where a library gave up, that it cannot be decoded.
+
+    Those of the system (no disk, no right) are its own.
+    """
+    if isinstance(error, OSError):
+        return error.strerror or "it cannot be read"
+    return str(error) if type(error) in (ValueError, EOFError) else "a record cannot be decoded"
 
 
 def complete(file: BufferedReader) -> Iterator[McapRecord]:
     """Every sound record of a file that `opened` gave, cut off or damaged as it may be; its data are as of `whole`.
 
-    A chunk without a checksum is not taken for sound.
+    A chunk without a checksum is not taken for sound. Raises TooLargeError where the file holds more than it may.
     """
-    try:
-        for opcode, content in _split(file):
-            body = content[_HEAD.size :]
-            try:
-                found = list(records(opcode, body)) if opcode != Opcode.CHUNK or _CHUNK.unpack_from(body)[3] else []
-            except DAMAGE:
-                continue
-            yield from found
-    except DAMAGE:
-        return
+    held, top_level = held_of(file), _split(file)
+    while True:
+        try:
+            opcode, content = next(top_level)
+        except (StopIteration, *DAMAGE):
+            return
+        body = content[_HEAD.size :]
+        try:
+            if opcode != Opcode.CHUNK or _CHUNK.unpack_from(body)[3]:
+                yield from records(opcode, body, held)
+        except TooLargeError:
+            raise
+        except DAMAGE:
+            continue
 
 
 @dataclass(frozen=True)
@@ -121,23 +141,32 @@ class Unread:
     messages: int
 
 
-def records(opcode: int, body: memoryview, unwanted: Container[int] = ()) -> Iterator[McapRecord | Unread]:
+def held_of(file: BufferedReader) -> Held:
+    """What is kept of an open file: nothing so far."""
+    return Held(os.fstat(file.fileno()).st_size, "what its chunks hold")
+
+
+def records(opcode: int, body: memoryview, held: Held, unwanted: Container[int] = ()) -> Iterator[McapRecord | Unread]:
     """The records that matter here in one top-level record; a chunk is decompressed within MAX_BYTES.
 
     Raises one of DAMAGE if the checksum is wrong or the content is no such record, RigError if it is refused.
     """
     if opcode == Opcode.CHUNK:
-        yield from _in_chunk(_decompressed(body), unwanted)
+        yield from _in_chunk(_decompressed(body, held), held, unwanted)
     elif opcode == Opcode.MESSAGE:
-        yield _message(body)
+        yield _message(body, held)
     elif opcode in _KINDS:
+        if opcode != Opcode.ATTACHMENT and len(body) > MAX_DESCRIPTION_BYTES:
+            raise RigError(f"a description declares {len(body)} bytes; write at most {MAX_DESCRIPTION_BYTES} bytes")
         record = _KINDS[Opcode(opcode)].read(ReadDataStream(BytesIO(body)))
         if isinstance(record, Attachment):
             _check_attachment(record, body)
+        if isinstance(record, Channel | Metadata):
+            held.add(ENTRY_BYTES * (1 + len(record.metadata)))
         yield record
 
 
-def _in_chunk(data: memoryview, unwanted: Container[int]) -> Iterator[McapRecord | Unread]:
+def _in_chunk(data: memoryview, held: Held, unwanted: Container[int]) -> Iterator[McapRecord | Unread]:
     after = 0
     while after < len(data):
         opcode, begin, after = _next(data, after)
@@ -146,9 +175,9 @@ def _in_chunk(data: memoryview, unwanted: Container[int]) -> Iterator[McapRecord
             after += (alike - 1) * (_HEAD.size + after - begin)
             yield Unread(alike)
         elif opcode == Opcode.MESSAGE:
-            yield _message(data[begin:after])
+            yield _message(data[begin:after], held)
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            yield from records(opcode, data[begin:after])
+            yield from records(opcode, data[begin:after], held)
 
 
 def _alike(data: memoryview, length: int) -> int:
@@ -162,7 +191,8 @@ def _alike(data: memoryview, length: int) -> int:
     return rows if same.all() else int(np.argmin(same))
 
 
-def _message(body: memoryview) -> Message:
+def _message(body: memoryview, held: Held) -> Message:
+    held.add(MESSAGE_BYTES)
     channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(body)
     return Message(channel, log_time, body[_MESSAGE.size :], publish_time, sequence)
 
@@ -226,8 +256,8 @@ def _head(content: memoryview, at: int) -> tuple[int, int]:
     return opcode, length
 
 
-def _decompressed(body: memoryview) -> memoryview:
-    """The records in a chunk."""
+def _decompressed(body: memoryview, held: Held) -> memoryview:
+    """The records in a chunk, which are counted before their checksum is compared."""
     _, _, size, crc, name = _CHUNK.unpack_from(body)
     compression = bytes(body[_CHUNK.size : _CHUNK.size + name]).decode()
     (length,) = _LENGTH.unpack_from(body, _CHUNK.size + name)
@@ -244,6 +274,7 @@ def _decompressed(body: memoryview) -> memoryview:
         data = packed
     else:
         raise ValueError(f"unknown compression {compression!r}")
+    held.add(CONTENT_COPIES * len(data))
     if len(data) != size or crc not in (0, crc32(data)):
         raise ValueError("the checksum of a chunk is wrong")
     return data

@@ -19,6 +19,7 @@ from rig.recording import container, messages
 from rig.recording.agreement import check_channels
 from rig.recording.assembly import Assembly
 from rig.recording.channels import Channels, understood
+from rig.recording.clock import Clock
 from rig.recording.foreign import PROVENANCE, RIG_NAME
 
 TRUTH = ".truth.mcap"
@@ -194,7 +195,7 @@ def recordings_in(folder: Path) -> list[Path]:
 
 @dataclass(frozen=True)
 class Contents:
-    """What the records of a file hold beside the blocks of every group."""
+    """What the records of a file hold beside the blocks of every group; of the attachments rig.json alone is kept."""
 
     attachments: dict[str, bytes] = field(default_factory=dict)
     provenance: dict[str, str] = field(default_factory=dict)
@@ -210,23 +211,35 @@ def gathering(records: Iterable[McapRecord], found: Contents) -> Iterator[tuple[
     """Sorts the records of a file into what is given, and yields every block with the name of its group.
 
     Its values are there until the next is asked for. Raises ValueError or RigError, without the name of the file, if a
-    record is wrong.
+    record is wrong, an attachment or an entry of the provenance is given twice, or a block's time is not that of its
+    samples.
     """
     numbers: dict[int, str] = {}
     channels: dict[int, ChannelRecord] = {}
+    clock = Clock()
     for record in records:
         if isinstance(record, ChannelRecord) and (before := channels.setdefault(record.id, record)) != record:
             raise ValueError(f"channel {record.id} is described in two ways: {before.topic} and {record.topic}")
         if isinstance(record, Attachment):
-            found.attachments[record.name] = record.data
+            if record.name in found.attachments:
+                raise RigError(f"more than one attachment is named {record.name!r}; keep the one that is meant")
+            found.attachments[record.name] = record.data if record.name == RIG_NAME else b""
         elif isinstance(record, Metadata) and record.name == PROVENANCE:
-            found.provenance.update(record.metadata)
+            _add_provenance(record, found)
         elif isinstance(record, ChannelRecord) and record.id not in numbers and is_of_blocks(record):
             group = record.topic.split("/")[2]
             numbers[record.id] = group
             found.groups[group] = understood(record.topic, record.metadata)
         elif isinstance(record, Message) and record.channel_id in numbers:
-            yield numbers[record.channel_id], messages.decode_block(record.data)
+            group, block = numbers[record.channel_id], messages.decode_block(record.data)
+            clock.check(group, found.groups[group].sample_rate_hz, block)
+            yield group, block
+
+
+def _add_provenance(record: Metadata, found: Contents) -> None:
+    for key, value in record.metadata.items():
+        if found.provenance.setdefault(key, value) != value:
+            raise RigError(f"the provenance gives {key!r} twice; keep the one that is meant")
 
 
 def rig_of(path: Path, contents: Contents) -> Rig:

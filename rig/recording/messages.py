@@ -55,7 +55,7 @@ def decode_block(data: bytes | memoryview) -> Block:
     try:
         message.ParseFromString(bytes(data[:end_of_head]))
     except Exception as error:  # protobuf's own error type differs between its implementations
-        raise ValueError(f"a block cannot be decoded: {error}") from error
+        raise ValueError("a block cannot be decoded") from error
     values = np.frombuffer(data, "<f8", offset=begin) if begin else np.array(message.values, dtype=float)
     if message.channels == 0 or values.size % message.channels:
         raise ValueError(f"a block of {values.size} values for {message.channels} channels")

@@ -47,6 +47,19 @@ def segments(path: Path, length_s: float, overlap_s: float) -> Iterator[Recordin
     yield _segment(path, rig, contents, blocks, begin, ends["force"])
 
 
+def bytes_per_second(path: Path) -> float:
+    """How many bytes of samples a second of all channels has, from what stands before the first of them.
+
+    Raises RigError as `segments` does.
+    """
+    contents = Contents()
+    with container.opened(path) as file:
+        for _ in container.with_path_in_error(path, gathering(container.whole(file, is_of_blocks), contents)):
+            break
+    rig = _checked_rig(path, contents)
+    return 8 * rig.sample_rate_hz * sum(len(group.names) for group in contents.groups.values())
+
+
 def _checked_rig(path: Path, contents: Contents) -> Rig:
     """The description, once all channels are known; raises RigError if it is not there, or they do not fit."""
     rig = rig_of(path, contents)

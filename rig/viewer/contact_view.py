@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import rerun as rr
 from jaxtyping import Bool, Float, Int, UInt8
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import maximum_filter1d
 
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Contact
@@ -35,6 +35,9 @@ from rig.viewer.drawing import (
 TRAIL_POINTS = 60
 HATCHES = 16
 DASHES = 24
+MAX_CLOSINGS = 20_000
+"""In the log, which nobody reads to its end."""
+MAX_KEPT = 1_000_000
 NEAR_S = 0.005
 """So long before and after a contact every sample is drawn."""
 OTHERS: dict[str, Colour] = {"believed": BELIEVED, "identified": FOUND}
@@ -85,12 +88,13 @@ class Play:
 
     @cached_property
     def kept(self) -> Int[np.ndarray, " kept"]:
-        """Every sample near a contact, one of `stride` and the frames elsewhere."""
+        """Every sample near a contact, one of `stride` and the frames elsewhere; of more than a million some are."""
         wide = max(1, round(NEAR_S * self.rate_hz))
-        chosen = binary_dilation(self.closed, np.ones(2 * wide + 1, dtype=bool))
+        chosen = maximum_filter1d(self.closed.view(np.uint8), 2 * wide + 1, mode="constant").view(bool)
         chosen[:: self.stride] = True
         chosen[self.frames] = True
-        return np.flatnonzero(chosen)
+        kept = np.flatnonzero(chosen)
+        return kept[:: -(-kept.size // MAX_KEPT)] if kept.size else kept
 
     @property
     def colours(self) -> UInt8[np.ndarray, "frames 3"]:
@@ -182,15 +186,20 @@ def send_over_time(stream: rr.RecordingStream, play: Play) -> None:
 
 
 def send_events(stream: rr.RecordingStream, play: Play) -> None:
-    """A line in the log, and a mark on the timeline, at every sample at which the contact has closed or opened."""
-    closes, opens = _changes(play)
+    """A line in the log, and a mark on the timeline, at every sample at which the contact has closed or opened.
+
+    Of more than 20 000 closings the first are listed, and how many follow.
+    """
+    every = _changes(play)
+    closes, opens = (samples[:MAX_CLOSINGS] for samples in every)
     words = [f"{play.contact.name} closes at its {'upper' if play.depth_m[s] > 0 else 'lower'} stop" for s in closes]
-    for sample in opens:
-        before = closes[closes < sample]
-        start = int(before[-1]) if before.size else 0
+    starts = np.concatenate([[0], closes])[np.searchsorted(closes, opens)]  # an opening ends the closing before it
+    for start, sample in zip(starts, opens, strict=True):
         lasted_ms = 1e3 * (play.time_s[sample] - play.time_s[start])
         deepest_mm = 1e3 * np.abs(play.depth_m[start:sample]).max()
         words.append(f"{play.contact.name} opens after {lasted_ms:.3g} ms, at most {deepest_mm:.3g} mm deep")
+    if unlisted := every[0].size - closes.size:
+        words[closes.size - 1] += f"; it closes {unlisted} times more, which are not listed"
     samples = np.concatenate([closes, opens])
     order = np.argsort(samples, kind="stable")
     levels = np.array([rr.TextLogLevel.WARN] * closes.size + [rr.TextLogLevel.INFO] * opens.size)

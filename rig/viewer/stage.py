@@ -12,6 +12,8 @@ from rig.viewer.deflection import Deflection
 
 FRAMES = 6000
 FRAME_RATES_HZ = (60.0, 600.0)
+MAX_FRAMES = 60_000
+"""Of a record of any length: above a thousand seconds there are fewer than 60 frames in a second."""
 NODES = 61
 
 
@@ -111,7 +113,7 @@ class Stage:
 def stage(deflection: Deflection, sample_rate_hz: float, magnification: float | None) -> Stage:
     """The stage for these displacements; without a magnification the largest deflection is a third of the extent.
 
-    There are 6000 frames, but at least 60 and at most 600 in a second.
+    There are 6000 frames, but at least 60 and at most 600 in a second, and never more than 60 000.
     """
     left = left_ends(deflection.rig)
     extent = max(left[b.name] + b.length_m for b in deflection.rig.bodies) - min(left.values()) or 1.0
@@ -119,7 +121,7 @@ def stage(deflection: Deflection, sample_rate_hz: float, magnification: float | 
     if magnification is None:
         magnification = _rounded_down(extent / 3 / largest) if largest > 0 else 1.0
     samples = deflection.displacement_m.shape[1]
-    rate = np.clip(FRAMES * sample_rate_hz / samples, *FRAME_RATES_HZ)
+    rate = min(np.clip(FRAMES * sample_rate_hz / samples, *FRAME_RATES_HZ), MAX_FRAMES * sample_rate_hz / samples)
     frames = np.arange(0, samples, max(1, round(sample_rate_hz / rate)))
     return Stage(deflection, left, extent, magnification, sample_rate_hz, frames)
 

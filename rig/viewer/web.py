@@ -1,48 +1,124 @@
-"""The viewer in a browser: rerun's own page and the .rrd file, served by this process for as long as it runs."""
+"""The viewer in a browser: rerun's own page and the .rrd file, served on the loopback address for as long as it runs.
 
+rerun's web servers listen on all addresses by default and answer for any host, so a page elsewhere that lets its own
+name point here could read the recording. What its program serves on the loopback address is fetched once instead, and
+served from here, beside the recording, to requests for this host alone.
+"""
+
+import os
 import shutil
-from collections.abc import Callable
-from contextlib import suppress
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from urllib.error import URLError
 from urllib.parse import quote
+from urllib.request import urlopen
 
-import rerun as rr
-from rerun_bindings import get_app_url
+from rig.errors import RigError
 
-NAME = "/recording.rrd"
+LOOPBACK = "127.0.0.1"
+RECORDING = "/recording.rrd"
+PAGE = ("/", "/re_viewer.js", "/re_viewer_bg.wasm", "/favicon.ico")
+FETCH_S = 60.0
+"""So long rerun may take to begin and to give its page."""
+
+
+@dataclass(frozen=True)
+class Asset:
+    """A file of rerun's page."""
+
+    content_type: str
+    content: bytes
 
 
 def serve(path: Path, say: Callable[[str], None]) -> None:
     """Serves the file to browsers on this computer, says the address to open, and goes on until it is interrupted.
 
-    Both servers are threads of this process, so that none outlives it. Only the page may read the file; the server of
-    the page, which has no data, listens on all addresses.
+    Raises RigError if rerun does not give its page.
     """
-    rr.start_web_viewer_server(0)
-    page = get_app_url()
-    with ThreadingHTTPServer(("127.0.0.1", 0), _handler(path, page)) as server:
-        say(f"{page}?url={quote(f'http://127.0.0.1:{server.server_port}{NAME}', safe='')}")
+    assets = fetch_page()
+    with ThreadingHTTPServer((LOOPBACK, 0), _handler(path, assets)) as server:
+        origin = f"http://{LOOPBACK}:{server.server_port}"
+        say(f"{origin}/?url={quote(origin + RECORDING, safe='')}")
         server.serve_forever()
 
 
-def _handler(path: Path, page: str) -> type[BaseHTTPRequestHandler]:
+def fetch_page() -> dict[str, Asset]:
+    """rerun's page by path, from its own program, which ends again; raises RigError if it cannot be had."""
+    until = time.monotonic() + FETCH_S
+    with _rerun_serving() as (port, running):
+        while True:
+            try:
+                return {path: _fetched(f"http://{LOOPBACK}:{port}{path}") for path in PAGE}
+            except (URLError, OSError) as error:
+                if running.poll() is None and time.monotonic() < until:
+                    time.sleep(0.1)
+                    continue
+                raise RigError(
+                    f"rerun gives no page for the browser ({error}); open the file by: {sys.executable} -m rerun FILE"
+                ) from error
+
+
+def _fetched(address: str) -> Asset:
+    with urlopen(address, timeout=FETCH_S) as answer:
+        return Asset(answer.headers["Content-Type"] or "application/octet-stream", answer.read())
+
+
+@contextmanager
+def _rerun_serving() -> Iterator[tuple[int, subprocess.Popen[bytes]]]:
+    """rerun's web server on the loopback address, and its port."""
+    page, data = _free_ports()
+    words = ["--serve-web", "--bind", LOOPBACK, "--web-viewer-port", str(page), "--port", str(data)]
+    running = subprocess.Popen(
+        [sys.executable, "-m", "rerun_cli", *words],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,  # it starts a program of its own, which is to end with it
+    )
+    try:
+        yield page, running
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(running.pid, signal.SIGKILL) if hasattr(os, "killpg") else running.kill()
+        running.wait()
+
+
+def _free_ports() -> tuple[int, int]:
+    with socket.create_server((LOOPBACK, 0)) as first, socket.create_server((LOOPBACK, 0)) as second:
+        return first.getsockname()[1], second.getsockname()[1]
+
+
+def _handler(recording: Path, assets: Mapping[str, Asset]) -> type[BaseHTTPRequestHandler]:
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
-            try:
-                if self.path != NAME:
-                    raise FileNotFoundError
-                stream = path.open("rb")
-            except OSError:
+            port = self.connection.getsockname()[1]
+            path, _, _ = self.path.partition("?")
+            if self.headers.get("Host") not in {f"{LOOPBACK}:{port}", f"localhost:{port}"}:
+                self.send_error(403, "Ask for 127.0.0.1 or localhost")
+            elif path in assets:
+                self._begin(assets[path].content_type, len(assets[path].content))
+                with suppress(ConnectionError):  # the browser may leave at any time
+                    self.wfile.write(assets[path].content)
+            elif path == RECORDING and recording.is_file():
+                with recording.open("rb") as stream, suppress(ConnectionError):
+                    self._begin("application/octet-stream", recording.stat().st_size)
+                    shutil.copyfileobj(stream, self.wfile)
+            else:
                 self.send_error(404)
-                return
-            with stream, suppress(ConnectionError):  # the browser may leave at any time
-                self.send_response(200)
-                self.send_header("Content-Type", "application/octet-stream")
-                self.send_header("Content-Length", str(path.stat().st_size))
-                self.send_header("Access-Control-Allow-Origin", page)
-                self.end_headers()
-                shutil.copyfileobj(stream, self.wfile)
+
+        def _begin(self, content_type: str, length: int) -> None:
+            self.send_response(200)
+            self.send_header("Content-Type", content_type)
+            self.send_header("Content-Length", str(length))
+            self.end_headers()
 
         def log_message(self, *_: object) -> None:
             """Nothing on the screen."""

@@ -34,6 +34,7 @@ from rig.simulation.excitation import BandLimitedGaussian
 from rig.simulation.plants import modal
 from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle, Sdof
+from tests.fuzz.hostile import decimal_marks, deep_keys, hostile_hdf5, hostile_recording
 from tests.fuzz.judging import refused_or_right
 from tests.fuzz.mutate import bytes_changed, text_changed
 from tests.fuzz.readers import (
@@ -129,6 +130,10 @@ def recording_contents(rng: np.random.Generator, folder: Path) -> str:
     return _judged_recording(folder, rewritten(sound().recording, None, changed), SDOF)
 
 
+def recording_made_to_harm(rng: np.random.Generator, folder: Path) -> str:
+    return hostile_recording(rng, folder, sound().recording)
+
+
 def _judged_recording(folder: Path, content: bytes, rig: Rig | None) -> str:
     """Read and recovered; a rig of None is whatever it says it is."""
     path, saved = folder / "bad.mcap", folder / "saved.mcap"
@@ -203,6 +208,7 @@ KINDS: dict[str, Callable[[np.random.Generator, Path], str]] = {
         recording_bytes,
         recording_records,
         recording_contents,
+        recording_made_to_harm,
         rig_description,
         import_map,
         csv_table,
@@ -210,6 +216,9 @@ KINDS: dict[str, Callable[[np.random.Generator, Path], str]] = {
         mat_table,
         tdms_table,
         hdf5_table,
+        hostile_hdf5,
+        deep_keys,
+        decimal_marks,
         answer_of_changed_bytes,
         answer_of_another_rig,
         answer_of_absurd_samples,

@@ -2,7 +2,7 @@
 
 import struct
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from io import BytesIO
 
 import lz4.frame
@@ -107,16 +107,23 @@ def rewritten(
     content: bytes,
     attachment: Callable[[bytes], bytes] | None,
     metadata: Callable[[int, dict[str, str]], dict[str, str]] | None,
+    message: Callable[[str, bytes], bytes] | None = None,
+    attachments: Sequence[tuple[str, bytes]] = (),
+    provenances: Sequence[dict[str, str]] = (),
 ) -> bytes:
-    """The blocks in a new file, with the attachments or the channels' metadata changed, by mcap's own writer."""
+    """The blocks in a new file, by mcap's own writer; attachments, channels' metadata and blocks changed or added."""
     reader, stream = make_reader(BytesIO(content)), BytesIO()
     writer = Writer(stream, chunk_size=50_000)
     writer.start()
     for found in reader.iter_attachments():
         data = attachment(found.data) if attachment else found.data
         writer.add_attachment(0, 0, found.name, found.media_type, data)
+    for name, data in attachments:
+        writer.add_attachment(0, 0, name, "", data)
+    for entries in provenances:
+        writer.add_metadata("provenance", entries)
     numbers: dict[int, int] = {}
-    for schema, channel, message in reader.iter_messages(log_time_order=False):
+    for schema, channel, block in reader.iter_messages(log_time_order=False):
         if schema is None or not channel.topic.endswith("/block"):
             continue
         if channel.id not in numbers:
@@ -124,6 +131,7 @@ def rewritten(
             about = metadata(len(numbers), about) if metadata else about
             name = writer.register_schema(schema.name, schema.encoding, schema.data)
             numbers[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, name, about)
-        writer.add_message(numbers[channel.id], message.log_time, message.data, message.publish_time)
+        data = message(channel.topic, block.data) if message else block.data
+        writer.add_message(numbers[channel.id], block.log_time, data, block.publish_time)
     writer.finish()
     return stream.getvalue()

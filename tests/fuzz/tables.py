@@ -1,6 +1,7 @@
 """Mutated tables and import maps: CSV against a plain reading of the same bytes, binary formats where they are cut."""
 
 import csv
+import re
 import tomllib
 from collections.abc import Callable
 from functools import cache
@@ -86,7 +87,7 @@ def _plainly(
     lines_after_names: int = 0,
 ) -> dict[str, np.ndarray]:
     """A table of numbers below a line of names or above none, cell by cell."""
-    lines = content.decode(encoding).splitlines()[lines_before_names:]
+    lines = re.split(r"\r\n|\r|\n", content.decode(encoding))[lines_before_names:]
     rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter)]
     try:
         [float(cell.replace(decimal, ".")) for cell in rows[0]]

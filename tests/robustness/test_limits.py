@@ -9,7 +9,7 @@ import pytest
 from rig.model.description import to_json
 from rig.simulation.reference import Sdof
 
-MANY = 50_000
+MANY = 20_000
 LIMITS = {
     *(("rms_n", value) for value in ("1e-300", "0")),
     *(("damping_ratio", value) for value in ("1e-300", "0")),

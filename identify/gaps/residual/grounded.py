@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Complex, Float
 
-from identify.gaps.residual.spectra import FINE_HZ, Record
+from identify.gaps.residual.spectra import Record
 from identify.linear.model import Response, times, weights_of
+from identify.signals.law_evaluation import oversampling
 from rig.model.description import PointDamper, PointMass, PointSpring, Rig, Station
 
 Spectrum = Complex[np.ndarray, " lines"]
@@ -86,7 +87,7 @@ def displaced_at(
 
 def _often(record: Record) -> int:
     """So many times the record's own rate is fine enough for a friction force."""
-    return max(3, int(np.ceil(FINE_HZ / record.rate_hz)))
+    return max(3, oversampling(record.rate_hz))
 
 
 def _finely(record: Record, finer: int, *spectra: Spectrum) -> list[Float[np.ndarray, " fine"]]:

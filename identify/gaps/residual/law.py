@@ -1,7 +1,6 @@
 """Each separated contact force against the law that the rig has at its relative displacement: the contact residual.
 
-A law is evaluated at `FINE_HZ` or more, block by block, and low-passed to the band of the force, so that its kinks do
-not alias and memory does not grow with the finer rate.
+A law is evaluated without aliasing and low-passed to the band of the force.
 """
 
 from collections.abc import Callable
@@ -15,14 +14,14 @@ from msgspec.structs import replace as changed
 from scipy.sparse import block_diag, csc_matrix, csr_matrix, vstack
 from scipy.sparse.linalg import SuperLU, splu
 
-from identify.contacts.start import CLEAR_SHARE, ContactRecord, regressed
+from identify.contacts.contact_record import CLEAR_SHARE, ContactRecord
+from identify.contacts.initial_guess import regressed
 from identify.gaps.residual.linear import Linear
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.observation import ContactObservation
 from identify.gaps.residual.spectra import Record
 from identify.linear.joined import JoinedLaw
-from identify.signals.finely import finely
-from identify.signals.spectra import decimated
+from identify.signals.law_evaluation import evaluated
 from rig.errors import RigError
 from rig.model.contact_laws import ContactLaw
 
@@ -40,20 +39,20 @@ class ContactSignals:
     """Force (N) of one contact, and its relative displacement and velocity at the recording's rate, as a linear model
     has them.
 
-    factor is how much lower the rate of the force is, finer how much higher the one at which laws are evaluated.
+    factor is how much lower the rate of the force is.
     """
 
     force_n: Float[np.ndarray, " times"]
     eta_m: Float[np.ndarray, " samples"]
     rate_m_per_s: Float[np.ndarray, " samples"]
     time_s: Float[np.ndarray, " samples"]
+    sample_rate_hz: float
     factor: int
-    finer: int
     spring_n_per_m: float
 
     def low_passed(self, law: Callable[..., Results], *signals: Signal) -> Float[np.ndarray, "*rows times"]:
-        """What a law makes of signals at the recording's rate, evaluated finely, at the rate of the force."""
-        return decimated(finely(law, np.stack(signals), self.finer), self.factor)
+        """What a law makes of signals at the recording's rate, at the rate of the force."""
+        return evaluated(law, np.stack(signals), self.sample_rate_hz, self.factor)
 
 
 def laid_out(record: Record, model: Linear) -> tuple[ContactSignals, ...]:
@@ -62,7 +61,7 @@ def laid_out(record: Record, model: Linear) -> tuple[ContactSignals, ...]:
     time_s = record.taken.start / record.rate_hz + np.arange(eta.shape[1]) / record.sample_rate_hz
     forces = record.in_time(model.contact_n) + model.holding_n[:, None]
     return tuple(
-        ContactSignals(f, e, r, time_s, record.factor, record.finer, s)
+        ContactSignals(f, e, r, time_s, record.sample_rate_hz, record.factor, s)
         for f, e, r, s in zip(forces, eta, rate, np.diag(model.slow_n_per_m), strict=True)
     )
 

@@ -9,8 +9,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import periodogram
 
-from identify.contacts.estimates import drift_of
-from identify.contacts.unforced import driven_to_hz, is_unforced
+from identify.contacts.separation import drift_of, driven_to_hz, is_unforced
 from identify.linear.joined import joined
 from identify.signals.beginning import QUIET_S
 from identify.signals.drift import Drift
@@ -48,8 +47,6 @@ DECAYED, LEAST_S = 0.03, 4.0
 """A record counts until its last second with more than this share of the loudest one's acceleration, and at least for
 so long: what contacts of a rig do that has come to rest, accelerometers do not show."""
 SMOOTHED_HZ = 1.0
-FINE_HZ = 8000.0
-"""Contact laws are evaluated at no less; at twice that nothing changes."""
 
 
 @dataclass(frozen=True)
@@ -143,10 +140,6 @@ class Record:
     def sample_ratio(self) -> float:
         """How much more the tolerances weigh than samples do, as model errors last: samples for each that counts."""
         return max(1.0, len(self.sensors) * self.rate_hz / COUNTED_HZ)
-
-    @property
-    def finer(self) -> int:
-        return max(1, round(FINE_HZ / self.sample_rate_hz))
 
     def in_time(self, spectra: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows times"]:
         """Back to time, at `rate_hz`, the samples that count."""

@@ -10,6 +10,8 @@ from jaxtyping import Float
 
 from rig.errors import RigError
 from rig.extras import needs_extra
+from rig.lab.column import UnreadableError
+from rig.lab.uff import check_whole
 
 Axis = Literal["x", "y", "z"]
 AXES: tuple[Axis, ...] = ("x", "y", "z")
@@ -47,8 +49,7 @@ def read_uff(path: Path) -> UffFile:
         import pyuff
 
     try:
-        with path.open("rb"):
-            pass
+        check_whole(path)
         reader = pyuff.UFF(str(path))
         kinds = [int(kind) for kind in reader.get_set_types()]
         sets: dict[int, list[dict[str, Any]]] = {}
@@ -63,9 +64,10 @@ def read_uff(path: Path) -> UffFile:
         }
     except OSError as error:
         raise RigError(f"{path}: cannot be opened ({error.strerror or error}); check the name") from error
+    except UnreadableError as error:
+        raise RigError(f"{path}: cannot be read as UFF ({error}); export it again") from error
     except Exception as error:  # what the format's library raises on a bad file is not to be listed
-        reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise RigError(f"{path}: cannot be read as UFF ({reason}); export it again") from error
+        raise RigError(f"{path}: cannot be read as UFF, whole or in part; export it again") from error
     units = sets.get(164, [{}])[-1]
     length, force = (float(units.get(name) or 1.0) for name in ("length", "force"))
     if not (0 < length < np.inf and 0 < force < np.inf):

@@ -10,10 +10,11 @@ from msgspec.structs import replace
 
 from rig.errors import RigError
 from rig.lab.clock import even
-from rig.lab.importing import Source, rows_in_si, taken_columns, time_stamps
+from rig.lab.csv_text import TextForm
+from rig.lab.importing import Source, clock_of, rows_in_si, taken_columns
 from rig.lab.modal.record import MeasuredResponse, fit_record
 from rig.lab.starting.base import Start, contacts_of
-from rig.lab.tables import TextForm, columns_of
+from rig.lab.tables import read_table
 from rig.model.contact_laws.dead_zone import equal_sides
 from rig.model.description import Rig, Station
 from rig.model.quantities import QUANTITIES
@@ -128,17 +129,18 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
             raise RigError(f"contacts_m has {lost[0]:g} m, where no sensor is; the shapes are known at sensors alone")
 
     def _read(self) -> MeasuredResponse:
-        columns = columns_of(self.from_record, TextForm())
+        keys = [_source(name, None).column for name in (self.force_column, *self.columns, self.time_column) if name]
+        table = read_table(self.from_record, TextForm(), keys)
         wanted = {"force": ("force", _source(self.force_column, self.force_unit))}
         wanted |= {
             f"sensor {k}": (self.quantity[0], _source(name, self.unit)) for k, name in enumerate(self.columns, start=1)
         }
         try:
-            taken, factors = taken_columns(columns, wanted)
+            taken, factors = taken_columns(table, wanted)
             time = _source(self.time_column, "s") if self.time_column else None
-            time_s = time_stamps(columns, list(taken.values()), time, self.sample_rate_hz)
-            rate_hz = self.sample_rate_hz or float(f"{(time_s.size - 1) / float(time_s[-1] - time_s[0]):.9g}")
-            rows, _ = even(rows_in_si(taken, factors), time_s, rate_hz, resample=False)
+            clock = clock_of(table, list(taken.values()), time, self.sample_rate_hz)
+            rate_hz = self.sample_rate_hz or float(f"{clock.rate_hz:.9g}")
+            rows, _ = even(rows_in_si(taken, factors), clock, rate_hz, resample=False)
         except RigError as error:
             raise RigError(f"{self.from_record}: {error}") from error
         return MeasuredResponse(rows[0], rows[1:], QUANTITIES[self.quantity[0]].order, rate_hz)

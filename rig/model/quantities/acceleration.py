@@ -11,4 +11,5 @@ ACCELERATION = Quantity(
     order=2,
     ac_coupled=True,
     uff_kind=12,
+    largest=1e7,
 )

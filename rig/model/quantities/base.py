@@ -1,5 +1,6 @@
 """What a sensor measures: the measurement operator from a body's transverse motion to the channel's unit."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -39,6 +40,8 @@ class Quantity:
     """Whether its sensors have a high-pass (IEPE)."""
     uff_kind: int = 0
     """Data type in universal file format 58; 0: general."""
+    largest: float = math.inf
+    """More, in `unit`, nothing on a test rig moves."""
     translates: bool = field(init=False)
     """Whether it is of w itself: others sense neither a moving base nor a single mass."""
     bends: bool = field(init=False)

@@ -13,4 +13,5 @@ STRAIN = Quantity(
     {"m/m": 1.0, "mm/m": 1e-3, "um/m": 1e-6, "ustrain": 1e-6, "%": 1e-2},
     order=0,
     operator=surface_strain,
+    largest=10.0,
 )

@@ -9,8 +9,8 @@ from rig.model.beam import Beam
 from rig.model.description import Rig, Station
 from rig.model.modes import held_coordinates, hermite
 from rig.model.structure import Structure, structure_of
-from rig.simulation.plants.ancf import build, free_coordinates
 from rig.simulation.plants.connectors import Section
+from rig.simulation.plants.finite_elements import build, free_coordinates
 from rig.simulation.plants.mesh import Mesh
 
 ELEMENTS = 60

@@ -124,3 +124,27 @@ def test_positions_that_count_from_the_other_end_are_named(sound):
     recording = sound("cantilever")
     turned = with_sensors(lambda s: replace(s, station=replace(s.station, position_m=1.0 - s.station.position_m)))
     assert [f.cause for f in check_recording(turned(recording))] == ["mirrored"]
+
+
+def test_a_record_that_runs_backwards_is_named(sound):
+    recording = sound("mass")
+    turned = {name: Signals(s.channels, s.start_s, s.values[:, ::-1]) for name, s in recording.signals.items()}
+    (found,) = check_recording(Recording(recording.rig, turned, {}))
+    assert "as if time ran backwards" in found.evidence
+    beginning = {name: Signals(s.channels, s.start_s, s.values[:, 2048:]) for name, s in recording.signals.items()}
+    assert not any("backwards" in f.evidence for f in check_recording(Recording(recording.rig, beginning, {})))
+
+
+def test_what_no_machine_does_is_named_though_all_channels_agree(sound):
+    """Force and motion times the same factor obey the same linear model, and a contact's law scaled in length."""
+    recording = sound("mass")
+
+    def scaled(factor):
+        signals = {n: Signals(s.channels, s.start_s, factor * s.values) for n, s in recording.signals.items()}
+        return Recording(recording.rig, signals, {})
+
+    assert check_recording(scaled(10.0)) == ()
+    found = check_recording(scaled(1e14))
+    assert {f.cause for f in found} == {"units"}
+    assert set(recording.force_names) <= {name for f in found for name in f.channels}
+    assert "nothing on a test rig exceeds" in found[0].sentence

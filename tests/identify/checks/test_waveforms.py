@@ -91,3 +91,11 @@ def test_copies_are_found_whatever_their_scale(row):
 
 def test_a_constant_row_has_no_offset_in_shares_of_its_motion():
     assert background.offset("a", np.ones(9)) is None
+
+
+def test_a_hum_whose_squares_are_zero_has_no_size():
+    row = 1e-310 * np.sin(2 * np.pi * 50 * np.arange(4096) / 512)
+    assert background.hum("a", 512.0, row, np.zeros((1, 4096))) is None
+    loud = background.hum("a", 512.0, 1e300 * row, np.zeros((1, 4096)))
+    assert loud is not None
+    assert "tone of 50 Hz" in loud.evidence

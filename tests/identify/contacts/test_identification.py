@@ -10,7 +10,8 @@ import pytest
 
 import identify
 from identify.contacts import identify_contact
-from identify.contacts.estimates import find_contacts
+from identify.contacts.acceptance import find_contacts
+from identify.contacts.refusals import RefusalCode, RemedyCode
 from rig.errors import RigError
 from rig.model.contact_laws import DeadZone
 from rig.model.description import PointMass, Station
@@ -158,7 +159,7 @@ def test_one_mass_with_unequal_stops_and_damping(tmp_path, use):
 def test_gains_are_not_fitted_to_the_noise(tmp_path):
     """A common gain of force and sensor that is too small would make the noise, and so the residual, smaller."""
     recording = short_mass(tmp_path, duration_s=240.0, sensors="acceleration", noise_density=2e-3)
-    (fit,) = find_contacts(recording, "acceleration", LABORATORY).estimates
+    fit = find_contacts(recording, "acceleration", LABORATORY).outcomes.estimates["stop"]
     assert np.abs(fit.pulls).max() < 1
     assert abs(fit.values[0] - recording.rig.contacts[0].law.lower_clearance_m) < 2 * fit.errors[0]
 
@@ -168,7 +169,8 @@ def test_a_contact_that_is_never_reached_is_not_answered(tmp_path):
     assert found.report.contacts == ()
     (silent,) = found.report.unanswered
     assert silent.name == "stop"
-    assert "excite the rig more strongly" in silent.reason
+    assert (silent.code, silent.remedy) == (RefusalCode.HARDLY_CLOSES, RemedyCode.EXCITE_MORE)
+    assert found.outcomes.refusals["stop"].sentence == silent.reason
     assert found.stops == (None,)
     assert found.report.surface.histogram == ()
 

@@ -1,13 +1,16 @@
 """Long records: identified segment by segment, and pooled."""
 
+import os
+
 import msgspec
 import numpy as np
 import pytest
 
-from identify.contacts.pooled import identify_long, pooled, together
+from identify.contacts.pooled import LARGE_BYTES, identify_long, longest_segment_s, pooled, together
 from identify.contacts.results import Estimate
 from rig.errors import RigError
 from rig.model.tolerances import EXACT, LABORATORY
+from rig.recording import channel_groups, writing
 from rig.simulation.reference import BarrelCradle, Sdof
 
 
@@ -74,3 +77,20 @@ def test_bad_segments_are_refused(one_mass, tmp_path):
             identify_long(one_mass, segment_s=length)
     with pytest.raises(RigError, match="cannot be opened"):
         identify_long(tmp_path / "none.mcap", segment_s=10.0)
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "length_s"), [(512.0, 40.0), (4096.0, 40.0), (1e5, 19.8), (2e5, None), (1e6, None)]
+)
+def test_segments_take_no_more_memory_than_their_file_may(tmp_path, rate_hz, length_s):
+    """Of 128 MiB: 1374 MB (rig/limits.py), a segment with 12 s in front and half of it behind being copied 18 times."""
+    path, rig = tmp_path / "r.mcap", Sdof(sensors="displacement").rig()
+    rig = msgspec.structs.replace(rig, sample_rate_hz=rate_hz)
+    with writing(path, rig, channel_groups(rig), {}) as recording:
+        recording.append_all({name: np.ones((1, 2048)) for name in channel_groups(rig)})
+    os.truncate(path, 2 * LARGE_BYTES)  # as a long record: what is asked for stands in front
+    if length_s is None:
+        with pytest.raises(RigError, match="MB a second, of which 22 s at once take more memory than 1374 MB; sample"):
+            longest_segment_s(path)
+    else:
+        assert longest_segment_s(path) == pytest.approx(length_s, rel=1e-2)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from identify.contacts import identify_contact
-from identify.contacts.advice import surer, variance_shares
-from identify.contacts.joint import Joint
+from identify.contacts.advice import recommendations, variance_shares
+from identify.contacts.refusals import REMEDIES
 from identify.contacts.report import write_page, write_results
 from identify.pages.wording import interval
 from rig.model.tolerances import EXACT
@@ -74,11 +74,11 @@ def test_a_refused_contact_is_named_with_the_reason_and_what_to_do(silent, page)
     (refused,) = silent.report.unanswered
     assert refused.reason in text
     assert "0 of 1 contacts identified" in text
-    assert any(line.startswith(refused.name) for line in surer(silent))
+    assert f"{refused.name}: {REMEDIES[refused.remedy]}." in recommendations(silent)
 
 
 def test_the_sources_of_error_share_the_variance(found):
-    (answer,) = found.estimates
+    (answer,) = found.outcomes.estimates.values()
     for shares in variance_shares(answer).values():
         assert sum(shares.values()) == pytest.approx(1.0)
         assert min(shares.values()) >= 0
@@ -91,12 +91,11 @@ def test_the_sources_of_error_share_the_variance(found):
     [("of_tolerances", "calibrate"), ("of_drift", "displacement sensors"), (None, "record longer")],
 )
 def test_what_rules_the_error_is_what_is_advised(found, source, remedy):
-    (answer,) = found.estimates
+    (answer,) = found.outcomes.estimates.values()
     nothing = np.zeros((4, 4))
     parts = {"of_tolerances": nothing, "of_drift": nothing} | ({source: answer.covariance} if source else {})
-    ruled = replace(found, estimates=(replace(answer, **parts),))
-    assert isinstance(ruled.estimates[0], Joint)
-    said = [line for line in surer(ruled) if line.startswith("Most of the variance")]
+    ruled = replace(found, outcomes=replace(found.outcomes, estimates={"stop": replace(answer, **parts)}))
+    said = [line for line in recommendations(ruled) if line.startswith("Most of the variance")]
     assert len(said) == 1
     assert remedy in said[0]
 

@@ -164,11 +164,13 @@ def test_without_pyoperon_one_is_told_what_to_install(monkeypatch):
 
 
 def observed(law, noise_n=0.0, rate_hz=256, seed=0):
-    """A law's force for 40 s, low-passed to half the rate."""
-    factor = 4096 // rate_hz
-    eta = motion_m(np.arange(40 * 4096) / 4096)[0]
-    force = decimated(law(eta), factor)
-    return Sampled(eta, force + noise_n * np.random.default_rng(seed).standard_normal(force.size), factor)
+    """A law's force for 40 s, low-passed to half the rate from 65536 Hz."""
+    fine, factor = 16, 4096 // rate_hz
+    eta = motion_m(np.arange(40 * fine * 4096) / (fine * 4096))[0]
+    force = decimated(law(eta), fine * factor)
+    return Sampled(
+        eta[::fine], force + noise_n * np.random.default_rng(seed).standard_normal(force.size), 4096.0, factor
+    )
 
 
 INNER = slice(64, -64)

@@ -38,11 +38,12 @@ def test_without_sliding_it_is_a_dead_zone():
 
 def test_its_standard_errors_are_those_of_the_noise():
     scores = []
-    eta = motion_m(np.arange(24 * 4096) / 4096)[0]
-    clean = decimated(LAW(eta), 16)
+    fine = 16
+    eta = motion_m(np.arange(24 * fine * 4096) / (fine * 4096))[0]
+    clean = decimated(LAW(eta), fine * 16)
     for seed in range(4):
         noise = 0.3 * np.random.default_rng(seed).standard_normal(clean.size)
-        found = sliding_friction(Sampled(eta, clean + noise, 16), slice(64, -64))
+        found = sliding_friction(Sampled(eta[::fine], clean + noise, 4096.0, 16), slice(64, -64))
         scores += [(getattr(found, n) - getattr(LAW, n)) / e for n, e in zip(NAMES, found.errors, strict=True)]
     assert 0.5 < np.std(scores) < 1.7
 

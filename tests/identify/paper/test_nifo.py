@@ -9,8 +9,8 @@ import pytest
 from identify.linear.modal import ModalEquation, modal_equations, receptance
 from identify.paper.nifo import Nifo, fitted_mode, nifo
 from identify.paper.surface import clearance_from_occurrence, fit_surface
-from identify.signals.finely import penetration
 from identify.signals.kinematics import kinematics
+from identify.signals.law_evaluation import penetration
 from identify.signals.regression import line_by_line
 from identify.signals.spectra import Averaging, blocks
 from rig.errors import RigError
@@ -160,7 +160,7 @@ def test_one_mass_as_in_the_paper(measured):
     started = clearance_from_occurrence(eta[0])
     (stops,) = fit_surface(equation, force, eta, 1, (started,)).stops
     assert stops.clearance_m == pytest.approx(TRUE.clearance_m, rel=1e-3)
-    depth = penetration(eta[0], stops.lower_m, stops.upper_m)[None]
+    depth = penetration(eta[0], stops.lower_m, stops.upper_m, rate_hz)[None]
     cut = blocks(force.size, rate_hz, Averaging(averages=40, overlap=0.5, window="hann"), (0.5, TRUE.high_hz))
     for form, frf_share in (("paper", 7e-3), ("weak", 2e-4)):
         found = nifo(equation, force, depth, cut, form)
@@ -180,7 +180,7 @@ def test_the_standard_error_of_the_mean_is_its_scatter(measured):
             equation, **{name: getattr(equation, name)[rows] for name in ("displacement", "velocity", "acceleration")}
         )
         noisy = force[rows] + 0.05 * rng.standard_normal(rows.size)
-        depth = penetration(eta[0], TRUE.clearance_m, TRUE.clearance_m)[None, rows]
+        depth = penetration(eta[0], TRUE.clearance_m, TRUE.clearance_m, TRUE.sample_rate_hz)[None, rows]
         cut = blocks(rows.size, TRUE.sample_rate_hz, Averaging(averages=20), (0.5, TRUE.high_hz))
         found = nifo(part, noisy, depth, cut)
         means.append(found.mean_n_per_m[0])

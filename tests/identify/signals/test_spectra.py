@@ -110,6 +110,7 @@ def test_a_bad_averaging_is_refused(settings, sentence):
         (Averaging(block_s=3.0), (1.0, 10.0), "a block of 3 s does not fit a record with 2 usable seconds"),
         (Averaging(averages=1000), (1.0, 10.0), "does not fit a record with 2 usable seconds; choose another block"),
         (Averaging(block_s=0.5), (10.5, 11.5), "the band 10.5 to 11.5 Hz holds no lines at a resolution of 2 Hz"),
+        (Averaging(block_s=0.5), (256.0, 204.8), "begins at 256 Hz, and 1000 samples a second show the motion up to"),
         (Averaging(block_s=0.5), (10.0, 600.0), "and 1000 samples a second; choose another band"),
     ],
 )

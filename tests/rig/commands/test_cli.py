@@ -7,7 +7,7 @@ import sys
 import time
 from urllib.error import HTTPError, URLError
 from urllib.parse import unquote
-from urllib.request import urlopen
+from urllib.request import Request, urlopen
 
 import msgspec
 import numpy as np
@@ -334,9 +334,17 @@ def test_a_browser_is_served_until_the_command_is_ended(tmp_path, ending, in_bac
         page, _, data = address.partition("?url=")
         with urlopen(page, timeout=20) as answer:
             assert b"rerun" in answer.read().lower()
+        with urlopen(f"{page}re_viewer_bg.wasm", timeout=20) as answer:
+            assert answer.headers["Content-Type"] == "application/wasm"
+            assert answer.read(4) == b"\0asm"
         with urlopen(unquote(data), timeout=20) as answer:
             assert answer.read() == (tmp_path / "r.rrd").read_bytes()
-            assert answer.headers["Access-Control-Allow-Origin"] == page
+            assert "Access-Control-Allow-Origin" not in answer.headers  # other pages may not read it
+        for each in (page, unquote(data)):
+            with pytest.raises(HTTPError, match="403"):  # as of a name that was made to point here
+                urlopen(Request(each, headers={"Host": f"rebound.example:{page.split(':')[2].strip('/')}"}), timeout=20)
+            with pytest.raises(URLError, match="refused"):  # a server on all addresses would answer
+                urlopen(each.replace("127.0.0.1", "127.0.0.2"), timeout=20)
         with pytest.raises(HTTPError, match="404"):
             urlopen(unquote(data).replace("recording", "r"), timeout=20)
         running.send_signal(getattr(signal, ending))

@@ -10,7 +10,8 @@ from rig.effects import effect_named
 from rig.errors import RigError
 from rig.model.description import PointMass, PointSpring, StaticLoad, Station
 from rig.model.modes import FiniteElementModes, modes_of, participation
-from rig.simulation.plants import ancf
+from rig.simulation.plants.ancf import ELEMENTS
+from rig.simulation.plants.finite_elements import build
 from rig.simulation.reference import BarrelCradle, Sdof
 
 MACHINE = BarrelCradle(stations=4).rig()
@@ -143,7 +144,7 @@ def test_the_finite_elements_of_exudyn_have_the_same_frequencies(text):
     machine = effect_named(text).applied_to(MACHINE)
     container = exu.SystemContainer()
     system = container.AddSystem()
-    ancf.build(exu, system, machine, [0.0], ancf.ELEMENTS)
+    build(exu, system, machine, [0.0], ELEMENTS)
     system.Assemble()
     found_hz, _ = system.ComputeODE2Eigenvalues(convert2Frequencies=True)
     container.Reset()

@@ -7,9 +7,10 @@ from asammdf import MDF
 from sdypy_sep005.sep005 import assert_sep005
 
 from rig.errors import RigError
+from rig.lab.csv_text import TextForm
 from rig.lab.exporting import export
 from rig.lab.sep005 import import_sep005, to_sep005
-from rig.lab.tables import TextForm, columns_of
+from rig.lab.tables import read_table
 from rig.recording import channel_groups, read, writing
 from rig.simulation.reference import Sdof
 
@@ -36,7 +37,7 @@ def test_hdf5_of_others_is_read_by_paths_attributes_and_columns(tmp_path):
         file["run/force"].attrs["fs"] = 512
         file["run/acc"] = BOTH
         file["note"], file["gain"] = "by hand", 2.0
-    columns = columns_of(tmp_path / "lab.h5", TextForm())
+    columns = read_table(tmp_path / "lab.h5", TextForm()).columns.values()
     assert [(c.name, c.unit, c.sample_rate_hz) for c in columns] == [
         ("run/acc[1]", None, None),
         ("run/acc[2]", None, None),
@@ -62,8 +63,8 @@ def test_mdf_holds_every_channel_over_its_time(tmp_path, recorded):
 
 def test_what_is_no_hdf5_is_said(tmp_path):
     (tmp_path / "lab.h5").write_bytes(b"nothing of the kind" * 50)
-    with pytest.raises(RigError, match=r"lab.h5: cannot be read as HDF5 \(its beginning is another\); export it again"):
-        columns_of(tmp_path / "lab.h5", TextForm())
+    with pytest.raises(RigError, match=r"lab.h5: cannot be read as .h5 \(its beginning is another\); export it again"):
+        read_table(tmp_path / "lab.h5", TextForm())
 
 
 def test_sep005_channels_are_valid_and_come_back(tmp_path, recorded):

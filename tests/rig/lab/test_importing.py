@@ -196,13 +196,6 @@ def test_matlab_4_is_read_too(folder):
     check(imported(folder, mapped(), "lab.mat"))
 
 
-def test_a_matlab_file_that_swells_is_refused(folder, monkeypatch):
-    monkeypatch.setattr("rig.lab.matlab.SMALL_BYTES", 10_000)
-    savemat(folder / "lab.mat", {"F": np.zeros(100_000)}, do_compression=True)
-    with pytest.raises(RigError, match=r"lab\.mat: its compressed data swells beyond measure"):
-        imported(folder, mapped(), "lab.mat")
-
-
 @pytest.mark.parametrize("compressed", [False, True])
 def test_a_matlab_file_that_is_cut_or_of_an_unknown_type_is_refused(folder, compressed):
     """A damaged type makes scipy's reader end the process."""
@@ -289,12 +282,12 @@ def stamps(**changes):
         (mapped(time=None, sample_rate_hz=1024.0), csv_text(), "sampled at 1024 Hz, sample_rate_hz of the rig is 512"),
         (mapped(), b"", "lab.csv: is empty"),
         (mapped(), "t,F,x,a\n", "lab.csv: holds no samples"),
-        (mapped(), csv_text().encode("utf-16"), "lab.csv: is not text in utf-8-sig (byte 0)"),
+        (mapped(), csv_text().encode("utf-16"), "lab.csv: is not text in utf-8-sig (after line 0)"),
         (mapped(csv={"encoding": "klingon"}), csv_text(), "there is no encoding 'klingon'"),
         (mapped(csv={"delimiter": "."}), csv_text(), "give two different characters"),
         (mapped(csv={"lines_before_names": 99999}), csv_text(), "has no line after the first 99999"),
         (mapped(), csv_text() + "0,1,2\n", "the number of columns changed from 4 to 3"),
-        (mapped(), csv_text() + "0,1,2,loud\n", "could not convert string 'loud' to float64"),
+        (mapped(), csv_text() + "0,1,2,loud\n", "line 2002 has 'loud' in column 'a', which is no number"),
         (mapped(), csv_text(names="t,F,x"), "3 names for 4 columns"),
         (mapped(), csv_text(values=nan_at(A, 7)), "column 'a' is not a finite number at sample 7"),
         (mapped(), csv_text(stamps(_9=1)), f"1 gaps, the first after {8 / RATE_HZ:.6f} s"),

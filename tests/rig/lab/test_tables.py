@@ -3,7 +3,8 @@
 import pytest
 
 from rig.errors import RigError
-from rig.lab.tables import TextForm, columns_of
+from rig.lab.csv_text import TextForm
+from rig.lab.tables import read_table
 
 
 @pytest.mark.parametrize("suffix", [".uff", ".mat", ".tdms", ".wav"])
@@ -11,7 +12,7 @@ def test_what_is_not_of_its_format_is_refused(tmp_path, suffix):
     path = tmp_path / f"lab{suffix}"
     path.write_text("t,F\n0.0,1.0\n0.1,2.0\n")
     with pytest.raises(RigError) as caught:
-        columns_of(path, TextForm())
+        read_table(path, TextForm())
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
 
@@ -19,7 +20,7 @@ def test_what_is_not_of_its_format_is_refused(tmp_path, suffix):
 def columns(tmp_path, content, **form):
     path = tmp_path / "lab.csv"
     path.write_text(content)
-    return {c.name: c.values.tolist() for c in columns_of(path, TextForm(**form))}
+    return {c.name: c.values.tolist() for c in read_table(path, TextForm(**form)).columns.values()}
 
 
 @pytest.mark.parametrize(
@@ -51,8 +52,8 @@ def test_last_columns_without_a_name_or_without_values_are_left_out(tmp_path, na
     [
         ("V1,V2\n1,2,3\n", "2 names for 3 columns"),
         ("V1,V2,V3\n1,2\n", "3 names for 2 columns"),
-        ("V1,,V3\n1,,3\n", "could not convert string ''"),
-        ("V1,V2,V3\n1,2,\n1,2,3\n", "could not convert string ''"),
+        ("V1,,V3\n1,,3\n", "line 2 has '' in column '', which is no number"),
+        ("V1,V2,V3\n1,2,\n1,2,3\n", "line 2 has '' in column 'V3', which is no number"),
         ("V1,V2\n,\n,\n", "2 names for 0 columns"),
     ],
 )

@@ -12,7 +12,7 @@ import pytest
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Chunk
+from mcap.records import Chunk, Metadata
 from mcap.writer import CompressionType, Writer
 
 from rig.commands.command_line import refuse_existing
@@ -21,6 +21,8 @@ from rig.model.description import to_json
 from rig.recording import RIG_NAME, channel_groups, container, read, writing
 from rig.recording.container import MAX_BYTES
 from rig.recording.messages import BLOCK_NAME, BLOCK_SCHEMA
+from rig.recording.recovery import recover
+from rig.recording.segments import segments
 from rig.simulation.reference import Sdof
 from tests.blocks import encode_block
 
@@ -48,9 +50,15 @@ def attachment(name, data=b"", declared=None):
     return struct.pack("<BQ", Opcode.ATTACHMENT, len(body) + 4) + body + struct.pack("<I", zlib.crc32(body))
 
 
-def chunk(compression, data, size):
+def chunk(compression, data, size, crc=1):
     builder = RecordBuilder()
-    Chunk(compression, data, 0, 0, 1, size).write(builder)
+    Chunk(compression, data, 0, 0, crc, size).write(builder)
+    return builder.end()
+
+
+def metadata(name, **entries):
+    builder = RecordBuilder()
+    Metadata(name=name, metadata=entries).write(builder)
     return builder.end()
 
 
@@ -70,6 +78,10 @@ def chunk(compression, data, size):
         (chunk("zstd", zstandard.compress(bytes(MAX_BYTES)), 1000), "the checksum of a chunk is wrong"),
         (chunk("brotli", b"x", 1), "unknown compression 'brotli'"),
         (struct.pack("<BQ", 0, 0), "a record without a kind"),
+        (attachment(RIG_NAME, to_json(RIG)), "more than one attachment is named 'rig.json'"),
+        (attachment("photo.jpg", b"1") + attachment("photo.jpg", b"1"), "attachment is named 'photo.jpg'"),
+        (metadata("provenance", made_by="another"), "the provenance gives 'made_by' twice"),
+        (metadata("weather", rain="x" * (5 << 20)), "a description declares"),
     ],
 )
 def test_what_is_made_to_do_harm_is_refused_within_little_memory(tmp_path, record, sentence):
@@ -87,6 +99,35 @@ def test_what_is_made_to_do_harm_is_refused_within_little_memory(tmp_path, recor
     assert str(caught.value).startswith(f"{path}: ")
     assert sentence in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_chunks_that_hold_more_than_their_file_allows_are_refused_by_every_reader(tmp_path):
+    """Five chunks of zeros, each as large as one may be: 20 kB make 335 MB, and are not kept meanwhile."""
+    path, data = tmp_path / "r.mcap", struct.pack("<BQ", 0x80, MAX_BYTES - 9) + bytes(MAX_BYTES - 9)
+    write(path)
+    packed = chunk("zstd", zstandard.compress(data), MAX_BYTES, zlib.crc32(data))
+    with_record_in_front(path, 5 * packed)
+    assert path.stat().st_size < 2e5
+    for work in (read, lambda p: recover(p, tmp_path / "saved.mcap"), lambda p: next(segments(p, 2.0, 0.0))):
+        tracemalloc.start()
+        try:
+            with pytest.raises(RigError, match="what its chunks hold would take"):
+                work(path)
+            assert tracemalloc.get_traced_memory()[1] < 2.5 * MAX_BYTES  # a chunk, and what it is decompressed in
+        finally:
+            tracemalloc.stop()
+    assert [p.name for p in tmp_path.iterdir()] == ["r.mcap"]
+
+
+def test_what_compresses_well_within_reason_is_read(tmp_path):
+    path = tmp_path / "r.mcap"
+    write(path)
+    data = struct.pack("<BQ", 0x80, 10**7) + bytes(10**7)
+    with_record_in_front(path, 3 * chunk("zstd", zstandard.compress(data), len(data), zlib.crc32(data)))
+    content = path.read_bytes()
+    end = content.index(struct.pack("<BQ", Opcode.DATA_END, 4))
+    path.write_bytes(content[: end + 9] + bytes(4) + content[end + 13 :])  # without the checksum of all data
+    assert read(path).samples == 3000
 
 
 def test_a_flip_in_what_mcap_does_not_check_is_found(tmp_path):
@@ -122,7 +163,8 @@ def test_what_other_writers_make_is_read(tmp_path, compression, chunked):
             }
             channel = writer.register_channel(f"/rig/{group}/block", "protobuf", schema, metadata)
             for first in range(0, 3000, 500):
-                block = encode_block(0, first, about.sample_rate_hz, values[:, first : first + 500])
+                time_ns = round(first / about.sample_rate_hz * 1e9)
+                block = encode_block(time_ns, first, about.sample_rate_hz, values[:, first : first + 500])
                 writer.add_message(channel, 0, block, 0)
         writer.finish()
     for signals in read(path).signals.values():

@@ -214,8 +214,9 @@ def test_blocks_that_claim_the_same_place_with_other_values_end_what_is_recovere
     content = path.read_bytes()
     (begin, end), *_ = chunk_places(content)
     chunk = bytearray(content[begin + 9 : end])
-    third = chunk.index(bytes(message_head(2048)))  # its number becomes 0, which is the first block's
-    chunk[third + 1 : third + 3] = b"\x80\x00"
+    third = chunk.index(bytes(message_head(2048)))  # its number and its time become 0, which are the first block's
+    assert chunk[third - 2 : third] == b"\x08\x04"  # seconds
+    chunk[third - 1 : third + 3] = b"\x00\x10\x80\x00"
     chunk[24:28] = struct.pack("<I", zlib.crc32(chunk[40:]))
     (tmp_path / "bad.mcap").write_bytes(content[: begin + 9] + chunk + content[end : len(content) // 2])
     with pytest.raises(RigError, match="there is nothing to recover"):

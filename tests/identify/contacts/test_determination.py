@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.contacts.identification import identify_contact
+from identify.contacts import identify_contact
+from identify.contacts.refusals import RefusalCode
 from rig.model.description import Contact, Rig
 from rig.recording import read
 from scenarios.topologies import Topology, chain, progressive_stop, recorded
@@ -18,8 +19,8 @@ def report(tmp_path, believed: Rig, true: Rig, rms_n: float = 12.0):
     return identify_contact(read(path)).report
 
 
-def reasons(found):
-    return {u.name: u.reason for u in found.unanswered}
+def codes(found):
+    return {u.name: u.code for u in found.unanswered}
 
 
 def is_within(estimate, value, share):
@@ -62,9 +63,7 @@ def test_knees_that_coincide_are_told_of_no_stop(tmp_path):
         tmp_path, progressive_stop("displacement", *STOPS), progressive_stop("displacement", (7e-4, 8e3), (7e-4, 5e4))
     )
     assert not found.contacts
-    assert [reason.partition(":")[0] for reason in reasons(found).values()] == 2 * [
-        "its force and that of another contact between the same places cannot be told apart"
-    ]
+    assert list(codes(found).values()) == 2 * [RefusalCode.NOT_SEPARABLE]
 
 
 def test_stops_that_are_believed_alike_are_told_apart_by_their_stiffness_alone(tmp_path):
@@ -72,7 +71,7 @@ def test_stops_that_are_believed_alike_are_told_apart_by_their_stiffness_alone(t
     true = progressive_stop("displacement", *STOPS)
     alike = report(tmp_path, progressive_stop("displacement", (7e-4, 3e4), (6.5e-4, 3e4)), true)
     assert not alike.contacts
-    assert all(r.startswith("the record does not tell which of the knees") for r in reasons(alike).values())
+    assert list(codes(alike).values()) == 2 * [RefusalCode.INTERCHANGEABLE]
     found = report(tmp_path, progressive_stop("displacement", (7e-4, 1e4), (6.5e-4, 8e4)), true)
     for contact, (clearance_m, stiffness) in zip(found.contacts, STOPS, strict=True):
         assert is_within(contact.clearance_m, clearance_m, 0.01)
@@ -85,7 +84,11 @@ def test_a_stop_that_is_not_reached_is_refused_alone(tmp_path):
     (bumper,) = found.contacts
     assert bumper.name == "bumper"
     assert is_within(bumper.clearance_m, 2e-4, 0.02)
-    assert reasons(found)["hard stop"].startswith("its stops, by rig.json 2 mm away, are not reached")
+    (hard_stop,) = found.unanswered
+    assert (hard_stop.name, hard_stop.code) == ("hard stop", RefusalCode.NOT_REACHED)
+    assert hard_stop.evidence["stop_mm"] == pytest.approx(2.0)
+    assert 0.2 < hard_stop.evidence["reach_mm"] < 2.0
+    assert hard_stop.reason.startswith("its stops, by rig.json 2 mm away, are not reached")
 
 
 def test_three_stops(tmp_path):
@@ -109,4 +112,4 @@ def test_no_number_is_told_of_the_first_where_the_second_has_no_knee(tmp_path):
     rig = progressive_stop("displacement", *((float(c), 2e4) for c in clearances))
     found = report(tmp_path, rig, progressive_stop("displacement", (6e-4, 4e4)))
     assert not found.contacts
-    assert len(reasons(found)) == 2
+    assert len(codes(found)) == 2

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identify.contacts.joint import Joint
-from identify.contacts.quality import equation_findings, fit_findings, widened
+from identify.contacts.acceptance import equation_findings, fit_findings, widened
+from identify.contacts.joint_fit import JointEstimate
 from identify.linear.modal import ModalEquation
 from identify.linear.nuisance import Nuisance, NuisanceKind
 from identify.paper.nifo import Nifo
@@ -18,8 +18,8 @@ PARAMETERS = (
 )
 
 
-def joint(pulls=(0.0, 0.0, 0.0), damping=1.0, halves=(0.0, 0.0), unexplained=0.01) -> Joint:
-    return Joint(
+def joint(pulls=(0.0, 0.0, 0.0), damping=1.0, halves=(0.0, 0.0), unexplained=0.01) -> JointEstimate:
+    return JointEstimate(
         values=np.array([1e-3, 1e-3, 1e5, damping]),
         covariance=np.diag([1e-12, 1e-12, 1e4, 0.01]),
         of_tolerances=np.diag([5e-13, 5e-13, 5e3, 0.005]),
@@ -72,12 +72,12 @@ def test_a_high_pass_that_is_pulled_counts_where_a_spring_holds_the_bodies(held,
     ],
 )
 def test_a_fit_that_cannot_be_is_named(fit, cause, of):
-    (found,) = fit_findings(["stop"], [fit], PARAMETERS)
+    (found,) = fit_findings({"stop": fit}, PARAMETERS)
     assert (found.cause, found.of) == (cause, of)
 
 
 def test_a_fit_within_its_tolerances_has_no_finding():
-    assert list(fit_findings(["stop", "other"], [joint((2.0, 3.0, -4.0)), "it never closes"], PARAMETERS)) == []
+    assert list(fit_findings({"stop": joint((2.0, 3.0, -4.0))}, PARAMETERS)) == []
 
 
 @pytest.mark.parametrize(
@@ -95,6 +95,6 @@ def test_a_modal_equation_that_is_sure_of_another_stiffness_is_named(mean, sprea
     over_frequency = mean * (1 + spread * np.array([[1.0, -1.0] * 8]))
     lines = np.arange(16.0)
     one = Nifo(equation, (0,), lines, lines + 0j, over_frequency + 0j, np.array([50.0]), 10, 1.0)
-    found = list(equation_findings(["stop"], [joint()], [one]))
+    found = list(equation_findings(["stop"], {"stop": joint()}, [one]))
     assert [f.of for f in found] == ["stop"] * named
-    assert list(equation_findings(["stop"], ["it never closes"], [one])) == []
+    assert list(equation_findings(["stop"], {}, [one])) == []

@@ -1,0 +1,202 @@
+"""Why a record does not determine a contact: codes, and the one place where they become sentences."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from rig.errors import RigError
+
+Evidence = Mapping[str, float | int | str]
+"""Numbers and words by the names that the sentence of a code has in braces."""
+
+
+class RemedyCode(StrEnum):
+    """What to do about a refusal."""
+
+    DESCRIBE_CONTACTS = "describe_contacts"
+    LEAVE_OUT_ATTACHMENTS = "leave_out_attachments"
+    MOTION_AGAINST_BASE = "motion_against_base"
+    ADD_SENSOR = "add_sensor"
+    ADD_ACCELEROMETER = "add_accelerometer"
+    RECORD_LONGER_OR_FROM_REST = "record_longer_or_from_rest"
+    RECORD_LONGER_FROM_REST_OR_DISPLACEMENTS = "record_longer_from_rest_or_displacements"
+    CHECK_CHANNELS = "check_channels"
+    RECORD_FORCE_OR_RELEASE = "record_force_or_release"
+    DESCRIBE_FEWER_CONTACTS = "describe_fewer_contacts"
+    CHECK_DISPLACEMENT_SENSOR = "check_displacement_sensor"
+    EXCITE_MORE = "excite_more"
+    EXCITE_MORE_OR_DISPLACEMENTS = "excite_more_or_displacements"
+    EXCITE_MORE_OR_CHECK_RIG = "excite_more_or_check_rig"
+    CHECK_NOISE_OR_EXCITE_MORE = "check_noise_or_excite_more"
+    RECORD_LONGER_OR_OTHER_FORCE = "record_longer_or_other_force"
+    EXCITE_MORE_OR_SEPARATE_STOPS = "excite_more_or_separate_stops"
+    SEPARATE_STOPS = "separate_stops"
+
+
+class RefusalCode(StrEnum):
+    """Why a contact, or all contacts of a record, cannot be determined."""
+
+    NO_CONTACTS = "no_contacts"
+    NOT_MODELLED = "not_modelled"
+    BASE_MOTION = "base_motion"
+    NO_SENSOR = "no_sensor"
+    NO_ACCELEROMETER = "no_accelerometer"
+    TOO_SHORT = "too_short"
+    ALL_ZERO = "all_zero"
+    FORCE_NOT_RECORDED = "force_not_recorded"
+    TOO_MANY_CONTACTS = "too_many_contacts"
+    STANDS_STILL = "stands_still"
+    HARDLY_CLOSES = "hardly_closes"
+    ONE_STOP_TOUCHED = "one_stop_touched"
+    NOT_REACHED = "not_reached"
+    NO_STIFFNESS = "no_stiffness"
+    NO_LAW = "no_law"
+    DRIFT_TOO_LARGE = "drift_too_large"
+    DRIFT_NOT_BRIDGED = "drift_not_bridged"
+    UNCERTAIN = "uncertain"
+    NOT_SEPARABLE = "not_separable"
+    INTERCHANGEABLE = "interchangeable"
+
+
+REMEDIES: Mapping[RemedyCode, str] = {
+    RemedyCode.DESCRIBE_CONTACTS: "describe them in rig.json",
+    RemedyCode.LEAVE_OUT_ATTACHMENTS: "it takes beams, structures and masses on springs, without attachments",
+    RemedyCode.MOTION_AGAINST_BASE: "of one mass give its motion against the base, and minus its mass times the base's "
+    "acceleration as the force; of other bodies hold the base still and measure an exciting force",
+    RemedyCode.ADD_SENSOR: "put a sensor there",
+    RemedyCode.ADD_ACCELEROMETER: "put an accelerometer there",
+    RemedyCode.RECORD_LONGER_OR_FROM_REST: "record longer, or begin with a quarter second at rest without force",
+    RemedyCode.RECORD_LONGER_FROM_REST_OR_DISPLACEMENTS: "record longer, or begin with a quarter second at rest "
+    "without force, or measure displacements",
+    RemedyCode.CHECK_CHANNELS: "look at their channels",
+    RemedyCode.RECORD_FORCE_OR_RELEASE: "record the force that moves the rig (a base that shakes moves it, too), or "
+    "let the record begin when the rig has been released",
+    RemedyCode.DESCRIBE_FEWER_CONTACTS: "describe them as fewer",
+    RemedyCode.CHECK_DISPLACEMENT_SENSOR: "look for a dead displacement sensor",
+    RemedyCode.EXCITE_MORE: "excite the rig more strongly",
+    RemedyCode.EXCITE_MORE_OR_DISPLACEMENTS: "excite the rig more strongly, or measure displacements",
+    RemedyCode.EXCITE_MORE_OR_CHECK_RIG: "excite the rig more strongly, or check rig.json",
+    RemedyCode.CHECK_NOISE_OR_EXCITE_MORE: "check their noise and gains, or excite the rig more strongly",
+    RemedyCode.RECORD_LONGER_OR_OTHER_FORCE: "record longer or change the force",
+    RemedyCode.EXCITE_MORE_OR_SEPARATE_STOPS: "excite the rig more strongly, use stops that differ more, or measure "
+    "the force at one of them",
+    RemedyCode.SEPARATE_STOPS: "use stops that differ more, or measure the force at one of them",
+}
+
+CAUSES: Mapping[RefusalCode, tuple[str, RemedyCode]] = {
+    RefusalCode.NO_CONTACTS: ("rig {rig!r} has no contacts", RemedyCode.DESCRIBE_CONTACTS),
+    RefusalCode.NOT_MODELLED: (
+        "rig.json of {rig!r} has {what}, which the identification does not know",
+        RemedyCode.LEAVE_OUT_ATTACHMENTS,
+    ),
+    RefusalCode.BASE_MOTION: (
+        "rig.json of {rig!r} has base_motion, which the identification does not know",
+        RemedyCode.MOTION_AGAINST_BASE,
+    ),
+    RefusalCode.NO_SENSOR: (
+        "contact {contact!r} has no sensor at {position_m} m of {body!r}, and the body has more modes than stations "
+        "({stations}): its displacement there cannot be told",
+        RemedyCode.ADD_SENSOR,
+    ),
+    RefusalCode.NO_ACCELEROMETER: (
+        "contact {contact!r} has no sensor at {position_m} m of {body!r}: its drift cannot be told",
+        RemedyCode.ADD_ACCELEROMETER,
+    ),
+    RefusalCode.TOO_SHORT: (
+        "the record lasts {duration_s:.3g} s and does not begin at rest: {at_start_s:.3g} s at its start and "
+        "{at_end_s:.3g} s at its end cannot be used",
+        RemedyCode.RECORD_LONGER_OR_FROM_REST,
+    ),
+    RefusalCode.ALL_ZERO: ("the force and all sensors are zero throughout", RemedyCode.CHECK_CHANNELS),
+    RefusalCode.FORCE_NOT_RECORDED: (
+        "the exciting force is zero throughout, and this is no free decay: {unexplained_percent:.2g} % of {contact}'s "
+        "force follow from no clearance and stiffness",
+        RemedyCode.RECORD_FORCE_OR_RELEASE,
+    ),
+    RefusalCode.TOO_MANY_CONTACTS: (
+        "{contacts} contacts stand between the same places, of which a record tells {at_most} at most",
+        RemedyCode.DESCRIBE_FEWER_CONTACTS,
+    ),
+    RefusalCode.STANDS_STILL: ("its relative displacement stands still", RemedyCode.CHECK_DISPLACEMENT_SENSOR),
+    RefusalCode.HARDLY_CLOSES: ("it hardly ever closes in this record", RemedyCode.EXCITE_MORE),
+    RefusalCode.ONE_STOP_TOUCHED: (
+        "only one of its stops is ever touched, so its play cannot be told",
+        RemedyCode.EXCITE_MORE_OR_DISPLACEMENTS,
+    ),
+    RefusalCode.NOT_REACHED: (
+        "its stops, by rig.json {stop_mm:.3g} mm away, are not reached: the relative displacement goes to "
+        "{reach_mm:.3g} mm",
+        RemedyCode.EXCITE_MORE,
+    ),
+    RefusalCode.NO_STIFFNESS: (
+        "no force grows with this relative displacement",
+        RemedyCode.EXCITE_MORE_OR_CHECK_RIG,
+    ),
+    RefusalCode.NO_LAW: ("its closures tell no law of it", RemedyCode.EXCITE_MORE),
+    RefusalCode.DRIFT_TOO_LARGE: (
+        "the drift that would explain it is larger than the noise of the accelerometers allows",
+        RemedyCode.CHECK_NOISE_OR_EXCITE_MORE,
+    ),
+    RefusalCode.DRIFT_NOT_BRIDGED: (
+        "it closes too rarely for accelerometers to bridge the time between (their noise wanders by {wander_um:.0f} "
+        "um, the penetration is {penetration_um:.0f} um)",
+        RemedyCode.EXCITE_MORE_OR_DISPLACEMENTS,
+    ),
+    RefusalCode.UNCERTAIN: (
+        "its {quantity} is uncertain by {uncertain_percent:.0f} % or more",
+        RemedyCode.RECORD_LONGER_OR_OTHER_FORCE,
+    ),
+    RefusalCode.NOT_SEPARABLE: (
+        "its force and that of another contact between the same places cannot be told apart: their knees coincide, or "
+        "not all of their stops are reached",
+        RemedyCode.EXCITE_MORE_OR_SEPARATE_STOPS,
+    ),
+    RefusalCode.INTERCHANGEABLE: (
+        "the record does not tell which of the knees is its own and which that of another contact between the same "
+        "places: by rig.json, of which clearances are taken to be sure to 20 % and stiffnesses to a factor of two, "
+        "they may as well be exchanged",
+        RemedyCode.SEPARATE_STOPS,
+    ),
+}
+"""By code the cause, with its evidence in braces, and the usual remedy."""
+PERHAPS_UNRECORDED = "the exciting force is zero throughout: unless this is a free decay, record it"
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A contact, or all of a record, that cannot be determined.
+
+    unforced says that the record's force is zero throughout, which may be the reason.
+    """
+
+    code: RefusalCode
+    evidence: Evidence
+    remedy: RemedyCode
+    unforced: bool = field(default=False, kw_only=True)
+
+    @property
+    def advice(self) -> str:
+        """What to do, as a part of a sentence."""
+        return REMEDIES[self.remedy]
+
+    @property
+    def sentence(self) -> str:
+        """Cause and remedy, without a full stop."""
+        cause = CAUSES[self.code][0].format_map(self.evidence)
+        return "; ".join([*([PERHAPS_UNRECORDED] if self.unforced else []), cause, self.advice])
+
+
+class ContactRefusedError(RigError):
+    """A record that does not determine what was asked of it; `refusal` says why."""
+
+    def __init__(self, refusal: Refusal, note: str = "") -> None:
+        super().__init__(f"{refusal.sentence} {note}".rstrip())
+        self.refusal = refusal
+
+    def noting(self, note: str) -> "ContactRefusedError":
+        return ContactRefusedError(self.refusal, note)
+
+
+def refused(code: RefusalCode, remedy: RemedyCode | None = None, **evidence: float | int | str) -> ContactRefusedError:
+    """The error to raise; with the usual remedy of the code if none is given."""
+    return ContactRefusedError(Refusal(code, evidence, remedy or CAUSES[code][1]))

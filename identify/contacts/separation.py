@@ -1,0 +1,242 @@
+"""First stage: the contact forces separated without a law, and of each pair of places what its fit takes."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from identify.checks.masses import mass_pull
+from identify.contacts.beginning import settled_s
+from identify.contacts.contact_record import ContactRecord
+from identify.contacts.forces import RING_S, ContactForces, separated_forces
+from identify.contacts.refusals import ContactRefusedError, RefusalCode, RemedyCode, refused
+from identify.linear.joined import Joined, joined, joined_contacts
+from identify.linear.modal import relative_displacements, relative_velocities
+from identify.linear.nuisance import NuisanceKind
+from identify.signals.drift import KNOT_S, Drift
+from identify.signals.kinematics import Kinematics, Use, kinematics
+from identify.signals.noise import acceleration_noise
+from identify.signals.spectra import decimated, force_band, oversampled
+from rig.model.description import ForceSensor, Rig, Station, contact_stations
+from rig.model.tolerances import Tolerances
+from rig.recording import Recording
+
+SEPARATED_TO = 4.0
+"""Contact forces are separated up to this multiple of the force's highest frequency."""
+QUIETEST = 1e-5
+"""No accelerometer is believed to be quieter, m/s^2/sqrt(Hz): then other errors than noise make the drift."""
+LEAST_S = 1.0
+"""A record of which less can be used is refused."""
+ROUNDING = 1e-7
+"""No contact force is believed to be quieter, of the exciting force: what a record without noise leaves is rounding."""
+UNKNOWN_TO_MODEL = ("masses", "springs", "clamps", "loads", "base_motion", "force_sensor", "dampers", "tones")
+"""Of a rig's description, what the linear model of the identification leaves out."""
+
+
+@dataclass(frozen=True)
+class Separation:
+    """The motion that was measured, and the contact forces that follow from it.
+
+    forces and records have one entry for each pair of places, `same_place` the contacts of each. mass_pull is how many
+    tolerances the mass of a rig's single mass is off while its contacts are open.
+    """
+
+    rig: Rig
+    motion: Kinematics
+    forces: ContactForces
+    same_place: tuple[Joined, ...]
+    records: tuple[ContactRecord, ...]
+    mass_pull: float
+
+
+def separate(recording: Recording, use: Use, tolerances: Tolerances) -> Separation:
+    """The contact forces of a recording, without assuming a law.
+
+    Of a segment of a longer record the first seconds, in which the beams ring of what was before, are left out.
+
+    Raises RigError if the record allows nothing: too short, too few stations, no force, no contacts described.
+    """
+    rig = recording.rig
+    _check_described(rig)
+    motion = kinematics(recording, use)
+    high_hz = min(SEPARATED_TO * driven_to_hz(motion), motion.trusted_hz[1])
+    factor = max(1, int(motion.sample_rate_hz / 2 / high_hz))
+    if motion.zero_known:
+        _check_displacements(rig, motion)
+    noise, pull = acceleration_noise(motion, rig), mass_pull(rig, motion, tolerances)
+    places = joined(rig)
+    from_rest = recording.start_s > 0 or motion.excited_from > 0
+    forces = separated_forces(places, motion, factor, noise, tolerances, from_rest)
+    if recording.start_s > 0 or not from_rest:
+        motion, forces = _settled(recording, places, motion, forces, from_rest)
+    records = _records(places, motion, noise, forces, tolerances)
+    return Separation(rig, motion, forces, joined_contacts(rig), records, pull)
+
+
+def is_unforced(motion: Kinematics) -> bool:
+    """Whether the exciting force is zero throughout, as of a free decay after a release or an unmeasured blow."""
+    return not np.any(motion.forces_n)
+
+
+def driven_to_hz(motion: Kinematics) -> float:
+    """Up to where the rig is excited: by the force or, without one, as far as its displacements vibrate.
+
+    Raises ContactRefusedError if neither a force nor a motion was recorded.
+    """
+    rows = [row for row in (motion.displacement_m if is_unforced(motion) else motion.forces_n) if np.any(row)]
+    if not rows:
+        raise refused(RefusalCode.ALL_ZERO)
+    return max(force_band(row, motion.sample_rate_hz)[1] for row in rows)
+
+
+def _settled(
+    recording: Recording, places: Rig, motion: Kinematics, forces: ContactForces, from_rest: bool
+) -> tuple[Kinematics, ContactForces]:
+    """Without the start, in which the beams ring of what was before.
+
+    Raises ContactRefusedError if too little is left.
+    """
+    rate_hz, samples = motion.sample_rate_hz, forces.force_n.shape[1]
+    at_start_s = RING_S if from_rest else settled_s(places, forces.slow_n_per_m)
+    fewer = round(at_start_s * rate_hz / forces.factor)
+    if (samples - fewer) * forces.factor < LEAST_S * rate_hz:
+        raise _too_short(recording, at_start_s, samples * forces.factor, motion.zero_known)
+    return motion.part(slice(fewer * forces.factor, None)), forces.after(fewer)
+
+
+def _too_short(recording: Recording, at_start_s: float, until: int, zero_known: bool) -> ContactRefusedError:
+    usual, further = RemedyCode.RECORD_LONGER_OR_FROM_REST, RemedyCode.RECORD_LONGER_FROM_REST_OR_DISPLACEMENTS
+    return refused(
+        RefusalCode.TOO_SHORT,
+        usual if zero_known else further,
+        duration_s=recording.duration_s,
+        at_start_s=at_start_s,
+        at_end_s=recording.duration_s - until / recording.rig.sample_rate_hz,
+    )
+
+
+def _check_described(rig: Rig) -> None:
+    """Raises ContactRefusedError if no contact is described, or something that the linear model leaves out."""
+    if not rig.contacts:
+        raise refused(RefusalCode.NO_CONTACTS, rig=rig.name)
+    for what in UNKNOWN_TO_MODEL:
+        if getattr(rig, what) not in ((), None, ForceSensor()):
+            if what == "base_motion":
+                raise refused(RefusalCode.BASE_MOTION, rig=rig.name)
+            raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=what)
+
+
+def _check_displacements(rig: Rig, motion: Kinematics) -> None:
+    """Raises ContactRefusedError if a contact has no sensor, and its body fewer stations than modes: its displacement
+    there does not follow from that at the stations."""
+    for contact in rig.contacts:
+        for station in (s for s in contact_stations(contact) if motion.row(s) is None):
+            stations = sum(s.body == station.body for s in motion.stations)
+            if stations < rig.body(station.body).max_modes:
+                raise refused(
+                    RefusalCode.NO_SENSOR,
+                    contact=contact.name,
+                    position_m=station.position_m,
+                    body=station.body,
+                    stations=stations,
+                )
+
+
+def _records(
+    rig: Rig,
+    motion: Kinematics,
+    noise: Float[np.ndarray, " stations"],
+    forces: ContactForces,
+    tolerances: Tolerances,
+) -> tuple[ContactRecord, ...]:
+    """Of each pair of places."""
+    samples = forces.force_n.shape[1] * forces.factor
+    samples = min(samples, motion.samples)
+    eta, velocity = relative_displacements(rig, motion), relative_velocities(rig, motion)
+    found = []
+    quiet = forces.force_n[:, : motion.excited_from // forces.factor]
+    quiet_n = quiet.std(axis=1) if quiet.shape[1] else np.zeros(len(rig.contacts))
+    quiet_n = np.maximum(quiet_n, ROUNDING * motion.forces_n.std(axis=1).max())
+    for j in range(len(rig.contacts)):
+        displaced = forces.nuisances.eta_m[:, j]
+        moving = np.any(displaced, axis=1)
+        drift = drift_of(rig, motion, j, noise, tolerances, samples)
+        nuisance_m = oversampled(displaced[moving], forces.factor)[:, :samples].astype(np.float32)
+        found.append(
+            ContactRecord(
+                eta_m=eta[j, :samples],
+                velocity_m_per_s=velocity[j, :samples],
+                sample_rate_hz=motion.sample_rate_hz,
+                force_n=forces.force_n[j],
+                factor=forces.factor,
+                quiet_n=float(quiet_n[j]),
+                unmodelled=tolerances.unmodelled_contact,
+                drift=drift
+                and replace(
+                    drift,
+                    spring_n_per_m=float(forces.slow_n_per_m[j, j]),
+                    damper_n_s_per_m=float(forces.slow_n_s_per_m[j, j]),
+                ),
+                nuisance_n=forces.nuisances.force_n[:, j],
+                noise_in_n=forces.nuisances.noise_in_n[:, j],
+                noise_in_m=forces.nuisances.noise_in_m[moving, j],
+                moving=moving,
+                nuisance_m=nuisance_m,
+                initial=np.array(
+                    [p.kind == NuisanceKind.INITIAL_STATE for p in forces.nuisances.parameters], dtype=bool
+                ),
+            )
+        )
+    return tuple(found)
+
+
+def drift_of(
+    rig: Rig,
+    motion: Kinematics,
+    contact: int,
+    noise: Float[np.ndarray, " stations"],
+    tolerances: Tolerances,
+    samples: int,
+) -> Drift | None:
+    """What is known of the slow part of a contact's relative displacement; None where nothing of it is lost.
+
+    Raises ContactRefusedError if no sensor stands at the contact.
+    """
+    if motion.zero_known:
+        return None
+    stations = contact_stations(rig.contacts[contact])
+    missing = [s for s in stations if motion.row(s) is None]
+    if missing:
+        raise refused(
+            RefusalCode.NO_ACCELEROMETER,
+            contact=rig.contacts[contact].name,
+            position_m=missing[0].position_m,
+            body=missing[0].body,
+        )
+    slow = [motion.lost_m_per_s2[motion.stations.index(s)] for s in stations]
+    densities = [_density(motion, s, noise, tolerances) for s in stations]
+    return Drift(
+        acceleration_m_per_s2=(slow[0] - (slow[1] if len(slow) > 1 else 0.0))[:samples],
+        noise_density=max(float(np.hypot.reduce(densities)), QUIETEST),
+        spring_n_per_m=0.0,
+    )
+
+
+def _density(
+    motion: Kinematics, station: Station, noise: Float[np.ndarray, " stations"], tolerances: Tolerances
+) -> float:
+    """One-sided density of a station's acceleration error where the drift follows it, m/s^2/sqrt(Hz).
+
+    The sensor's noise, and what the tolerances of its gain and of its position make of the slow acceleration there.
+    """
+    row = motion.stations.index(station)
+    own = [i for i, s in enumerate(motion.stations) if s.body == station.body]
+    own.sort(key=lambda i: motion.stations[i].position_m)
+    followed_hz = 0.5 / KNOT_S
+    factor = max(1, int(motion.sample_rate_hz / (2 * followed_hz)))
+    slow = np.stack([decimated(acceleration, factor) for acceleration in motion.acceleration_m_per_s2[own]])
+    error = tolerances.gain**2 * np.mean(slow[own.index(row)] ** 2)
+    if len(own) > 1:
+        slope = np.gradient(slow, [motion.stations[i].position_m for i in own], axis=0)[own.index(row)]
+        error += tolerances.position_m**2 * np.mean(slope**2)
+    return float(np.sqrt(2 * noise[row] ** 2 / motion.sample_rate_hz + error / followed_hz))

@@ -1,0 +1,234 @@
+"""Datasets of real numbers in an HDF5 file, which must hold them itself: no link to another file is followed.
+
+HDF5 can keep a dataset as raw bytes of any other file (external storage), as a view of other HDF5 files (virtual), or
+not at all (chunks never written, read as a fill value); and what it stores may swell while it is decompressed.
+"""
+
+import math
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from rig.errors import RigError
+from rig.extras import needs_extra
+from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, decoded
+from rig.limits import MAX_DEPTH, MAX_ITEMS, MAX_NAME
+
+NAMES, UNITS, RATES = ("name",), ("unit", "units"), ("sample_rate_hz", "fs")
+"""Attributes of a dataset that say these; a dataset without a name is called by its path."""
+SINGLE = ((), (1,))
+"""Shapes of an attribute that has one value."""
+TOGETHER_BYTES = 32_000_000
+"""Of a matrix, so much is read at once."""
+DEFLATE, LZF = 1, 32000
+PLAIN_FILTERS = {2, 3}
+"""Shuffling and check sums, which do not change the size."""
+LARGEST_RATIO = {DEFLATE: 1032, LZF: 90}
+"""To which a byte can swell (zlib: 258 bytes by two bits; LZF: 264 bytes by three)."""
+UNPACKED_BYTES = 100_000_000
+"""What a chunk may become without being looked into first."""
+PIECE_BYTES = 1 << 20
+
+
+@contextmanager
+def opened(path: Path, purpose: str) -> Iterator[Any]:
+    """The file and what h5py needs installed; raises UnreadableError if it is no HDF5 file."""
+    with needs_extra("lab", f"{path}: {purpose}"):
+        import h5py
+
+    if not h5py.is_hdf5(path):
+        raise UnreadableError("its beginning is another")
+    with h5py.File(path, "r", locking=False) as file:
+        yield file
+
+
+def hdf5_blocks(path: Path) -> Blocks:
+    """A block a dataset: of a matrix every row, or column if there are fewer, as NAME[1], NAME[2], ..."""
+    with opened(path, "an HDF5 file") as file:
+        yield from _of_group(path, file, "", set(), 0)
+
+
+def _of_group(path: Path, group: Any, outer: str, visited: set[int], depth: int) -> Iterator[ColumnBlock | Refused]:
+    import h5py
+
+    for name, item in members(group, outer, depth):
+        full = f"{outer}{name}"
+        if isinstance(item, Refused):
+            yield item
+        elif not is_new(item, visited):
+            continue
+        elif isinstance(item, h5py.Group):
+            yield from _of_group(path, item, f"{full}/", visited, depth + 1)
+        elif isinstance(item, h5py.Dataset):
+            yield from blocks_of(path, item, attribute(item, NAMES) or full)
+
+
+def members(group: Any, outer: str, depth: int) -> Iterator[tuple[str, Any]]:
+    """Name and object of every member, in the order of their names; of a link to another file what is said of it.
+
+    Soft links, which are second names, are left out. Raises UnreadableError where groups are nested too deep.
+    """
+    import h5py
+
+    if len(outer) > MAX_NAME or depth > MAX_DEPTH:
+        raise UnreadableError(f"its groups are more than {MAX_DEPTH} deep, or have names of over {MAX_NAME} characters")
+    for name in sorted(group):
+        kind = group.id.links.get_info(name.encode("utf-8", "surrogateescape")).type
+        if kind == h5py.h5l.TYPE_EXTERNAL:
+            yield name, Refused(f"{outer}{name}", _elsewhere(f"{outer}{name}", "is a link to another file"))
+        elif kind == h5py.h5l.TYPE_HARD:
+            yield name, group[name]
+
+
+def is_new(item: Any, visited: set[int]) -> bool:
+    """Whether an object is met for the first time, by whatever name; raises UnreadableError if there are too many."""
+    import h5py
+
+    address = h5py.h5o.get_info(item.id).addr
+    if address in visited:
+        return False
+    visited.add(address)
+    if len(visited) > MAX_ITEMS:
+        raise UnreadableError(f"it has more than {MAX_ITEMS} groups and datasets")
+    return True
+
+
+def blocks_of(path: Path, dataset: Any, name: str) -> Iterator[ColumnBlock | Refused]:
+    """The block of a dataset, if it is one of real numbers; what is said of one whose numbers are in another file.
+
+    A virtual dataset may not even be asked for its shape: that can open the other file.
+    """
+    if sentence := kept_elsewhere(dataset, name):
+        yield Refused(name, sentence)
+        return
+    try:
+        shape, kind = dataset.shape, dataset.dtype
+    except TypeError:  # a type that NumPy does not have
+        return
+    if kind.kind not in "iuf" or len(shape) not in (1, 2) or math.prod(shape) < 2:
+        return
+    axis = len(shape) - 1 if len(shape) == 1 or shape[0] <= shape[1] else 0
+    count = math.prod(shape) // shape[axis]
+    if count > MAX_ITEMS:
+        raise UnreadableError(f"its dataset {name!r} has {count} columns")
+    names = (name,) if count == 1 else tuple(f"{name}[{number}]" for number in range(1, count + 1))
+    chunk_bytes = math.prod(dataset.chunks or ()) * kind.itemsize
+    working_bytes = 2 * chunk_bytes + min(dataset.nbytes, TOGETHER_BYTES)
+    yield ColumnBlock(names, shape[axis], partial(_columns, path, dataset, axis, names), working_bytes)
+
+
+def kept_elsewhere(dataset: Any, name: str) -> str:
+    """A sentence if a dataset is not in this file, but in others; empty if it is."""
+    import h5py
+
+    properties = dataset.id.get_create_plist()
+    if properties.get_layout() == h5py.h5d.VIRTUAL:
+        return _elsewhere(name, "is a view of other files (a virtual dataset)")
+    if properties.get_external_count():
+        return _elsewhere(name, "has its bytes in another file (external storage)")
+    return ""
+
+
+def _elsewhere(name: str, where: str) -> str:
+    return f"{name!r} {where}, which is not opened; store its numbers in this one"
+
+
+def _columns(path: Path, dataset: Any, axis: int, names: Sequence[str], chosen: Sequence[int]) -> list[Column]:
+    check_stored(path, dataset, names[chosen[0]])
+    for name in (*UNITS, *RATES):
+        if name in dataset.attrs and dataset.attrs.get_id(name).shape not in SINGLE:
+            raise UnreadableError(f"its dataset {names[0]!r} has an attribute {name!r} of other than one value")
+    unit, rate = attribute(dataset, UNITS), attribute(dataset, RATES)
+    try:
+        rate_hz = None if rate is None else float(rate)
+    except ValueError:
+        raise UnreadableError(f"its dataset {names[0]!r} has the sample rate {rate!r}") from None
+    rows = _rows(dataset, axis, chosen)
+    return [Column(names[k], row, unit or None, rate_hz) for k, row in zip(chosen, rows, strict=True)]
+
+
+def _rows(dataset: Any, axis: int, chosen: Sequence[int]) -> Float[np.ndarray, "chosen samples"]:
+    """Channels of a matrix: all of it, part by part in whole chunks, or where one is too large, channel by channel."""
+    samples = dataset.shape[axis]
+    values = np.empty((len(chosen), samples))
+    chunk = dataset.chunks[axis] if dataset.chunks else 1
+    step = TOGETHER_BYTES // (dataset.nbytes // samples) // chunk * chunk
+    if dataset.ndim == 1:
+        values[0] = dataset[()]
+    elif dataset.nbytes <= TOGETHER_BYTES or (step and len(chosen) > 1):
+        for first in range(0, samples, step or samples):
+            part = slice(first, first + (step or samples))
+            values[:, part] = dataset[:, part][chosen] if axis else dataset[part].T[chosen]
+    else:
+        for row, k in zip(values, chosen, strict=True):
+            row[:] = dataset[k] if axis else dataset[:, k]
+    return values
+
+
+def check_stored(path: Path, dataset: Any, name: str) -> None:
+    """Raise RigError if samples were never written, or are stored by filters that are unknown or let them swell."""
+    import h5py
+
+    shown = f"{path}: {name!r}"
+    properties = dataset.id.get_create_plist()
+    layout = properties.get_layout()
+    if layout == h5py.h5d.CONTIGUOUS and not dataset.id.get_storage_size():
+        raise _unwritten(shown, dataset.size, dataset.size)
+    if layout != h5py.h5d.CHUNKED:
+        return
+    filters = [properties.get_filter(k) for k in range(properties.get_nfilters())]
+    swelling = [code for code, *_ in filters if code not in PLAIN_FILTERS]
+    if len(swelling) > 1 or not set(swelling) <= set(LARGEST_RATIO):
+        called = ", ".join(f"{code} {decoded(label)!r}" for code, _, _, label in filters)
+        raise RigError(f"{shown} is stored by the filters {called}, which are not read; store it by gzip or without")
+    chunk_bytes = math.prod(dataset.chunks) * dataset.dtype.itemsize
+    suspicious: list[tuple[int, ...]] = []
+    held = 0
+
+    def count(chunk: Any) -> None:
+        nonlocal held
+        edges = zip(dataset.chunks, dataset.shape, chunk.chunk_offset, strict=True)
+        held += math.prod(max(0, min(length, end - begin)) for length, end, begin in edges)
+        if swelling and chunk.size * LARGEST_RATIO[swelling[0]] > max(UNPACKED_BYTES, chunk_bytes):
+            suspicious.append(chunk.chunk_offset)
+
+    dataset.id.chunk_iter(count)
+    if held < dataset.size:
+        raise _unwritten(shown, dataset.size - held, dataset.size)
+    for offset in suspicious:
+        if swelling == [LZF] or not _is_whole(dataset.id.read_direct_chunk(offset)[1], chunk_bytes):
+            raise RigError(
+                f"{shown} has a chunk that swells beyond its {chunk_bytes} bytes; store it without compression"
+            )
+
+
+def _unwritten(shown: str, count: int, size: int) -> RigError:
+    return RigError(f"{shown} has {count} of {size} samples that were never written; export it again")
+
+
+def _is_whole(compressed: bytes, size: int) -> bool:
+    """Whether a zlib stream holds no more than so many bytes."""
+    unpacking, count = zlib.decompressobj(), 0
+    for first in range(0, len(compressed), PIECE_BYTES):
+        piece = compressed[first : first + PIECE_BYTES]
+        while piece and count <= size:
+            count += len(unpacking.decompress(piece, PIECE_BYTES))
+            piece = unpacking.unconsumed_tail
+    return count <= size
+
+
+def attribute(item: Any, names: Sequence[str]) -> str | None:
+    """The first of these attributes as text, if it has one value."""
+    for name in names:
+        if name in item.attrs and item.attrs.get_id(name).shape in SINGLE:
+            value = np.ravel(np.asarray(item.attrs[name], dtype=object))[0]
+            if isinstance(value, str):
+                value = value.encode("utf-8", "surrogateescape")
+            return decoded(value) if isinstance(value, bytes) else str(value)
+    return None

@@ -1,0 +1,206 @@
+"""Time histories of a UFF file (dataset 58), as text or binary, each read where it stands.
+
+Layout: "Universal Dataset Number: 58" and "58b", SDRC; widths of columns are those of its FORTRAN formats.
+"""
+
+import mmap
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import accumulate, islice, pairwise
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, decoded
+
+MARK = re.compile(rb" {4}-1[ ]*(?:[\r\n]+|\Z)")
+"""The line that opens a dataset, and the one that closes it; it follows the numbers of a binary one without a break."""
+LINE_OF_MARK = re.compile(rb"(?:\A|(?<=[\r\n]))" + MARK.pattern)
+LINE = re.compile(rb"([^\r\n]*)(?:\r\n|\r|\n|\Z)")
+TIME_RESPONSE, EVEN = 1, 1
+SINGLE, DOUBLE = 2, 4
+"""Types of real numbers; those of complex ones are 5 and 6."""
+WIDTHS = {
+    (SINGLE, True): (13,) * 6,
+    (SINGLE, False): (13,) * 6,
+    (DOUBLE, True): (20,) * 4,
+    (DOUBLE, False): (13, 20) * 2,
+}
+"""Characters of the numbers of a line of text, by their type and whether they are ordinates at even abscissas alone."""
+LINES = 4096
+"""Of text, converted at once."""
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Its type, whether it is binary, and where it begins (behind its mark) and ends (before the next)."""
+
+    kind: int
+    binary: bool
+    begin: int
+    end: int
+
+
+@dataclass(frozen=True)
+class _History:
+    """A dataset 58: what its header says, and where its numbers begin and end."""
+
+    name: str
+    unit: str | None
+    kind: int
+    points: int
+    even: bool
+    interval_s: float
+    order: str
+    """Of the bytes of a binary dataset, < or >; empty if it is text."""
+    begin: int
+    end: int
+
+    @property
+    def numbers(self) -> int:
+        return self.points if self.even else 2 * self.points
+
+
+def uff_blocks(path: Path) -> Blocks:
+    """A block a time history; one at uneven abscissas has the column NAME time before it.
+
+    Raises UnreadableError if the file is cut off.
+    """
+    with path.open("rb") as stream:
+        content = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+        for dataset in datasets_of(content):
+            if dataset.kind == 58:
+                yield _block(content, dataset)
+
+
+def check_whole(path: Path) -> None:
+    """Raise UnreadableError if the last dataset does not end, or there is none."""
+    with path.open("rb") as stream:
+        for _ in datasets_of(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)):
+            pass
+
+
+def datasets_of(content: mmap.mmap) -> Iterator[Dataset]:
+    """Every dataset in turn; raises UnreadableError if the last one does not end, or there is none."""
+    mark = LINE_OF_MARK.search(content)
+    if mark is None:
+        raise UnreadableError("it has no dataset")
+    while mark is not None:
+        begin = mark.end()
+        head = _line(content, begin)[0]
+        kind, binary = head[:6].strip(), head[6:7].lower() == b"b"
+        if not kind.isdigit():
+            raise UnreadableError(f"its dataset at byte {begin} has no number, or is cut off")
+        closing = _closing(content, begin, head if binary else b"")
+        if closing is None:
+            raise UnreadableError(f"its dataset at byte {begin} is cut off")
+        yield Dataset(int(kind), binary, begin, closing.start())
+        behind = closing.end()
+        mark = LINE_OF_MARK.search(content, behind)
+    if re.compile(rb"\S| \Z").search(content, behind):
+        raise UnreadableError(f"it is cut off at byte {behind}, behind its last whole dataset")
+
+
+def _closing(content: mmap.mmap, begin: int, binary_head: bytes) -> re.Match[bytes] | None:
+    """The mark that closes a dataset; of a binary one it stands behind as many bytes as its head says."""
+    if binary_head:
+        _, _, at = _header(content, begin)
+        size = _integer(binary_head, 31, 43)
+        for between in range(3):  # some programs end the numbers by a line end
+            if size > 0 and (closing := MARK.match(content, at + size + between)):
+                return closing
+        return MARK.search(content, at)
+    return LINE_OF_MARK.search(content, begin)
+
+
+def _line(content: mmap.mmap, at: int) -> tuple[bytes, int]:
+    """A line and where the next begins."""
+    match = LINE.match(content, at)
+    if match is None:
+        raise UnreadableError("a dataset has no header")
+    return match[1], match.end()
+
+
+def _header(content: mmap.mmap, at: int) -> tuple[bytes, list[str], int]:
+    """The line of the type, the eleven lines below it, and where the numbers begin."""
+    head, at = _line(content, at)
+    lines = []
+    for _ in range(11):
+        line, at = _line(content, at)
+        lines.append(decoded(line[:200]))
+    return head, lines, at
+
+
+def _integer(line: bytes | str, first: int, last: int) -> int:
+    try:
+        return int(line[first:last])
+    except ValueError:
+        raise UnreadableError(f"its header has {line[first:last]!r} in place of a number") from None
+
+
+def _block(content: mmap.mmap, dataset: Dataset) -> ColumnBlock | Refused:
+    head, lines, begin = _header(content, dataset.begin)
+    name, unit, kind = lines[0][:80].strip(), lines[8][46:67].strip(), _integer(lines[6], 0, 10)
+    if _integer(lines[5], 0, 5) != TIME_RESPONSE or kind not in (SINGLE, DOUBLE):
+        return Refused(name, f"dataset {name!r} is no time history; export time histories alone")
+    try:
+        interval_s = float(lines[6][43:56])
+    except ValueError:
+        interval_s = 0.0
+    history = _History(
+        name=name,
+        unit=unit if unit and unit != "NONE" else None,
+        kind=kind,
+        points=_integer(lines[6], 10, 20),
+        even=_integer(lines[6], 20, 30) == EVEN,
+        interval_s=interval_s,
+        order=("<" if _integer(head, 7, 13) == 1 else ">") if dataset.binary else "",
+        begin=begin,
+        end=dataset.end,
+    )
+    size = (4 if kind == SINGLE else 8) if dataset.binary else min(WIDTHS[kind, history.even])
+    room = (dataset.end - begin) // size
+    if history.points < 0 or (room != history.numbers if dataset.binary else room < history.numbers):
+        raise _other_length(name, room, history.even, history.points)
+    names = (name,) if history.even else (f"{name} time", name)
+    return ColumnBlock(
+        names, history.points, partial(_columns, content, history), 0 if history.even else 16 * history.points
+    )
+
+
+def _columns(content: mmap.mmap, history: _History, chosen: Sequence[int]) -> list[Column]:
+    values = _binary(content, history) if history.order else _text(content, history)
+    if history.even:
+        rate = 1 / history.interval_s if history.interval_s > 0 and history.points > 1 else None
+        return [Column(history.name, values, history.unit, rate)]
+    columns = (
+        Column(f"{history.name} time", values[::2].copy(), "s"),
+        Column(history.name, values[1::2].copy(), history.unit),
+    )
+    return [columns[k] for k in chosen]
+
+
+def _binary(content: mmap.mmap, history: _History) -> Float[np.ndarray, " numbers"]:
+    kind = f"{history.order}f{4 if history.kind == SINGLE else 8}"
+    return np.frombuffer(content, kind, history.numbers, history.begin).astype(float)
+
+
+def _text(content: mmap.mmap, history: _History) -> Float[np.ndarray, " numbers"]:
+    cuts = list(pairwise(accumulate(WIDTHS[history.kind, history.even], initial=0)))
+    values, count = np.empty(history.numbers), 0
+    lines = (match[1] for match in LINE.finditer(content, history.begin, history.end))
+    while some := list(islice(lines, LINES)):
+        numbers = [float(cell) for line in some for first, last in cuts if (cell := line[first:last].strip())]
+        if count + len(numbers) <= values.size:
+            values[count : count + len(numbers)] = numbers
+        count += len(numbers)
+    if count != values.size:
+        raise _other_length(history.name, count, history.even, history.points)
+    return values
+
+
+def _other_length(name: str, numbers: int, even: bool, points: int) -> UnreadableError:
+    return UnreadableError(f"its dataset {name!r} holds {numbers if even else numbers // 2} of {points} samples")

@@ -1,0 +1,41 @@
+"""A TOML file that somebody wrote or sent: import maps and tolerances."""
+
+import re
+import tomllib
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+
+from rig.errors import RigError
+from rig.files import contents
+from rig.limits import MAX_DEPTH
+
+T = TypeVar("T")
+MAX_TOML_BYTES = 1_000_000
+_PART = r"""(?:(?<![\w-])[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
+DEEP_KEY = re.compile(rf"(?:{_PART}[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}")
+"""A dotted key of more than MAX_DEPTH parts, of which time and memory of the parser grow with the square."""
+
+
+def read_toml(path: Path, kind: type[T], called: str, described_in: str) -> T:
+    """What a file of this kind says; raises RigError if it is none, is too large, or has a key of too many parts."""
+    wrong = f"{path}: is no {called}"
+    try:
+        content = contents(path)
+        if len(content) > MAX_TOML_BYTES:
+            raise RigError(f"{wrong}: it has more than {MAX_TOML_BYTES // 1000} kB; see {described_in}")
+        text = content.decode()
+        if DEEP_KEY.search(text):
+            raise RigError(f"{wrong}: it has a key of more than {MAX_DEPTH} parts; see {described_in}")
+        return msgspec.convert(tomllib.loads(text), kind)
+    except RigError:
+        raise
+    except UnicodeDecodeError as error:
+        raise RigError(f"{wrong}: it is not text in UTF-8; save it so") from error
+    except RecursionError as error:
+        raise RigError(f"{wrong}: its values are nested too deep; see {described_in}") from error
+    except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
+        raise RigError(f"{wrong} ({error}); see {described_in}") from error
+    except ValueError as error:
+        raise RigError(f"{wrong}: it has a number of too many digits; see {described_in}") from error
