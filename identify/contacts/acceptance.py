@@ -15,7 +15,7 @@ from identify.contacts.contact_record import STIFFNESS
 from identify.contacts.determination import Outcomes, determine
 from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.refusals import RefusalCode, refused
-from identify.contacts.separation import Separation, is_unforced, separate
+from identify.contacts.separation import Separation, check_described, is_unforced, separate
 from identify.linear.modal import NEARLY_INVISIBLE
 from identify.linear.nuisance import Nuisance, NuisanceKind
 from identify.pages.wording import interval
@@ -81,6 +81,7 @@ def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Con
 
     Raises RigError if the record allows nothing: too short, too few stations, no force, no contacts described.
     """
+    check_described(recording.rig)
     separation = separate(recording, use, tolerances)
     return accept(separation, determine(separation))
 

@@ -21,6 +21,9 @@ LAW = ParameterSet(
 """What is estimated of a `DeadZone`; its damping may have any sign."""
 STIFFNESS = LAW.vector({"stiffness_n_per_m": 1.0})
 """The stiffness as a linear function of the parameters."""
+DAMPING = LAW.vector({"damping_n_s_per_m": 1.0})
+OFFSET = LAW.vector({"lower_clearance_m": -0.5, "upper_clearance_m": 0.5})
+"""By how much the middle of the play lies off zero, m."""
 
 Law = Float[np.ndarray, " laws"]
 """Values of its parameters; of several contacts one after the other."""

@@ -57,7 +57,6 @@ def separate(recording: Recording, use: Use, tolerances: Tolerances) -> Separati
     Raises RigError if the record allows nothing: too short, too few stations, no force, no contacts described.
     """
     rig = recording.rig
-    _check_described(rig)
     motion = kinematics(recording, use)
     high_hz = min(SEPARATED_TO * driven_to_hz(motion), motion.trusted_hz[1])
     factor = max(1, int(motion.sample_rate_hz / 2 / high_hz))
@@ -115,7 +114,7 @@ def _too_short(recording: Recording, at_start_s: float, until: int, zero_known: 
     )
 
 
-def _check_described(rig: Rig) -> None:
+def check_described(rig: Rig) -> None:
     """Raises ContactRefusedError if no contact is described, or something that the linear model leaves out."""
     if not rig.contacts:
         raise refused(RefusalCode.NO_CONTACTS, rig=rig.name)

@@ -1,0 +1,99 @@
+"""Effects on contact laws, by the fit that `identify contact` makes: the same numbers, beside other effects too."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import identify
+from identify.gaps.decision.prepare import observed
+from identify.gaps.residual.likelihood import misfit
+from identify.gaps.residual.residual import linearized, residual_of
+from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.contact_laws import with_contact_fit
+from identify.gaps.search.hypothesis import Hypothesis
+from rig.effects.added_mass import AddedMass
+from rig.effects.contact_clearance import ContactClearance
+from rig.effects.contact_damping import ContactDamping
+from rig.model.tolerances import LABORATORY
+from rig.recording import read
+from rig.simulation.plants import modal
+from rig.simulation.record import record
+from rig.simulation.reference import BarrelCradle
+
+SETTINGS = BarrelCradle(sensors="acceleration", noise_density=1e-3, duration_s=16.0, seed=77)
+CLEARANCE, DAMPING = (
+    ContactClearance(factor=1.058, contact="contact_1"),
+    ContactDamping(damping_n_s_per_m=10.0, contact="contact_1"),
+)
+MASS = AddedMass(mass_kg=0.15, relative_position=0.7)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A function that records the machine with some effects, of which rig.json knows nothing."""
+
+    def made(*effects):
+        path = tmp_path_factory.mktemp("laws") / "r.mcap"
+        actual = SETTINGS.rig()
+        for effect in effects:
+            actual = effect.applied_to(actual)
+        record(
+            SETTINGS.rig(),
+            SETTINGS.force(),
+            plant=modal.simulate,
+            duration_s=SETTINGS.duration_s,
+            step_s=SETTINGS.step_s,
+            path=path,
+            actual=actual,
+            progress=lambda _: None,
+        )
+        return read(path)
+
+    return made
+
+
+def hypothesis_of(recording, *effects):
+    """Effects of the library at typical values, as a search may hand them over."""
+    observation = observed(recording, LABORATORY)
+    known = candidates(scale_of(observation.record, recording.rig), [s.name for s in recording.rig.sensors], False)
+    parts = []
+    for effect in effects:
+        place = getattr(effect, "contact", None) or getattr(effect, "body", None) or "barrel"
+        parts.append(next(c for c in known if c.kind is type(effect) and place in c.place.values()))
+    values = np.concatenate([part.default for part in parts])
+    linearization = linearized(observation.record, recording.rig)
+    left = misfit(observation.record, observation.reference, residual_of(linearization, recording.rig))
+    return Hypothesis(tuple(parts), values, np.eye(values.size), left)
+
+
+def test_values_and_errors_are_those_of_identify_contact(recorded):
+    recording = recorded(CLEARANCE, DAMPING)
+    hypothesis = with_contact_fit(hypothesis_of(recording, CLEARANCE, DAMPING), [recording], LABORATORY)
+    (contact,) = (c for c in identify.contact(recording).report.contacts if c.name == "contact_1")
+    believed_m = recording.rig.contacts[0].law.clearance_m
+    (factor, damping), errors = hypothesis.values, np.sqrt(np.diag(hypothesis.covariance))
+    assert factor * believed_m == pytest.approx(contact.clearance_m.value, rel=1e-6)
+    assert damping == pytest.approx(contact.damping_n_s_per_m.value, rel=1e-6)
+    assert errors[0] * believed_m == pytest.approx(contact.clearance_m.standard_error, rel=0.1)
+    assert errors[1] == pytest.approx(contact.damping_n_s_per_m.standard_error, rel=0.1)
+    assert abs(factor - 1.058) < 3 * errors[0] < 0.01
+    assert abs(damping - 10.0) < 3 * errors[1] < 1.0
+
+
+def test_other_effects_are_in_the_linear_model(recorded):
+    """Without the mass the clearance is 1 % off, with it a hundredth of that, and the mass keeps what was searched."""
+    recording = recorded(CLEARANCE, MASS)
+    searched = hypothesis_of(recording, CLEARANCE, MASS)
+    searched = replace(searched, values=np.array([1.1, MASS.mass_kg, MASS.relative_position]))
+    hypothesis = with_contact_fit(searched, [recording], LABORATORY)
+    error = float(np.sqrt(hypothesis.covariance[0, 0]))
+    assert abs(hypothesis.values[0] - 1.058) < 3 * error < 0.01
+    assert tuple(hypothesis.values[1:]) == (MASS.mass_kg, MASS.relative_position)
+    assert not hypothesis.covariance[0, 1:].any()
+
+
+def test_what_moves_no_law_stays_as_it_is(recorded):
+    recording = recorded(MASS)
+    searched = hypothesis_of(recording, MASS)
+    assert with_contact_fit(searched, [recording], LABORATORY) is searched
