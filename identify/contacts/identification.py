@@ -10,7 +10,7 @@ from identify.checks.findings import Finding
 from identify.contacts.acceptance import checked_contacts, equation_findings
 from identify.contacts.determination import Outcomes
 from identify.contacts.paper_methods import (
-    ContactSignals,
+    SignalsByLaw,
     PaperMethods,
     check_asked,
     paper_methods,
@@ -89,7 +89,7 @@ class _Answers:
     factor: int
     outcomes: Outcomes
     findings: tuple[Finding, ...]
-    signals: ContactSignals
+    signals: SignalsByLaw
 
 
 def identify_contact(

@@ -37,7 +37,7 @@ Made = TypeVar("Made")
 
 
 @dataclass(frozen=True)
-class ContactSignals:
+class SignalsByLaw:
     """Of each contact the relative displacement with its drift, and force and penetration by the law that was found:
     zero where none was."""
 
@@ -94,7 +94,7 @@ def check_asked(recording: Recording, averaging: Averaging, equation: str | None
         blocks(round(recording.duration_s * rate_hz), rate_hz, averaging, averaging.band_hz or (0.0, rate_hz / 4))
 
 
-def signals_by_law(separation: Separation, outcomes: Outcomes) -> ContactSignals:
+def signals_by_law(separation: Separation, outcomes: Outcomes) -> SignalsByLaw:
     """Of contacts between the same places, whose estimates share the drift, each in its own direction."""
     names = [c.name for c in separation.rig.contacts]
     eta = np.empty((len(names), separation.records[0].eta_m.size))
@@ -112,7 +112,7 @@ def signals_by_law(separation: Separation, outcomes: Outcomes) -> ContactSignals
                 lower, upper, _, _ = estimate.values.tolist()
                 depth[j] = penetration(eta[j], lower, upper, record.sample_rate_hz)
                 force[j] = law_force_n(estimate.values, eta[j], sign * rate)
-    return ContactSignals(eta, force, depth)
+    return SignalsByLaw(eta, force, depth)
 
 
 def stops_of(rig: Rig, outcomes: Outcomes) -> tuple[Stops | None, ...]:
@@ -128,7 +128,7 @@ def _stops(estimate: JointEstimate) -> Stops:
 def paper_methods(
     rig: Rig,
     motion: Kinematics,
-    signals: ContactSignals,
+    signals: SignalsByLaw,
     stops: tuple[Stops | None, ...],
     *,
     alone: set[int],

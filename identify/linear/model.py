@@ -94,7 +94,8 @@ class ResponseCache:
 
         def make() -> Complex[np.ndarray, "inputs outputs lines"]:
             both = (inputs[:, None, :] * outputs).reshape(-1, outputs.shape[1])
-            transfer = times(both, self.accelerance(dynamics)).reshape(len(inputs), len(outputs), -1)
+            products = times(both, self.accelerance(dynamics))
+            transfer = products.reshape(len(inputs), len(outputs), products.shape[-1])
             transfer.flags.writeable = False
             return transfer
 

@@ -100,7 +100,7 @@ class Kinematics:
 
 
 @dataclass(frozen=True)
-class _Transform:
+class _PaddedTransform:
     """How a record is transformed: its samples times `ending`, silence behind them, `length` samples in all.
 
     The silence keeps the record's end, which integration falsifies, from wrapping round to its start. usable is how
@@ -199,7 +199,7 @@ def _by_station(sensors: list[Sensor]) -> ByStation:
     return stations
 
 
-def _transform(recording: Recording, sensors: list[Sensor], corner_hz: float, integrates: bool) -> _Transform:
+def _transform(recording: Recording, sensors: list[Sensor], corner_hz: float, integrates: bool) -> _PaddedTransform:
     """Raises RigError if the record is too short."""
     rate, samples = recording.rig.sample_rate_hz, recording.samples
     left_out_s = TAPER_S + (2 / corner_hz if integrates else 0.1)
@@ -214,7 +214,7 @@ def _transform(recording: Recording, sensors: list[Sensor], corner_hz: float, in
         ending = ending * ending[::-1]
     length = next_fast_len(samples + round(2 * left_out_s * rate), real=True)
     excited_from = at_rest_until(recording.forces_n, (recording.values_of(s) for s in sensors), rate)
-    return _Transform(
+    return _PaddedTransform(
         corner_hz=corner_hz,
         ending=ending,
         length=length,
@@ -225,7 +225,7 @@ def _transform(recording: Recording, sensors: list[Sensor], corner_hz: float, in
     )
 
 
-def _motion(recording: Recording, stations: ByStation, transform: _Transform, least_order: int) -> _Motion:
+def _motion(recording: Recording, stations: ByStation, transform: _PaddedTransform, least_order: int) -> _Motion:
     omega, corner_hz = transform.omega, transform.corner_hz
     powers = cache(lambda power: integrated(omega, power, corner_hz))
     below_corner = 1 - _high_pass(omega, corner_hz)

@@ -25,7 +25,7 @@ PIECE, OVERLAP = 2**18, 64
 
 
 @dataclass(frozen=True)
-class Clock:
+class SampleTimes:
     """When the samples of a record were taken; stamps_s is None where they are known to be even.
 
     fault says in words what is wrong with the stamps, if anything.
@@ -37,13 +37,13 @@ class Clock:
     fault: str = ""
 
     @classmethod
-    def of_rate(cls, rate_hz: float, samples: int) -> "Clock":
+    def of_rate(cls, rate_hz: float, samples: int) -> "SampleTimes":
         if samples < 2:
             raise RigError("it holds fewer than two samples; export more")
         return cls(samples, rate_hz)
 
     @classmethod
-    def of_stamps(cls, stamps_s: Float[np.ndarray, " samples"]) -> "Clock":
+    def of_stamps(cls, stamps_s: Float[np.ndarray, " samples"]) -> "SampleTimes":
         """Raises RigError for stamps that do not increase, and for long gaps."""
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             rate_hz, fault = _rate_and_fault(stamps_s)
@@ -57,7 +57,7 @@ class Clock:
 
 
 def even(
-    values: Float[np.ndarray, "channels samples"], clock: Clock, rate_hz: float, resample: bool
+    values: Float[np.ndarray, "channels samples"], clock: SampleTimes, rate_hz: float, resample: bool
 ) -> tuple[Float[np.ndarray, "channels evenly"], tuple[str, ...]]:
     """The samples at the times k / rate_hz after the first, and what was done to get them.
 
@@ -98,7 +98,7 @@ def even(
 
 
 def _on_grid(
-    values: Float[np.ndarray, "channels samples"], clock: Clock, rate_hz: float
+    values: Float[np.ndarray, "channels samples"], clock: SampleTimes, rate_hz: float
 ) -> Float[np.ndarray, "channels evenly"]:
     """By cubic splines piece by piece, whose knots overlap."""
     (start_s,), (end_s,) = clock.stamps(0, 1), clock.stamps(clock.samples - 1, clock.samples)

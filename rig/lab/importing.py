@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from rig.errors import RigError
 from rig.files import check_target, sha256_of
-from rig.lab.clock import RATE_TOLERANCE, Clock, even
+from rig.lab.clock import RATE_TOLERANCE, SampleTimes, even
 from rig.lab.column import Column
 from rig.lab.csv_text import TextForm
 from rig.lab.tables import Table, read_table
@@ -150,7 +150,7 @@ def rows_in_si(taken: Mapping[str, Column], factors: Mapping[str, float]) -> Flo
     return rows
 
 
-def clock_of(table: Table, taken: Sequence[Column], time: Source | None, sample_rate_hz: float | None) -> Clock:
+def clock_of(table: Table, taken: Sequence[Column], time: Source | None, sample_rate_hz: float | None) -> SampleTimes:
     """When the samples were taken: by a column of time, or at the even rate that is given or that the file says."""
     samples = taken[0].values.size
     if time is not None:
@@ -158,7 +158,7 @@ def clock_of(table: Table, taken: Sequence[Column], time: Source | None, sample_
         if column.values.size != samples or not np.isfinite(column.values).all():
             raise RigError(f"its time, column {column.name!r}, does not hold {samples} finite numbers; repair it")
         stamps_s = rows_in_si({"time": column}, {"time": time.scale * si_factor("time", time.unit or "s")})[0]
-        return Clock.of_stamps(stamps_s)
+        return SampleTimes.of_stamps(stamps_s)
     rates = {c.sample_rate_hz for c in taken if c.sample_rate_hz is not None}
     if wrong := [rate for rate in rates if not 0 < rate < np.inf]:
         raise RigError(f"it says that it is sampled at {wrong[0]} Hz; give its sampling rate or column of time")
@@ -168,7 +168,7 @@ def clock_of(table: Table, taken: Sequence[Column], time: Source | None, sample_
     for other in rates:
         if abs(other / rate - 1) > RATE_TOLERANCE:
             raise RigError(f"it has columns at {other:.6g} and at {rate:.6g} Hz; all need one rate")
-    return Clock.of_rate(rate, samples)
+    return SampleTimes.of_rate(rate, samples)
 
 
 def _write(

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from identify.gaps.decision.comparison import Judged, closed, judged, log_priors
 from identify.gaps.decision.hypotheses import Searched
 from identify.gaps.decision.notes import attempted
-from identify.gaps.decision.prepare import Observation, Prepared
+from identify.gaps.decision.prepare import PreparedRecording, Prepared
 from identify.gaps.decision.verdict import HALF, Decision, acts_where_they_do, decided, nothing_of
 from identify.gaps.residual.likelihood import Misfit, misfit
 from identify.gaps.residual.residual import Linearization, Residual
@@ -115,7 +115,7 @@ def _names_or_nothing(decision: Decision) -> bool:
     return decision.verdict in ("no_gap", "explained")
 
 
-def cost_with(validation: Observation, rig: Rig, force: UnmeasuredForceFit, alone: Misfit) -> float:
+def cost_with(validation: PreparedRecording, rig: Rig, force: UnmeasuredForceFit, alone: Misfit) -> float:
     """-2 ln p of a validation record with an unmeasured force beside a rig, which alone leaves `alone`.
 
     The force is taken off what the sensors delivered, and the rig fitted to the rest like any other. Its time history

@@ -39,7 +39,7 @@ def simulator_named(name: str) -> Simulator:
 
 
 @dataclass(frozen=True)
-class Observation:
+class PreparedRecording:
     """A recording with what belongs to it: its spectra, and the variances in which hypotheses are compared on it."""
 
     recording: Recording
@@ -59,22 +59,22 @@ class Prepared:
     simulate makes recordings of that rig under a force, or of its free decay where no force was measured.
     """
 
-    observations: tuple[Observation, ...]
+    observations: tuple[PreparedRecording, ...]
     validating: int
     channel_faults: dict[str, str]
     simulate: Simulate
     null_reference: NullReference
 
     @property
-    def validation(self) -> Observation:
+    def validation(self) -> PreparedRecording:
         return self.observations[self.validating]
 
     @property
-    def fitted(self) -> tuple[Observation, ...]:
+    def fitted(self) -> tuple[PreparedRecording, ...]:
         return tuple(one for k, one in enumerate(self.observations) if k != self.validating)
 
     @property
-    def searched(self) -> Observation:
+    def searched(self) -> PreparedRecording:
         """That of the strongest force among those that are fitted."""
         return max(self.fitted, key=lambda one: one.force_rms_n)
 
@@ -116,6 +116,6 @@ def prepare(
     return Prepared(observations, validating, channel_faults, simulate, null_reference)
 
 
-def observed(recording: Recording, tolerances: Tolerances) -> Observation:
+def observed(recording: Recording, tolerances: Tolerances) -> PreparedRecording:
     record = record_of(recording, tolerances=tolerances)
-    return Observation(recording, record, reference_of(linearized(record, record.rig)))
+    return PreparedRecording(recording, record, reference_of(linearized(record, record.rig)))

@@ -69,3 +69,10 @@ def test_the_value_used_longest_ago_is_forgotten():
 
     assert [value(k) for k in (1, 2, 1, 3, 1, 2)] == [1, 2, 1, 3, 1, 2]
     assert made == [1, 2, 3, 2]
+
+
+def test_a_rig_without_contacts_has_no_transfer_to_them():
+    rig = Sdof().rig()
+    cache = ResponseCache(OMEGA)
+    dynamics = response_of(rig, rig.bodies[0], cache).dynamics
+    assert cache.transfer(dynamics, np.zeros((0, 1)), np.ones((2, 1))).shape == (2, 0, OMEGA.size)
