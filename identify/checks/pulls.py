@@ -53,60 +53,68 @@ def broken(
     free."""
     if len(kept) <= check.contacts:
         return [], np.zeros(0)
-    sensors = tuple(check.spectra.sensors[i] for i in kept)
-    omega, measured = check.spectra.omega, check.spectra.acceleration[kept]
-    cache = ResponseCache(omega, 0)
-    responses = [response_of(rig, body, cache) for body in rig.bodies]
-    by_force = check.by_each_force[:, kept]
-    modelled = check.predicted(kept)
-    bodies = tuple(_body(rig, r, check, kept, modelled) for r in responses)
-    observed = Observed(
+    observed = _observed(rig, check, kept, tolerances)
+    project = Projector(check, kept)
+    parameters, columns = [], []
+    for change in changes_of(observed):
+        parameters.append(change.parameter)
+        columns.append(_Column.of(project(change.at_all(len(kept)))))
+    if not parameters:
+        return [], np.zeros(0)
+    candidates, added = candidates_of(
+        parameters, observed.bodies, observed.sensors, observed.by_force, observed.omega, tolerances
+    )
+    columns += [_Column.of(project(spectra)) for spectra in added]
+    residual = project((check.spectra.acceleration - check.by_force)[kept])
+    return _freed(residual, columns, len(parameters), candidates, tolerances)
+
+
+def _observed(rig: Rig, check: LinearCheck, kept: list[int], tolerances: Tolerances) -> Observed:
+    """The motion as the channels kept show it, with the contact forces that explain it best."""
+    sensors, omega = tuple(check.spectra.sensors[i] for i in kept), check.spectra.omega
+    modelled, cache = check.predicted(kept), ResponseCache(omega, 0)
+    explained = modelled.acceleration[kept]
+    return Observed(
         sensors=sensors,
         displaced_by=sensors,
         tolerances=tolerances,
         omega=omega,
-        sensor_response=np.ones_like(measured),
-        explained=modelled.acceleration[kept],
-        by_force=by_force,
-        displaced=np.zeros_like(measured),
-        bodies=bodies,
+        sensor_response=np.ones_like(explained),
+        explained=explained,
+        by_force=check.by_each_force[:, kept],
+        displaced=np.zeros_like(explained),
+        bodies=tuple(_body(rig, response_of(rig, body, cache), check, kept, modelled) for body in rig.bodies),
     )
-    project = Projector(check, kept)
-    left = project(measured - by_force.sum(axis=0))
-    parameters, columns = [], []
-    for change in changes_of(observed):
-        parameters.append(change.parameter)
-        columns.append(_Column.of(project(change.at_all(len(measured)))))
-    if not parameters:
-        return [], np.zeros(0)
-    candidates, added = candidates_of(parameters, bodies, sensors, by_force, omega, tolerances)
-    count = len(parameters)
-    columns += [_Column.of(project(spectra)) for spectra in added]
-    found: list[Broken] = []
+
+
+def _freed(
+    residual: np.ndarray, columns: list["_Column"], count: int, candidates: list[Suspect], tolerances: Tolerances
+) -> tuple[list[Broken], Float[np.ndarray, " nuisances"]]:
+    """Candidates freed one after the other, the one that is asked for most strongly first; the first `count` columns
+    are those with a prior."""
+    freed: list[Broken] = []
     free: list[int] = []
-    weights = np.ones(left.shape[1], left.dtype)
-    for _ in range(MOST + 1):
-        pulls, z, size = _scores(left, columns, count, free, weights)
+    weights = np.ones(residual.shape[1], residual.dtype)
+    while True:
+        pulls, z, size = _scores(residual, columns, count, free, weights)
         for _ in range(3):  # lines that nothing explains weigh little
-            unexplained = left - _along(columns[:count], pulls) - _along([columns[k] for k in free], size.free)
-            per_line = np.mean(unexplained**2, axis=0)
+            rest = residual - _along(columns[:count], pulls) - _along([columns[k] for k in free], size.free)
+            per_line = np.mean(rest**2, axis=0)
             weights = 1 / np.sqrt(1 + per_line / max(4 * np.median(per_line), np.float32(1)))
-            pulls, z, size = _scores(left, columns, count, free, weights)
-        ranked = sorted(range(len(candidates)), key=lambda k: -abs(z[k]))
-        least = NEXT * abs(found[0].pull) if found else 0.0
+            pulls, z, size = _scores(residual, columns, count, free, weights)
+        least = NEXT * abs(freed[0].pull) if freed else 0.0
         asked = [
             k
-            for k in ranked
+            for k, candidate in enumerate(candidates)
             if k not in free
-            and abs(z[k]) > max(_broken(candidates[k]), least)
-            and _matters(candidates[k], float(size.of[k]), tolerances)
+            and abs(z[k]) > max(_broken(candidate), least)
+            and _matters(candidate, float(size.of[k]), tolerances)
         ]
-        if not asked or len(found) == MOST:
-            break
-        best = asked[0]
-        found.append(Broken(candidates[best], float(size.of[best]), float(z[best])))
+        if not asked or len(freed) == MOST:
+            return freed, pulls
+        best = max(asked, key=lambda k: abs(z[k]))
+        freed.append(Broken(candidates[best], float(size.of[best]), float(z[best])))
         free.append(best)
-    return found, pulls
 
 
 @dataclass(frozen=True)

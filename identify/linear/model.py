@@ -237,31 +237,39 @@ def responses_of(rig: Rig, cache: ResponseCache, zero_known: bool) -> tuple[Resp
 
     Raises RigError if no number of modes tells every contact force.
     """
-    found = tuple(response_of(rig, body, cache) for body in rig.bodies)
-    over = np.concatenate([across(rig, r) for r in found], axis=1)
-    own = [(k, m) for k, r in enumerate(found) for m in range(r.count)]
-    least = RANK * float(np.max(np.abs(over), initial=0.0))
-
-    def told(modes: list[int]) -> int:
-        return int(np.linalg.matrix_rank(over[:, modes], least)) if modes else 0
-
-    if told(list(range(len(own)))) < len(rig.contacts):
+    responses = tuple(response_of(rig, body, cache) for body in rig.bodies)
+    over = np.concatenate([across(rig, r) for r in responses], axis=1)
+    if _rank(over, range(over.shape[1])) < len(rig.contacts):
         raise RigError(
             f"the {len(rig.contacts)} contacts of rig {rig.name!r} move by fewer independent modes; describe more "
             "modes, or fewer contacts"
         )
     if zero_known:
-        return found
-    chosen = [i for i, (k, m) in enumerate(own) if m < max(found[k].body.rigid_modes, found[k].body.is_mass)]
-    rank = told(chosen)
-    for i in sorted(range(len(own)), key=lambda i: found[own[i][0]].dynamics.natural_hz[own[i][1]]):
-        if rank == len(rig.contacts):
+        return responses
+    loose = _loose_modes(responses, over)
+    return tuple(
+        r.with_high_passed(tuple(sorted(m for body, m in loose if body == k))) for k, r in enumerate(responses)
+    )
+
+
+def _loose_modes(responses: Sequence[Response], over: Float[np.ndarray, "contacts modes"]) -> list[tuple[int, int]]:
+    """The modes (body and number) whose springs act on the high-passed displacement alone: see `responses_of`."""
+    modes = [(k, m) for k, r in enumerate(responses) for m in range(r.count)]
+    rigid = [max(r.body.rigid_modes, r.body.is_mass) for r in responses]
+    chosen = [i for i, (k, m) in enumerate(modes) if m < rigid[k]]
+    rank = _rank(over, chosen)
+    for i in np.argsort(np.concatenate([r.dynamics.natural_hz for r in responses]), kind="stable").tolist():
+        if rank == len(over):
             break
-        if told([*chosen, i]) > rank:
+        if _rank(over, [*chosen, i]) > rank:
             chosen.append(i)
-            rank = told(chosen)
-    loose = [tuple(sorted(own[i][1] for i in chosen if own[i][0] == k)) for k in range(len(found))]
-    return tuple(r.with_high_passed(m) for r, m in zip(found, loose, strict=True))
+            rank += 1
+    return [modes[i] for i in chosen]
+
+
+def _rank(over: Float[np.ndarray, "contacts modes"], modes: Sequence[int]) -> int:
+    """How many contact forces some modes tell apart."""
+    return int(np.linalg.matrix_rank(over[:, list(modes)], RANK * float(np.max(np.abs(over), initial=0.0))))
 
 
 def slow_damping(
