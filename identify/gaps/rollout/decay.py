@@ -22,7 +22,7 @@ SAME = 0.2
 
 
 @dataclass(frozen=True)
-class Mode:
+class RingingMode:
     """Of a free decay, with its share of the signals' energy."""
 
     frequency_hz: float
@@ -32,7 +32,7 @@ class Mode:
 
 def modes_of_decay(
     signals: Float[np.ndarray, "channels samples"], sample_rate_hz: float, highest_hz: float, most: int
-) -> list[Mode]:
+) -> list[RingingMode]:
     """The modes of a decay up to a frequency, at most so many, in the order of their frequencies.
 
     By the subspace of the Hankel matrix, whose shift by a sample has the eigenvalues exp(p / rate) with the poles
@@ -61,16 +61,16 @@ def modes_of_decay(
         damping, share = float(-pole.real / abs(pole)), float(np.sum(own**2) / np.sum(rows**2))
         hz = float(abs(pole) / (2 * np.pi))
         if 0 < damping < DAMPED and hz < highest_hz and share > SHARE:
-            found.append(Mode(hz, damping, share))
+            found.append(RingingMode(hz, damping, share))
     return sorted(found, key=lambda mode: mode.frequency_hz)
 
 
 def compared_modes(
-    measured: Sequence[Mode], nominal: Sequence[Mode], corrected: Sequence[Mode]
+    measured: Sequence[RingingMode], nominal: Sequence[RingingMode], corrected: Sequence[RingingMode]
 ) -> tuple[DecayMode, ...]:
     """Each measured mode with the nearest of the predicted ones."""
 
-    def nearest(mode: Mode, among: Sequence[Mode]) -> tuple[float, float] | None:
+    def nearest(mode: RingingMode, among: Sequence[RingingMode]) -> tuple[float, float] | None:
         best = min(among, key=lambda one: abs(np.log(one.frequency_hz / mode.frequency_hz)), default=None)
         if best is None or abs(best.frequency_hz / mode.frequency_hz - 1) > SAME:
             return None

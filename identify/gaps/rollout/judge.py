@@ -19,8 +19,8 @@ from scipy.stats import t as student
 
 from identify.gaps.residual.residual import Residual
 from identify.gaps.rollout.decay import compared_modes, modes_of_decay
-from identify.gaps.rollout.results import Code, DecayMode, NullErrors, Predicted, Rollout
-from identify.gaps.rollout.states import Motion, motion_of
+from identify.gaps.rollout.results import Code, DecayMode, NullErrors, PredictionErrors, Rollout
+from identify.gaps.rollout.states import MeasuredMotion, motion_of
 from identify.gaps.rollout.windows import Predict, Windows, errors_of, horizon_of, medians, predicted, size_of, spread
 from rig.errors import RigError
 from rig.model.modes import modes_of
@@ -82,7 +82,7 @@ def judged(
 
 
 def _decay(
-    nominal: Motion, corrected: Motion, believed: Residual, predict: Predict, begin: int, end: int
+    nominal: MeasuredMotion, corrected: MeasuredMotion, believed: Residual, predict: Predict, begin: int, end: int
 ) -> tuple[DecayMode, ...]:
     """The modes of the whole decay and of its predictions."""
     rig, highest_hz = nominal.rig, believed.model.record.highest_hz
@@ -188,10 +188,10 @@ def bounds(nulls: Sequence[NullErrors], samples: int) -> list[tuple[float, float
     return list(zip(middle.tolist(), high.tolist(), strict=True))
 
 
-def _told(nominal: Windows, corrected: Windows, nulls: list[tuple[float, float]]) -> list[Predicted]:
+def _told(nominal: Windows, corrected: Windows, nulls: list[tuple[float, float]]) -> list[PredictionErrors]:
     """Of all sensors together, then of each, with the median and the bound of null simulations."""
     return [
-        Predicted(
+        PredictionErrors(
             nominal=before,
             corrected=after,
             null_median=median,

@@ -11,7 +11,7 @@ last three say why nothing was judged: null simulations cannot be predicted eith
 simulator cannot start from these states."""
 
 
-class Predicted(msgspec.Struct, frozen=True, kw_only=True):
+class PredictionErrors(msgspec.Struct, frozen=True, kw_only=True):
     """Median errors of predictions over the windows, as shares of the motion's root mean square.
 
     nominal: of the believed rig as it stands, corrected: of the corrected one. null_95 is what the former stays below
@@ -53,14 +53,14 @@ class Rollout(msgspec.Struct, frozen=True, kw_only=True):
     code: Code
     horizon_s: float = 0.0
     windows: int = 0
-    whole: Predicted | None = None
+    whole: PredictionErrors | None = None
     shrunk_95: tuple[float, float] | None = None
     within: float | None = None
     log_ratio: float | None = None
     log_ratio_error: float | None = None
     expected_log_ratio: float | None = None
     falls_short: bool = False
-    by_sensor: dict[str, Predicted] = {}
+    by_sensor: dict[str, PredictionErrors] = {}
     decay: tuple[DecayMode, ...] = ()
 
     @property

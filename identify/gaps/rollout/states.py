@@ -39,7 +39,7 @@ EDGE = 16
 
 
 @dataclass(frozen=True)
-class Motion:
+class MeasuredMotion:
     """What a record shows of the motion at its sensors' stations, read by the chain of one rig.
 
     displacement and velocity are those of the sensors, with the slow motion; states are displacement and velocity in
@@ -64,7 +64,7 @@ class Motion:
         return slice(self.first, self.stop)
 
 
-def motion_of(recording: Recording, rig: Rig, at: Residual) -> Motion:
+def motion_of(recording: Recording, rig: Rig, at: Residual) -> MeasuredMotion:
     """The motion of a record as a rig reads it; `at` is the residual of the fit that tells slow motion and forces."""
     record = at.model.record
     moved = kinematics(Recording(rig, recording.signals, recording.provenance), record.sensors[0].quantity)
@@ -89,7 +89,7 @@ def motion_of(recording: Recording, rig: Rig, at: Residual) -> Motion:
         row[:begin], row[begin + told.size :] = 0.0, 0.0
         row[begin : begin + told.size] -= told
     coordinates_m -= gain @ missed
-    return Motion(
+    return MeasuredMotion(
         rig=rig,
         stations=moved.stations,
         names=tuple(s.name for s in moved.sensors),

@@ -14,7 +14,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from identify.gaps.residual.residual import Residual
 from identify.gaps.rollout.results import NullErrors
-from identify.gaps.rollout.states import Motion, motion_of
+from identify.gaps.rollout.states import MeasuredMotion, motion_of
 from rig.model.description import Rig, Station
 from rig.recording import Recording
 
@@ -47,7 +47,7 @@ Windows = Float[np.ndarray, "windows stations times"]
 
 
 def predicted(
-    motion: Motion, predict: Predict, first: Int[np.ndarray, " windows"], samples: int
+    motion: MeasuredMotion, predict: Predict, first: Int[np.ndarray, " windows"], samples: int
 ) -> tuple[Windows, Windows]:
     """What the sensors show in each window, and what is predicted of it.
 
@@ -61,8 +61,8 @@ def predicted(
     return shown, moved[:, derivatives, np.arange(len(rows))]
 
 
-def errors_of(motion: Motion, predict: Predict, first: Int[np.ndarray, " windows"], samples: int) -> Windows:
-    """Predicted less measured motion, as shares of each sensor's root mean square about its mean."""
+def errors_of(motion: MeasuredMotion, predict: Predict, first: Int[np.ndarray, " windows"], samples: int) -> Windows:
+    """PredictionErrors less measured motion, as shares of each sensor's root mean square about its mean."""
     shown, moved = predicted(motion, predict, first, samples)
     sizes = [
         np.std((motion.displacement_m, motion.velocity_m_per_s)[min(order, 1)][i, motion.now])

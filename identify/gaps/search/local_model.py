@@ -44,6 +44,8 @@ SETTLED = 0.1
 """... it ends where S falls by less: odds change by 1 %."""
 ROUNDING = 1e-5
 """Of sums of 1e5 products in single precision, relative to the diagonal."""
+UNSEEN = 1e-15
+"""Of the largest entry of the diagonal: what nothing shows stays zero."""
 ELIMINATED = 1e-9
 """Of a column's square before the slow motion was eliminated: rounding of the difference that is left."""
 VISIBLE = 1e-9
@@ -53,7 +55,7 @@ Theta = Float[np.ndarray, " columns"]
 
 
 @dataclass(frozen=True)
-class Term:
+class CandidateTerm:
     """A candidate at one place: its columns, the values of its parameters at theta = 0, and the range of theta.
 
     theta counts `Candidate.steps` of its strengths.
@@ -105,7 +107,7 @@ class LocalModel:
     samples_per_cell: float
     samples: float
     always: Int[np.ndarray, " some"]
-    terms: tuple[Term, ...]
+    terms: tuple[CandidateTerm, ...]
 
     def levels(self, theta: Theta) -> tuple[Float[np.ndarray, " cells"], Float[np.ndarray, " contacts"]]:
         """L of every cell and of every contact."""
@@ -142,7 +144,7 @@ class LocalModel:
         vector[tolerances] -= self.pulls[columns[tolerances]]
         return matrix, vector
 
-    def solved(self, terms: Sequence[Term], start: Theta | None = None) -> Solution:
+    def solved(self, terms: Sequence[CandidateTerm], start: Theta | None = None) -> Solution:
         """The least S with some candidates, by majorisation from `start`."""
         columns = np.concatenate([self.always, *(term.columns for term in terms)]).astype(int)
         theta = np.zeros(len(self.spectra))
@@ -152,7 +154,7 @@ class LocalModel:
         for _ in range(MAJORIZATIONS):
             matrix, vector = self.normal(best.theta, columns)
             size = np.diag(matrix)
-            matrix += np.diag(np.where(size > 0, ROUNDING * size, 1.0))  # what nothing shows stays zero
+            matrix += np.diag(ROUNDING * size + UNSEEN * size.max())  # what nothing shows stays zero
             theta = np.zeros(len(self.spectra))
             here = best.theta[columns]
             step = bounded(matrix, vector - matrix @ here, self.low[columns] - here, self.high[columns] - here)
@@ -165,7 +167,7 @@ class LocalModel:
                 break
         return best
 
-    def promised(self, terms: Sequence[Term], at: Solution) -> Float[np.ndarray, " terms"]:
+    def promised(self, terms: Sequence[CandidateTerm], at: Solution) -> Float[np.ndarray, " terms"]:
         """By how much S falls at least if a candidate joins: the gain of the majorised S, within the range of theta."""
         every = np.arange(len(self.spectra))
         matrix, vector = self.normal(at.theta, every)
@@ -194,7 +196,7 @@ def local_model(
     """The statistic about a residual, with the effects that its rig has (`present`) and every candidate's columns."""
     tolerances = linearization.columns.parameters
     parts: list[Column] = list(_present_columns(linearization, at, present))
-    own, terms = len(parts), list[Term]()
+    own, terms = len(parts), list[CandidateTerm]()
     contact_pulls = [c.pulls.size for c in at.contacts]
     first = len(tolerances) + sum(contact_pulls)
     for candidate in known:
@@ -206,7 +208,9 @@ def local_model(
                     (ends[chosen] - start[chosen]) / candidate.steps[chosen] for ends in candidate.parameters.bounds
                 )
                 index = first + len(parts) + np.arange(len(columns))
-                terms.append(Term(candidate, start, tuple(chosen), index, np.minimum(low, high), np.maximum(low, high)))
+                terms.append(
+                    CandidateTerm(candidate, start, tuple(chosen), index, np.minimum(low, high), np.maximum(low, high))
+                )
                 parts += columns
     return _assembled(linearization, at, reference, parts, own, tuple(terms), _present_range(present))
 
@@ -245,7 +249,7 @@ def _assembled(
     reference: Reference,
     parts: Sequence[Column],
     own: int,
-    terms: tuple[Term, ...],
+    terms: tuple[CandidateTerm, ...],
     present_range: tuple[Float[np.ndarray, " own"], Float[np.ndarray, " own"]],
 ) -> LocalModel:
     record, nuisances = linearization.record, len(linearization.columns.parameters)

@@ -35,7 +35,7 @@ from identify.gaps.search.hypothesis import (
     straightened,
 )
 from identify.gaps.search.joint import beside, joins, single_effects
-from identify.gaps.search.local_model import LocalModel, Solution, Term, local_model
+from identify.gaps.search.local_model import CandidateTerm, LocalModel, Solution, local_model
 from identify.gaps.search.nominal import fitted
 from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
@@ -142,7 +142,7 @@ def _about(tried: Tried, rig: Rig) -> tuple[Linearization, Residual]:
 
 def selected(model: LocalModel, present: Hypothesis) -> Selection:
     """The candidates that together lower S most, each by `WORTH` or more beside the others."""
-    chosen: list[Term] = []
+    chosen: list[CandidateTerm] = []
     solution = model.solved(chosen)
     while len(present.parts) + len(chosen) < LARGEST_SET:
         promising = _promising(model, chosen, present, solution)
@@ -166,7 +166,7 @@ def selected(model: LocalModel, present: Hypothesis) -> Selection:
 
 
 def _exchange(
-    model: LocalModel, rest: list[Term], member: Term, present: Hypothesis, solution: Solution
+    model: LocalModel, rest: list[CandidateTerm], member: CandidateTerm, present: Hypothesis, solution: Solution
 ) -> tuple[Candidate, Values] | None:
     """What stands best in a member's place, if S then rises by less than `WORTH`."""
     without = model.solved(rest, solution.theta)
@@ -179,11 +179,13 @@ def _exchange(
     return (term.candidate, term.values(best.theta)) if close else None
 
 
-def _promising(model: LocalModel, chosen: Sequence[Term], present: Hypothesis, solution: Solution) -> list[Term]:
+def _promising(
+    model: LocalModel, chosen: Sequence[CandidateTerm], present: Hypothesis, solution: Solution
+) -> list[CandidateTerm]:
     """The terms that promise most, at most `PLACES` of any candidate and none too often in the set."""
     taken = [*present.parts, *(term.candidate for term in chosen)]
     promised = model.promised(chosen, solution)
-    found: list[Term] = []
+    found: list[CandidateTerm] = []
     for k in np.argsort(-promised):
         term = model.terms[k]
         same = [c for c in taken if c.name == term.candidate.name]
@@ -195,7 +197,7 @@ def _promising(model: LocalModel, chosen: Sequence[Term], present: Hypothesis, s
     return found
 
 
-def _pruned(model: LocalModel, chosen: list[Term], solution: Solution) -> tuple[list[Term], Solution]:
+def _pruned(model: LocalModel, chosen: list[CandidateTerm], solution: Solution) -> tuple[list[CandidateTerm], Solution]:
     """Without the members that the others have made superfluous."""
     for term in chosen[:-1]:
         rest = [other for other in chosen if other is not term]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from identify.gaps.rollout.decay import Mode, compared_modes, modes_of_decay
+from identify.gaps.rollout.decay import RingingMode, compared_modes, modes_of_decay
 
 MODES = ((8.4, 0.01, 1.0), (52.3, 0.004, 0.5), (146.0, 0.02, 0.3))
 
@@ -33,7 +33,9 @@ def test_nothing_rings_in_silence_or_in_noise():
 
 
 def test_modes_are_compared_with_the_nearest_and_missed_ones_named():
-    measured = [Mode(10.0, 0.01, 0.5), Mode(50.0, 0.02, 0.5)]
-    first, second = compared_modes(measured, [Mode(11.0, 0.03, 1.0)], [Mode(49.0, 0.01, 0.5), Mode(10.1, 0.01, 0.5)])
+    measured = [RingingMode(10.0, 0.01, 0.5), RingingMode(50.0, 0.02, 0.5)]
+    first, second = compared_modes(
+        measured, [RingingMode(11.0, 0.03, 1.0)], [RingingMode(49.0, 0.01, 0.5), RingingMode(10.1, 0.01, 0.5)]
+    )
     assert (first.nominal, first.corrected) == ((11.0, 0.03), (10.1, 0.01))
     assert (second.nominal, second.corrected) == (None, (49.0, 0.01))
