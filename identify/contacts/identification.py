@@ -10,8 +10,8 @@ from identify.checks.findings import Finding
 from identify.contacts.acceptance import checked_contacts, equation_findings
 from identify.contacts.determination import Outcomes
 from identify.contacts.paper_methods import (
-    SignalsByLaw,
     PaperMethods,
+    SignalsByLaw,
     check_asked,
     paper_methods,
     signals_by_law,

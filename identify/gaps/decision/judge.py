@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from identify.gaps.decision.comparison import Judged, closed, judged, log_priors
 from identify.gaps.decision.hypotheses import Searched
 from identify.gaps.decision.notes import attempted
-from identify.gaps.decision.prepare import PreparedRecording, Prepared
+from identify.gaps.decision.prepare import Prepared, PreparedRecording
 from identify.gaps.decision.verdict import HALF, Decision, acts_where_they_do, decided, nothing_of
 from identify.gaps.residual.likelihood import Misfit, misfit
 from identify.gaps.residual.residual import Linearization, Residual
