@@ -59,6 +59,18 @@ def test_every_effect_that_it_may_have_changes_it_and_is_one_of_the_library(name
             assert kind.stand_ins or known in ("quadratic_drag", "softening_support")
 
 
+@pytest.mark.parametrize("name", BENCHES)
+def test_sizes_and_noise_are_those_of_the_force(name):
+    """By the level of the record: noise far below it, friction from a little of it to about as much."""
+    for seed in range(5):
+        one = BENCHES[name].drawn(np.random.default_rng(seed), np.random.default_rng(seed + 100))
+        level_n, density = one.excitations[0].level_n, one.nominal.cell.noise_density
+        assert density * np.sqrt(one.sample_rate_hz / 2) < 1e-3 * level_n
+        assert (density > 0) == one.excitations[0].measured
+        size = one.kinds["ground_friction"].size
+        assert 1e-5 * level_n < size.low < size.high < level_n
+
+
 def test_a_gaussian_force_moves_the_linear_machine_as_far_as_computed():
     one = bench("chain")
     free = replace(one.nominal, contacts=())
