@@ -62,7 +62,7 @@ def predicted(
 
 
 def errors_of(motion: MeasuredMotion, predict: Predict, first: Int[np.ndarray, " windows"], samples: int) -> Windows:
-    """PredictionErrors less measured motion, as shares of each sensor's root mean square about its mean."""
+    """Predicted less measured motion, as shares of each sensor's root mean square about its mean."""
     shown, moved = predicted(motion, predict, first, samples)
     sizes = [
         np.std((motion.displacement_m, motion.velocity_m_per_s)[min(order, 1)][i, motion.now])

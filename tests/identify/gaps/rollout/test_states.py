@@ -16,15 +16,16 @@ from tests.identify.gaps.rollout.conftest import BELIEVED, Case, recorded
 
 @pytest.fixture(scope="module")
 def exact():
-    """A recording of the very rig that is believed, and its true displacements at the sensors."""
+    """A recording of the very rig that is believed, with its true displacements: at the sensors, and of its modes."""
     case = Case(recorded(BELIEVED, 4))
     step_s = step_s_of(BELIEVED, 2.0**15)
     factor = round(1 / (step_s * BELIEVED.sample_rate_hz))
     samples = round(9.0 * BELIEVED.sample_rate_hz)
     fine = finer(case.recording.forces_n[:, :samples], BELIEVED.sample_rate_hz, step_s, samples * factor)
-    run = joined(simulate(BELIEVED, fine, step_s, lambda _: None, modes=24))
+    blocks = list(simulate(BELIEVED, fine, step_s, lambda _: None, modes=24))
+    coordinates_m = np.concatenate([b.displacement_m.coordinates for b in blocks])[::factor].T
     rows = [stations_of(BELIEVED).index(s.station) for s in BELIEVED.sensors]
-    return case, run.displacement_m[rows, ::factor]
+    return case, joined(iter(blocks)).displacement_m[rows, ::factor], coordinates_m
 
 
 def modal(displacements_m):
@@ -38,13 +39,13 @@ def modal(displacements_m):
     return np.concatenate(found)
 
 
-@pytest.mark.xfail(reason="one mode is off by more than 5 %; no command uses the estimator yet", strict=False)
 def test_displacements_of_bending_modes_are_exact_where_integration_is_not(exact):
-    case, true_m = exact
+    case, true_m, coordinates_m = exact
     motion = motion_of(case.recording, BELIEVED, case.fitted())
     now = slice(motion.first, true_m.shape[1] - 100)
-    true, estimated, integrated = (
-        modal(rows)[:, now] for rows in (true_m, motion.states[0], kinematics(case.recording).displacement_m)
+    true = coordinates_m[[0, 1, 2, 26, 27, 28]][:, now]  # 24 modes a beam; two of the barrel's are rigid
+    estimated, integrated = (
+        modal(rows)[:, now] for rows in (motion.states[0], kinematics(case.recording).displacement_m)
     )
     size = true.std(axis=1)
     assert np.all((estimated - true).std(axis=1)[1:] < 0.05 * size[1:])  # beyond the cradle's first, slow mode
@@ -52,7 +53,7 @@ def test_displacements_of_bending_modes_are_exact_where_integration_is_not(exact
 
 
 def test_rates_and_relative_displacements_are_the_true_ones(exact):
-    case, true_m = exact
+    case, true_m, _ = exact
     motion = motion_of(case.recording, BELIEVED, case.fitted())
     now = slice(motion.first, true_m.shape[1] - 100)
     true = np.gradient(true_m, 1 / BELIEVED.sample_rate_hz, axis=1)[:, now]
@@ -65,19 +66,19 @@ def test_rates_and_relative_displacements_are_the_true_ones(exact):
 
 
 def test_a_wrong_gain_makes_no_wrong_displacement_of_high_modes(exact):
-    case, true_m = exact
+    case, true_m, coordinates_m = exact
     at = case.fitted()
     group = case.recording.signals["acceleration"]
     scaled = group.values * (1 + 3e-3 * np.random.default_rng(1).standard_normal((len(group.values), 1)))
     signals = {**case.recording.signals, "acceleration": type(group)(group.channels, group.start_s, scaled)}
     changed = type(case.recording)(case.recording.rig, signals, case.recording.provenance)
     motion, now = motion_of(changed, BELIEVED, at), slice(8000, true_m.shape[1] - 100)
-    true, estimated = (modal(rows)[:, now] for rows in (true_m, motion.states[0]))
+    true, estimated = coordinates_m[[0, 1, 2, 26, 27, 28]][:, now], modal(motion.states[0])[:, now]
     assert np.all((estimated - true).std(axis=1)[1:] < 0.1 * true.std(axis=1)[1:])
 
 
 def test_the_predictor_takes_the_states(exact):
-    case, _ = exact
+    case, *_ = exact
     motion = motion_of(case.recording, BELIEVED, case.fitted())
     first = np.array([motion.first, motion.stop - 100])
     states = motion.states[:, :, first].transpose(2, 0, 1)
