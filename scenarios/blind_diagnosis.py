@@ -75,11 +75,12 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Refused(msgspec.Struct, frozen=True, kw_only=True):
-    """A case whose diagnosis was refused, and with which sentence."""
+    """A case whose diagnosis was refused, and with which sentence; `crashed` if that is an error of the program."""
 
     case: str
     sha256: dict[str, str]
     sentence: str
+    crashed: bool = False
 
 
 class Answer(msgspec.Struct, frozen=True):
@@ -149,6 +150,9 @@ def diagnosed(task: ToDiagnose) -> Answer:
         gap = gap_of(read(Path(task.fit)), read(Path(task.validate)), Path(task.null_reference), task.tolerances)
     except RigError as error:
         return Answer(refused=_refused(task, str(error)))
+    except Exception as error:  # counted against the program, and the other cases go on
+        sentence = f"{type(error).__name__}: {error}"
+        return Answer(refused=Refused(case=task.case, sha256=task.sha256, sentence=sentence, crashed=True))
     found = Found(
         case=task.case,
         sha256=task.sha256,

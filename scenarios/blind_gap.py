@@ -143,7 +143,8 @@ def sensitivity(
 
 def _tell_refusals(folder: Path, console: Console) -> None:
     for refused in refused_in(folder):
-        console.print(f"{folder}: {refused.case} was refused: {refused.sentence}", soft_wrap=True)
+        what = "crashed" if refused.crashed else "was refused"
+        console.print(f"{folder}: {refused.case} {what}: {refused.sentence}", soft_wrap=True)
 
 
 def _wide_console() -> Console:

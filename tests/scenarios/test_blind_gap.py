@@ -241,6 +241,17 @@ def test_a_recording_that_no_diagnosis_can_read_is_refused_before_it_begins(case
     assert [r.case for r in refused_in(tmp_path / "found")] == CASES
 
 
+def test_a_crash_is_counted_and_does_not_lose_the_others(cases, quick, tmp_path, monkeypatch):
+    del quick
+
+    def crash(*_):
+        raise ValueError("shapes differ")
+
+    monkeypatch.setattr(blind_diagnosis, "gap_of", crash)
+    assert "case_002 crashed: ValueError: shapes differ" in ran("diagnose", "--cases", cases, "--out", tmp_path / "f")
+    assert all(r.crashed for r in refused_in(tmp_path / "f"))
+
+
 @pytest.mark.parametrize("world", ["counted", "bench"])
 def test_every_world_is_sealed_by_its_hash(world, tmp_path):
     ran("make", "--out", tmp_path / world, "--world", world, "--cases", 2, "--duration", 1.5, "--seed", 3)

@@ -101,8 +101,10 @@ def _looked(
 def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]) -> list[Screened]:
     """By the linear residual alone, over a grid of strengths and places: what is too large for a slope to tell.
 
-    Of effects that change the linear model.
+    Of effects that change the linear model, where a selection of lines tells it: not of a rig that rubs on the ground.
     """
+    if needs_every_line(linearization.rig):
+        return []
     thin = _thinned(linearization.record)
     discrepancy, cache = linearization.scales.discrepancy[:, 1::THINNED], ResponseCache(thin.omega)
 
