@@ -25,6 +25,9 @@ from identify.gaps.results import (
     Share,
 )
 from rig.model.unmeasured_force import MeanForce, UnmeasuredForce, Value
+from rig.recording import read
+from rig.simulation.plants import modal
+from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle, Sdof
 
 SENSORS = tuple(f"{body}_{i}" for body in ("cradle", "barrel") for i in range(1, 7))
@@ -347,3 +350,27 @@ def rig_of():
 @pytest.fixture(scope="session")
 def gaps():
     return GAPS
+
+
+@pytest.fixture(scope="session")
+def recorded_machine(tmp_path_factory):
+    """A function that records a reference rig with some effects, of which rig.json knows nothing."""
+
+    def made(settings, *effects):
+        path = tmp_path_factory.mktemp("machine") / "r.mcap"
+        actual = settings.rig()
+        for effect in effects:
+            actual = effect.applied_to(actual)
+        record(
+            settings.rig(),
+            settings.force(),
+            plant=modal.simulate,
+            duration_s=settings.duration_s,
+            step_s=settings.step_s,
+            path=path,
+            actual=actual,
+            progress=lambda _: None,
+        )
+        return read(path)
+
+    return made

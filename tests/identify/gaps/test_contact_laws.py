@@ -16,9 +16,6 @@ from rig.effects.added_mass import AddedMass
 from rig.effects.contact_clearance import ContactClearance
 from rig.effects.contact_damping import ContactDamping
 from rig.model.tolerances import LABORATORY
-from rig.recording import read
-from rig.simulation.plants import modal
-from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle
 
 SETTINGS = BarrelCradle(sensors="acceleration", noise_density=1e-3, duration_s=16.0, seed=77)
@@ -27,30 +24,6 @@ CLEARANCE, DAMPING = (
     ContactDamping(damping_n_s_per_m=10.0, contact="contact_1"),
 )
 MASS = AddedMass(mass_kg=0.15, relative_position=0.7)
-
-
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
-    """A function that records the machine with some effects, of which rig.json knows nothing."""
-
-    def made(*effects):
-        path = tmp_path_factory.mktemp("laws") / "r.mcap"
-        actual = SETTINGS.rig()
-        for effect in effects:
-            actual = effect.applied_to(actual)
-        record(
-            SETTINGS.rig(),
-            SETTINGS.force(),
-            plant=modal.simulate,
-            duration_s=SETTINGS.duration_s,
-            step_s=SETTINGS.step_s,
-            path=path,
-            actual=actual,
-            progress=lambda _: None,
-        )
-        return read(path)
-
-    return made
 
 
 def hypothesis_of(recording, *effects):
@@ -67,8 +40,8 @@ def hypothesis_of(recording, *effects):
     return Hypothesis(tuple(parts), values, np.eye(values.size), left)
 
 
-def test_values_and_errors_are_those_of_identify_contact(recorded):
-    recording = recorded(CLEARANCE, DAMPING)
+def test_values_and_errors_are_those_of_identify_contact(recorded_machine):
+    recording = recorded_machine(SETTINGS, CLEARANCE, DAMPING)
     hypothesis = with_contact_fit(hypothesis_of(recording, CLEARANCE, DAMPING), [recording], LABORATORY)
     (contact,) = (c for c in identify.contact(recording).report.contacts if c.name == "contact_1")
     believed_m = recording.rig.contacts[0].law.clearance_m
@@ -81,9 +54,9 @@ def test_values_and_errors_are_those_of_identify_contact(recorded):
     assert abs(damping - 10.0) < 3 * errors[1] < 1.0
 
 
-def test_other_effects_are_in_the_linear_model(recorded):
+def test_other_effects_are_in_the_linear_model(recorded_machine):
     """Without the mass the clearance is 1 % off, with it a hundredth of that, and the mass keeps what was searched."""
-    recording = recorded(CLEARANCE, MASS)
+    recording = recorded_machine(SETTINGS, CLEARANCE, MASS)
     searched = hypothesis_of(recording, CLEARANCE, MASS)
     searched = replace(searched, values=np.array([1.1, MASS.mass_kg, MASS.relative_position]))
     hypothesis = with_contact_fit(searched, [recording], LABORATORY)
@@ -93,7 +66,7 @@ def test_other_effects_are_in_the_linear_model(recorded):
     assert not hypothesis.covariance[0, 1:].any()
 
 
-def test_what_moves_no_law_stays_as_it_is(recorded):
-    recording = recorded(MASS)
+def test_what_moves_no_law_stays_as_it_is(recorded_machine):
+    recording = recorded_machine(SETTINGS, MASS)
     searched = hypothesis_of(recording, MASS)
     assert with_contact_fit(searched, [recording], LABORATORY) is searched

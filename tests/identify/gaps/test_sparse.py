@@ -13,9 +13,6 @@ from identify.gaps.search.sparse import search, selected
 from rig.effects.added_mass import AddedMass
 from rig.effects.contact_damping import ContactDamping
 from rig.model.tolerances import LABORATORY
-from rig.recording import read
-from rig.simulation.plants import modal
-from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle
 
 SETTINGS = BarrelCradle(sensors="acceleration", noise_density=1e-3, duration_s=16.0, seed=78)
@@ -23,38 +20,18 @@ MASS = AddedMass(mass_kg=0.05, relative_position=0.7)
 DAMPING = ContactDamping(damping_n_s_per_m=20.0, contact="contact_1")
 
 
-@pytest.fixture(scope="module")
-def begun(tmp_path_factory):
-    """A function that records the machine with some effects, and fits the nominal rig to it."""
-
-    def made(*effects):
-        path = tmp_path_factory.mktemp("sparse") / "r.mcap"
-        actual = SETTINGS.rig()
-        for effect in effects:
-            actual = effect.applied_to(actual)
-        record(
-            SETTINGS.rig(),
-            SETTINGS.force(),
-            plant=modal.simulate,
-            duration_s=SETTINGS.duration_s,
-            step_s=SETTINGS.step_s,
-            path=path,
-            actual=actual,
-            progress=lambda _: None,
-        )
-        recording = read(path)
-        observation = observed(recording, LABORATORY)
-        linearization, residual = fit_nuisance(observation.record, recording.rig)
-        names = [s.name for s in recording.rig.sensors]
-        known = candidates(scale_of(observation.record, recording.rig), names, False)
-        return Search(observation.reference, linearization, residual, tuple(known))
-
-    return made
+def search_of(recording):
+    """The nominal rig fitted to a recording, and what a search may try there."""
+    observation = observed(recording, LABORATORY)
+    linearization, residual = fit_nuisance(observation.record, recording.rig)
+    names = [s.name for s in recording.rig.sensors]
+    known = candidates(scale_of(observation.record, recording.rig), names, False)
+    return Search(observation.reference, linearization, residual, tuple(known))
 
 
 @pytest.fixture(scope="module")
-def pair(begun):
-    return begun(MASS, DAMPING)
+def pair(recorded_machine):
+    return search_of(recorded_machine(SETTINGS, MASS, DAMPING))
 
 
 @pytest.fixture(scope="module")
@@ -97,6 +74,6 @@ def test_finds_both_effects_with_their_numbers(pair):
     assert all(one.cost > best.cost for one in others)
 
 
-def test_names_nothing_where_nothing_is(begun):
-    (nothing,) = search(begun())
+def test_names_nothing_where_nothing_is(recorded_machine):
+    (nothing,) = search(search_of(recorded_machine(SETTINGS)))
     assert nothing.parts == ()
