@@ -5,16 +5,27 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
-from scipy.signal import butter, sosfilt
+from scipy.signal import butter, sosfilt, spectrogram
+from scipy.stats import chi2
 
 from identify.signals.kinematics import Kinematics
 from rig.model.description import Rig, Sensor
+from rig.model.sensing import PASSBAND
 
 Source = Literal["the quiet start of the record", "noise_density in rig.json", "the highest frequencies of the record"]
 BAND = (0.3, 0.4)
 """Of the sampling rate: where noise is looked for in a record without a quiet start."""
 PART_S, QUIETEST = 0.05, 0.05
 """The noise is the power in the quietest parts of this length: so large a share of them has less."""
+SEGMENT, LINES = 256, 16
+"""A spectrum over time has segments of so many samples, and cells of so many of their lines."""
+FREEDOM = 2 * LINES * 18 / 35
+HIGH = 0.1
+"""Of the sampling rate: no noise is looked for below."""
+FLAT, SEGMENTS = 2.0, 5
+"""Noise is white: in the quietest segments, so many at least, no cell has more than this multiple of another."""
+RESOLVED = 1e-7
+"""Of its largest value: no channel shows less, as of 24 bits."""
 
 
 def acceleration_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stations"]:
@@ -55,3 +66,30 @@ def _heard(row: Float[np.ndarray, " samples"], sensor: Sensor, motion: Kinematic
     power = (high_passed[: row.size // size * size].reshape(-1, size) ** 2).mean(axis=1)
     share = high ** (2 * times + 1) - low ** (2 * times + 1)
     return float(np.sqrt(np.quantile(power[1:], QUIETEST) / share))
+
+
+def heard_density(signal: Float[np.ndarray, " samples"], rate_hz: float) -> tuple[float, bool]:
+    """One-sided noise of a channel in its own unit per sqrt(Hz), and whether it is surely noise.
+
+    The lowest of what stands in the cells of its spectrum over time, in the upper part of the frequencies: no more
+    than that is noise. It is noise where the quietest segments are as loud at all these frequencies, as motion never
+    is. A cell of n lines is distributed as chi-square with 2 n degrees of freedom, of which a Hann window leaves 18 of
+    35, by whose quantile it is less.
+    """
+    segment = min(SEGMENT, signal.size)
+    hz, _, power = spectrogram(signal, rate_hz, "hann", segment, segment // 2, detrend="linear")
+    power = power[(hz > HIGH * rate_hz) & (hz < PASSBAND * rate_hz)]
+    count = len(power) // LINES
+    if not count:
+        return 0.0, False
+    cells = power[: count * LINES].reshape(count, LINES, -1).mean(axis=1)
+    low = float(np.quantile(cells, QUIETEST)) / (chi2.ppf(QUIETEST, FREEDOM) / FREEDOM)
+    loudness = np.median(cells, axis=0)
+    share = max(QUIETEST, SEGMENTS / loudness.size)
+    quiet = cells[:, loudness <= np.quantile(loudness, min(share, 1.0))].mean(axis=1)
+    return float(np.sqrt(low)), bool(np.max(quiet) < FLAT * np.min(quiet))
+
+
+def least_density(signal: Float[np.ndarray, " samples"], rate_hz: float) -> float:
+    """The noise of rounding: what a channel of 24 bits cannot show."""
+    return float(RESOLVED * np.max(np.abs(signal)) / np.sqrt(rate_hz / 2))

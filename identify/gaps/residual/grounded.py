@@ -10,6 +10,9 @@ from identify.linear.model import Response, times, weights_of
 from identify.signals.law_evaluation import oversampling
 from rig.model.description import PointDamper, PointMass, PointSpring, Rig, Station
 
+LEAST = 1e-2
+"""Where a window is lower than this, what it hides is not looked for."""
+
 Spectrum = Complex[np.ndarray, " lines"]
 Motions = Complex[np.ndarray, "sensors lines"]
 
@@ -19,16 +22,17 @@ def ground_forces(
 ) -> list[tuple[Station, Spectrum]]:
     """Where each spring and damper pushes the rig, and with which force: -k3 w^3, or -c v - F tanh(v / v0)."""
     springs, dampers = _bending(rig), rig.dampers
-    moved = displaced_at(responses, places, [*springs, *dampers], displacements)
+    moved = displaced_at(responses, places, springs, displacements)
+    moving = displaced_at(responses, places, dampers, _velocities(record, displacements))
     found = []
-    for spring, w in zip(springs, moved, strict=False):
-        (fine,) = _finely(record, 3, w)
-        found.append((spring.station, -_coarsely(record, spring.law.force_n(fine))))
-    for damper, w in zip(dampers, moved[len(springs) :], strict=True):
-        velocity = 1j * record.omega * w
+    for spring, w in zip(springs, moved, strict=True):
+        (fine,), window = _finely(record, 3, w)
+        found.append((spring.station, -_coarsely(record, window * spring.law.force_n(fine / window))))
+    for damper, velocity in zip(dampers, moving, strict=True):
         if damper.friction_n:
-            (fine,) = _finely(record, _often(record), velocity)
-            found.append((damper.station, -_coarsely(record, damper.law.force_n(np.zeros_like(fine), fine))))
+            (fine,), window = _finely(record, _often(record), velocity)
+            force_n = window * damper.law.force_n(np.zeros_like(fine), fine / window)
+            found.append((damper.station, -_coarsely(record, force_n)))
         else:
             found.append((damper.station, -damper.damping_n_s_per_m * velocity))
     return found
@@ -44,16 +48,17 @@ def ground_force_changes(
 ) -> list[tuple[Station, Spectrum]]:
     """The derivative of each of the `ground_forces` along a change of the displacements."""
     springs, dampers = _bending(rig), rig.dampers
-    both = [displaced_at(responses, places, [*springs, *dampers], d) for d in (displacements, changes)]
+    moved = [displaced_at(responses, places, springs, d) for d in (displacements, changes)]
+    velocities = _velocities(record, displacements), 1j * record.omega * changes
+    moving = [displaced_at(responses, places, dampers, v) for v in velocities]
     found = []
-    for spring, w, more in zip(springs, *both, strict=False):
-        fine, change = _finely(record, 3, w, more)
-        found.append((spring.station, -_coarsely(record, spring.law.by_eta_n_per_m(fine) * change)))
-    for damper, w, more in zip(dampers, *(moved[len(springs) :] for moved in both), strict=True):
-        change = 1j * record.omega * more
+    for spring, w, more in zip(springs, *moved, strict=True):
+        (fine, change), window = _finely(record, 3, w, more)
+        found.append((spring.station, -_coarsely(record, spring.law.by_eta_n_per_m(fine / window) * change)))
+    for damper, velocity, change in zip(dampers, *moving, strict=True):
         if damper.friction_n:
-            fine, finely_changed = _finely(record, _often(record), 1j * record.omega * w, change)
-            steepness = damper.law.by_rate_n_s_per_m(np.zeros_like(fine), fine)
+            (fine, finely_changed), window = _finely(record, _often(record), velocity, change)
+            steepness = damper.law.by_rate_n_s_per_m(np.zeros_like(fine), fine / window)
             found.append((damper.station, -_coarsely(record, steepness * finely_changed)))
         else:
             found.append((damper.station, -damper.damping_n_s_per_m * change))
@@ -90,10 +95,20 @@ def _often(record: Record) -> int:
     return max(3, oversampling(record.rate_hz))
 
 
-def _finely(record: Record, finer: int, *spectra: Spectrum) -> list[Float[np.ndarray, " fine"]]:
-    """Courses over the padded record, at so many times its own rate."""
+def _velocities(record: Record, displacements: Motions) -> Motions:
+    """The windowed velocities at the sensors, which are less than those of the windowed displacements."""
+    return 1j * record.omega * displacements + record.faded
+
+
+def _finely(
+    record: Record, finer: int, *spectra: Spectrum
+) -> tuple[list[Float[np.ndarray, " fine"]], Float[np.ndarray, " fine"]]:
+    """Courses over the padded record, at so many times its own rate, and the window that they are under: a law is of
+    the motion itself, and its force under the window."""
     length = record.length // record.factor
-    return [finer * np.fft.irfft(s / record.factor, finer * length) for s in spectra]
+    time = np.arange(finer * length) * (record.factor / finer)
+    window = np.interp(time, np.arange(record.samples), record.window, right=0.0)
+    return [finer * np.fft.irfft(s / record.factor, finer * length) for s in spectra], np.maximum(window, LEAST)
 
 
 def _coarsely(record: Record, fine: Float[np.ndarray, " fine"]) -> Spectrum:

@@ -23,7 +23,7 @@ from identify.gaps.residual.law import ContactResidual
 from identify.gaps.residual.lines import cost_of_lines
 from identify.gaps.residual.observation import ContactObservation
 from identify.gaps.residual.residual import Linearization, Residual
-from identify.gaps.residual.scales import band_of_lines, by_band, posterior_level, second_levels
+from identify.gaps.residual.scales import band_of_lines, by_band, measured_levels, posterior_level, second_levels
 from identify.gaps.residual.spectra import Record
 
 
@@ -57,13 +57,15 @@ def reference_of(linearization: Linearization) -> Reference:
 class Misfit:
     """What a rig leaves of a record, second by second.
 
-    left is the variance of the linear residual (as `Reference.usual`), contact_left the square of each contact's
-    residual in the reference's variances, contact_n2 its mean square beyond noise and force_n2 that of the contact
-    force (N^2). sharp is what the lines cost that stand out (`lines.cost_of_lines`).
+    left is the variance of the linear residual (as `Reference.usual`), measured what it is in the sensors' unit as a
+    share of that, as variances change within a band (`scales.measured_levels`), contact_left the square of each
+    contact's residual in the reference's variances, contact_n2 its mean square beyond noise and force_n2 that of the
+    contact force (N^2). sharp is what the lines cost that stand out (`lines.cost_of_lines`).
     """
 
     reference: Reference
     left: Float[np.ndarray, "seconds bands sensors"]
+    measured: Float[np.ndarray, "bands sensors"]
     contact_left: Float[np.ndarray, "seconds contacts"]
     contact_n2: Float[np.ndarray, "seconds contacts"]
     force_n2: Float[np.ndarray, "seconds contacts"]
@@ -118,15 +120,19 @@ class Misfit:
         return float(cells + self.samples * np.sum(np.log(np.maximum(self.contacts, 1.0)))) + self.sharp
 
     @property
+    def beyond_noise(self) -> Float[np.ndarray, "bands sensors"]:
+        """Mean square of what is left by line, beyond noise, in the sensors' unit."""
+        return np.maximum(self.left.mean(axis=0) * self.measured - self.reference.noise, 0.0)
+
+    @property
     def shares(self) -> Float[np.ndarray, " bands"]:
         """Unexplained share of the acceleration's root mean square by band, beyond noise."""
-        beyond = np.maximum(self.left.mean(axis=0) - self.reference.noise, 0.0)
-        return np.asarray(np.sqrt(beyond.sum(axis=1) / np.maximum(self.reference.power.sum(axis=1), 1e-300)))
+        return np.asarray(np.sqrt(self.beyond_noise.sum(axis=1) / np.maximum(self.reference.power.sum(axis=1), 1e-300)))
 
     @property
     def share(self) -> float:
         """The same over all bands."""
-        beyond = np.maximum(self.left.mean(axis=0) - self.reference.noise, 0.0).sum(axis=1)
+        beyond = self.beyond_noise.sum(axis=1)
         whole = max(float(self.reference.lines @ self.reference.power.sum(axis=1)), 1e-300)
         return float(np.sqrt(self.reference.lines @ beyond / whole))
 
@@ -151,6 +157,7 @@ def misfit(record: Record, reference: Reference, at: Residual) -> Misfit:
     """What a fitted residual leaves, whatever scales it was fitted at."""
     levels = second_levels(record, at.linear)
     seconds, bands = levels.shape[:2]
+    usual = by_band(record, at.model.deviation**2, bands)
     contacts = [_of_contact(seen, contact, seconds) for contact, seen in zip(at.contacts, reference.seen, strict=True)]
     rows = np.array(contacts).reshape(len(contacts), 3, seconds)
     drift = sum(float(np.sum(c.residual[c.seen.weights.size : -c.pulls.size] ** 2)) for c in at.contacts)
@@ -162,7 +169,8 @@ def misfit(record: Record, reference: Reference, at: Residual) -> Misfit:
         sharp = cost_of_lines(at.linear[: len(record.sensors)], directions, record.repeats)
     return Misfit(
         reference=reference,
-        left=levels * by_band(record, at.model.deviation**2, bands),
+        left=levels * usual,
+        measured=measured_levels(record, at.linear, at.model.deviation, bands) / usual,
         contact_left=rows[:, 0].T,
         contact_n2=rows[:, 1].T,
         force_n2=rows[:, 2].T,

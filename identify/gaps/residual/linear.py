@@ -34,7 +34,7 @@ from identify.linear.model import (
     weights_of,
 )
 from identify.linear.projection import Projection, estimated_inputs, projection, unexplained
-from rig.model.description import Rig, Station
+from rig.model.description import Rig, Station, contact_stations
 from rig.model.modes import modes_of, participation
 
 
@@ -214,7 +214,15 @@ def _pushes(
     held = []
     if pushed_by_motion(rig):
         held = ground_forces(record, rig, responses, places, record.displaced / sensor_response)
-    return (*zip(rig.forces, lagged, strict=True), *tones, *held)
+    return (*zip(rig.forces, lagged, strict=True), *tones, *_loads(record, rig), *held)
+
+
+def _loads(record: Record, rig: Rig) -> list[tuple[Station, Complex[np.ndarray, " lines"]]]:
+    """Constant forces on bodies that no contact holds, where the zero of displacements is seen."""
+    held = {s.body for c in rig.contacts for s in contact_stations(c)}
+    acting = [load for load in rig.loads if record.zero_known and load.station.body not in held]
+    constant = record.spectrum(np.ones(record.samples)) if acting else np.zeros(record.omega.size, dtype=complex)
+    return [(load.station, load.force_n * constant) for load in acting]
 
 
 def _free_modes(record: Record, responses: tuple[Response, ...]) -> list[Int[np.ndarray, "_"]]:

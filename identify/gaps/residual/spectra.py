@@ -20,11 +20,12 @@ from identify.signals.kinematics import (
     kinematics,
     taper,
 )
-from identify.signals.noise import acceleration_noise
+from identify.signals.noise import acceleration_noise, heard_density, least_density
 from identify.signals.scores import COUNTED_HZ
 from identify.signals.spectra import force_band
 from rig.errors import RigError
-from rig.model.description import Rig, Sensor
+from rig.model.description import Rig, Sensor, contact_stations
+from rig.model.modes import modes_of
 from rig.model.sensing import PASSBAND, sensors_of
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
@@ -35,6 +36,8 @@ RING_S = 12.0
 """Silence behind the record in which the beams ring down before the transform wraps round."""
 LEFT_OUT_S = 4.5
 """At the record's end, where the taper, and integration, falsify every residual."""
+FADED_S = 1.5
+"""The same where nothing is integrated and no body rings of the taper."""
 RELEASED_S = 2.0
 """At the start of a free decay of elastic bodies, whose free motion is estimated: a period of `CORNER_HZ`."""
 REACH = 1.6
@@ -54,7 +57,9 @@ class Record:
     """Spectra of one recording, on the lines 0 to `high_hz`; `taken` are the samples in time that count.
 
     delivered is what each sensor gave, turned into an acceleration by powers of i omega, its believed gain and delay
-    still in it; displaced the same as a displacement, high-passed where it had to be integrated. noise is the variance
+    still in it; displaced the same as a displacement, high-passed where it had to be integrated. Where a free mass is
+    displaced, delivered is the windowed acceleration, and faded what its windowed velocity is more than that of the
+    windowed displacement; elsewhere both are those of what was windowed, as bodies answer it. noise is the variance
     of each of its lines by the sensor's noise alone, power its smoothed size; force_noise the variance of each force's
     lines by its channel's noise. eta_beyond is each relative displacement as measured on the lines from `high_hz` on,
     drifts what is known of its slow part (None where nothing is lost; the linear model has the springs). window is
@@ -74,6 +79,7 @@ class Record:
     forces: Complex[np.ndarray, "forces lines"]
     delivered: Complex[np.ndarray, "sensors lines"]
     displaced: Complex[np.ndarray, "sensors lines"]
+    faded: Complex[np.ndarray, "sensors lines"]
     noise: Float[np.ndarray, "sensors lines"]
     force_noise: Float[np.ndarray, " forces"]
     power: Float[np.ndarray, "sensors lines"]
@@ -193,7 +199,8 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     turned, twice_less = (
         np.stack([integrated(omega, order - s.measures.order, low_hz) for s in sensors]) for order in (2, 0)
     )
-    smooth = uniform_filter1d(np.abs(measured) ** 2, max(1, round(SMOOTHED_HZ * transform.length / rate)), axis=1)
+    faded, delivered = _faded(recording, transform, sensors, omega, motion.zero_known)
+    delivered += measured * turned
     noise = acceleration_noise(motion, rig)
     period = _period_of(recording.forces_n[:, motion.excited_from :])
     size = np.stack([omega ** (2 - s.measures.order) for s in sensors])
@@ -208,17 +215,18 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         window=transform.window,
         omega=omega,
         forces=transform.spectrum(recording.forces_n)[:, : omega.size],
-        delivered=measured * turned,
+        delivered=delivered,
         displaced=measured * twice_less,
+        faded=faded,
         force_noise=samples * _force_noise_n(motion, tolerances) ** 2,
-        noise=samples * (_densities(sensors, motion)[:, None] * size) ** 2 * rate / 2,
-        power=smooth * np.abs(turned) ** 2,
+        noise=samples * (_densities(recording, sensors, motion)[:, None] * size) ** 2 * rate / 2,
+        power=_smoothed(delivered, np.stack([_by_force(rig, s, omega) for s in sensors]), transform),
         eta_beyond=eta_beyond,
         drifts=tuple(drift_of(joint, motion, j, noise, tolerances, samples) for j in range(len(joint.contacts))),
         excited_s=motion.excited_from / rate,
         period_s=None if period is None else period / rate,
         tolerances=tolerances,
-        taken=_taken(motion, samples, transform.factor, decays),
+        taken=_taken(motion, samples, transform.factor, decays, _left_out_s(joint, motion)),
     )
 
 
@@ -261,6 +269,8 @@ def _transform(motion: Kinematics, samples: int, high_hz: float, decays: bool) -
     factor = max(1, int(rate / (2 * high_hz)))
     length = factor * next_fast_len(-(-(samples + round(RING_S * rate)) // factor), real=True)
     window = taper(samples, round(TAPER_S * rate))
+    if motion.zero_known and not decays:  # differentiated twice, a position at the end would ring of a kink in w''
+        window = np.sin(np.pi / 2 * taper(samples, round(2 * TAPER_S * rate))) ** 2
     if decays:
         window[0] = 0.5  # half a sample: what begins there has no value before
     elif not _begins_quiet(motion):
@@ -286,11 +296,62 @@ def _spectra(
     return measured, eta_beyond
 
 
-def _taken(motion: Kinematics, samples: int, factor: int, decays: bool) -> slice:
+def _left_out_s(rig: Rig, motion: Kinematics) -> float:
+    """At an end that is faded: shorter where displacements are measured of masses that no spring holds."""
+    free = all(_is_free(rig, b.name) for b in rig.bodies)
+    return FADED_S if motion.zero_known and free else LEFT_OUT_S
+
+
+def _by_force(rig: Rig, sensor: Sensor, omega: Float[np.ndarray, " lines"]) -> Float[np.ndarray, " lines"]:
+    """About how a body's acceleration falls with the frequency under a steady force: omega^2 / (omega^2 + omega_1^2)
+    below its first mode, not at all of a free body, nor where accelerations are measured, which then show noise."""
+    body = rig.body(sensor.station.body)
+    first = 2 * np.pi * float(np.min(modes_of(rig, body).frequencies_hz(body.max_modes)))
+    return omega**2 / (omega**2 + first**2) if sensor.measures.order < 2 else np.ones_like(omega)
+
+
+def _smoothed(
+    delivered: Complex[np.ndarray, "sensors lines"], by_force: Float[np.ndarray, "sensors lines"], transform: _Transform
+) -> Float[np.ndarray, "sensors lines"]:
+    """The accelerations' power, smoothed as that of the forces which make them."""
+    width = max(1, round(SMOOTHED_HZ * transform.length / transform.sample_rate_hz))
+    return np.asarray(uniform_filter1d(np.abs(delivered / by_force) ** 2, width, axis=1) * by_force**2)
+
+
+def _faded(
+    recording: Recording,
+    transform: _Transform,
+    sensors: tuple[Sensor, ...],
+    omega: Float[np.ndarray, " lines"],
+    zero_known: bool,
+) -> tuple[Complex[np.ndarray, "sensors lines"], Complex[np.ndarray, "sensors lines"]]:
+    """What the windowed velocity and acceleration are more than the derivatives of the windowed displacement x:
+    w x' = (w x)' - w' x and w x'' = (w x)'' - 2 (w' x)' + w'' x. Of free masses, whose acceleration at any time is that
+    of the force then; a body that is held answers a faded force by a motion that is not the faded one."""
+    velocity, acceleration = np.zeros((2, len(sensors), omega.size), dtype=complex)
+    slope = np.gradient(transform.window) * transform.sample_rate_hz
+    bend = np.gradient(slope) * transform.sample_rate_hz
+    for k, sensor in enumerate(sensors):
+        if zero_known and _is_free(recording.rig, sensor.station.body):
+            sloped, bent = rfft(np.stack([slope, bend]) * recording.values_of(sensor), transform.length)[
+                :, : omega.size
+            ]
+            velocity[k], acceleration[k] = -sloped, bent - 2j * omega * sloped
+    return velocity, acceleration
+
+
+def _is_free(rig: Rig, body: str) -> bool:
+    """Whether a body is a mass that nothing holds."""
+    own = rig.body(body)
+    held = [s.station for s in rig.springs] + [s for c in rig.contacts for s in contact_stations(c)]
+    return own.is_mass and bool(own.rigid_modes) and all(s.body != body for s in held)
+
+
+def _taken(motion: Kinematics, samples: int, factor: int, decays: bool, left_out_s: float) -> slice:
     """The samples that count, of every `factor`-th: neither the ends nor what follows when the rig has come to rest."""
     rate = motion.sample_rate_hz
-    begin_s = 0.0 if _begins_quiet(motion) else RELEASED_S if decays else LEFT_OUT_S
-    end_s = min(samples / rate - LEFT_OUT_S, max(_decayed_s(motion), begin_s + LEAST_S))
+    begin_s = 0.0 if _begins_quiet(motion) else RELEASED_S if decays else left_out_s
+    end_s = min(samples / rate - left_out_s, max(_decayed_s(motion), begin_s + LEAST_S))
     return slice(round(begin_s * rate / factor), int(end_s * rate / factor))
 
 
@@ -347,18 +408,22 @@ def _force_noise_n(motion: Kinematics, tolerances: Tolerances) -> Float[np.ndarr
     return np.full(len(motion.forces_n), 0.0 if is_unforced(motion) else stated_n)
 
 
-def _densities(sensors: tuple[Sensor, ...], motion: Kinematics) -> Float[np.ndarray, " sensors"]:
-    """One-sided noise of each sensor in its own unit per sqrt(Hz): heard in the quiet start, else as described.
+def _densities(recording: Recording, sensors: tuple[Sensor, ...], motion: Kinematics) -> Float[np.ndarray, " sensors"]:
+    """One-sided noise of each sensor in its own unit per sqrt(Hz): heard in the quiet start, else in the record.
 
-    The median over the frequencies tells it: a motor that runs, or a floor that shakes, raises some of them only. That
-    of powers which are distributed exponentially is ln 2 of their mean.
+    In a quiet start the median over the frequencies tells it: a motor that runs, or a floor that shakes, raises some of
+    them only. That of powers which are distributed exponentially is ln 2 of their mean. Of what the record tells
+    without one, the description is believed where it says less and the record does not surely show noise.
     """
-    heard = {}
-    if motion.quiet_samples:
-        rate = motion.sample_rate_hz
-        hz, power = periodogram(motion.acceleration_m_per_s2[:, : motion.quiet_samples], rate, "hann")
-        inner = (hz > 0) & (hz < PASSBAND * rate)
-        heard = dict(zip(motion.stations, np.sqrt(np.median(power[:, inner], axis=1) / np.log(2)), strict=True))
-    return np.array(
-        [heard.get(s.station, s.noise_density) if s.measures.order == 2 else s.noise_density for s in sensors]
-    )
+    rate, found = motion.sample_rate_hz, []
+    for sensor in sensors:
+        row = recording.values_of(sensor)
+        if motion.quiet_samples:
+            hz, power = periodogram(row[: motion.quiet_samples], rate, "hann")
+            inner = (hz > 0) & (hz < PASSBAND * rate)
+            density = float(np.sqrt(np.median(power[inner]) / np.log(2)))
+        else:
+            density, surely = heard_density(row, rate)
+            density = density if surely else min(density, sensor.noise_density)
+        found.append(max(density, least_density(row, rate)))
+    return np.array(found)

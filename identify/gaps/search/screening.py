@@ -176,5 +176,8 @@ def _thinned(record: Record) -> Record:
     return replace(
         record,
         omega=record.omega[some],
-        **{name: getattr(record, name)[..., some] for name in ("forces", "delivered", "displaced", "noise", "power")},
+        **{
+            name: getattr(record, name)[..., some]
+            for name in ("forces", "delivered", "displaced", "faded", "noise", "power")
+        },
     )

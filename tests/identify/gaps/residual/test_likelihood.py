@@ -28,6 +28,7 @@ def left(level: float, contact_n: float = 0.0, pulls: float = 0.0) -> Misfit:
     return Misfit(
         reference=REFERENCE,
         left=np.full((SECONDS, BANDS, SENSORS), level),
+        measured=ONES,
         contact_left=contacts * (1 + contact_n**2),
         contact_n2=contacts * contact_n**2,
         force_n2=contacts * 100.0,

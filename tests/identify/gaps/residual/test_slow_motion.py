@@ -1,0 +1,107 @@
+"""A mass whose position is measured and that no spring holds: friction and constant forces are seen down to rest."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import loadmat
+
+from identify.gaps.residual.likelihood import reference_of
+from identify.gaps.residual.residual import linearized
+from identify.gaps.residual.spectra import FADED_S, LEFT_OUT_S, record_of
+from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.hypothesis import Search, fit_effects
+from identify.gaps.search.nominal import fit_nuisance
+from rig.model.contact_laws.dead_zone import FRICTION_SPEED_M_PER_S
+from rig.model.description import PointDamper, Rig, Sensor, Station
+from rig.model.oscillator import Oscillator
+from rig.recording import Recording, Signals, channel_groups
+
+RATE_HZ = 500.0
+AT = Station("carriage", 0.0)
+
+
+def carriage(mass_kg: float, viscous_n_s_per_m: float, rate_hz: float, frequency_hz: float = 0.0) -> Rig:
+    return Rig(
+        name="carriage",
+        bodies=(Oscillator(name="carriage", mass_kg=mass_kg, frequency_hz=frequency_hz, damping_ratio=0.0),),
+        contacts=(),
+        force_at=AT,
+        sensors=(Sensor(name="position", station=AT, quantity="displacement"),),
+        sample_rate_hz=rate_hz,
+        dampers=(PointDamper(station=AT, damping_n_s_per_m=viscous_n_s_per_m),),
+    )
+
+
+def recording_of(rig, force_n, position_m):
+    rows = {"force": force_n[None], "displacement": position_m[None]}
+    return Recording(rig, {name: Signals(c, 0.0, rows[name]) for name, c in channel_groups(rig).items()}, {})
+
+
+def moved(friction_n: float, load_n: float, seed: int = 401) -> Recording:
+    """By inverse dynamics: to and fro at constant speeds for seconds, with a little Gaussian motion on top."""
+    rng, time_s = np.random.default_rng(seed), np.arange(round(24 * RATE_HZ)) / RATE_HZ
+    steps = np.repeat(rng.uniform(-0.2, 0.2, 8), time_s.size // 8)
+    hz = np.fft.rfftfreq(time_s.size, 1 / RATE_HZ)
+    speed = np.fft.irfft(np.fft.rfft(steps) * np.exp(-((hz / 2) ** 2)), time_s.size)
+    random = np.fft.irfft(np.fft.rfft(rng.standard_normal(time_s.size)) * ((hz > 1) & (hz < 20)), time_s.size)
+    speed = speed + 0.005 * random / random.std()
+    lines = np.fft.rfft(speed)
+    turning = 2j * np.pi * np.append(1.0, hz[1:])
+    position = np.fft.irfft(np.append(0.0, lines[1:] / turning[1:]), time_s.size) + lines[0].real / time_s.size * time_s
+    acceleration = np.fft.irfft(lines * 2j * np.pi * hz, time_s.size)
+    rig = carriage(20.0, 30.0, RATE_HZ)
+    force_n = 20.0 * acceleration + 30.0 * speed + friction_n * np.tanh(speed / FRICTION_SPEED_M_PER_S) - load_n
+    return recording_of(rig, force_n, position)
+
+
+def fitted_effects(record, *names):
+    """Values and standard errors of effects fitted together, and the share of the acceleration before and after."""
+    known = candidates(scale_of(record, record.rig), [s.name for s in record.sensors], record.zero_known)
+    parts = tuple(next(c for c in known if c.kind.name == name) for name in names)
+    linearization, at = fit_nuisance(record, record.rig)
+    begun = Search(reference_of(linearized(record, record.rig)), linearization, at, parts)
+    found = fit_effects(begun, parts, np.concatenate([p.default for p in parts]), at).hypothesis
+    return (
+        found.values,
+        np.sqrt(np.diag(found.covariance)),
+        (begun.nothing().hypothesis.misfit.share, found.misfit.share),
+    )
+
+
+def test_friction_and_a_constant_force_are_found_in_motion_at_constant_speed():
+    record = record_of(moved(friction_n=5.0, load_n=1.2))
+    values, errors, (before, after) = fitted_effects(record, "ground_friction", "preload")
+    assert np.all(np.abs(values - [5.0, 1.2]) < np.maximum(2 * errors, 1e-3))
+    assert np.all(errors < 0.05 * np.array([5.0, 1.2]))
+    assert after < 0.02 < before
+
+
+def test_without_friction_none_is_found_and_nothing_is_left():
+    values, errors, (before, _) = fitted_effects(record_of(moved(0.0, 0.0)), "ground_friction", "preload")
+    assert np.all(np.abs(values) < np.maximum(2 * errors, 1e-3))
+    assert before < 1e-3
+
+
+def test_the_measured_motion_counts_up_to_the_fade():
+    free = record_of(moved(0.0, 0.0))
+    assert free.time_s[0] == pytest.approx(FADED_S, abs=0.05)
+    held = recording_of(
+        carriage(20.0, 30.0, RATE_HZ, 1.0), *(moved(0.0, 0.0).signals[n].values[0] for n in ("force", "displacement"))
+    )
+    assert record_of(held).time_s[0] == pytest.approx(LEFT_OUT_S, abs=0.05)
+
+
+def test_friction_and_offset_of_a_measured_carriage():
+    """EMPS: regression with the true velocity finds 20.4 N and 3.2 N (Janot, Gautier, Brunot, 2019)."""
+    path = Path(os.environ.get("EMPS", "no folder"), "DATA_EMPS.mat")
+    if not path.exists():
+        pytest.skip(f"no {path.name}: let the environment variable EMPS name its folder")
+    data = {name: np.ravel(values) for name, values in loadmat(path).items() if not name.startswith("__")}
+    recording = recording_of(carriage(95.1, 203.0, 1000.0), data["gtau"][0] * data["vir"], data["qm"].astype(float))
+    values, errors, (before, after) = fitted_effects(record_of(recording), "ground_friction", "preload", "force_shift")
+    assert values[0] == pytest.approx(20.4, rel=0.08)
+    assert values[1] == pytest.approx(3.2, abs=0.6)
+    assert errors[0] < 0.6
+    assert after < 0.15 * before
