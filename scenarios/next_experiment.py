@@ -21,9 +21,9 @@ from msgspec.structs import replace
 from rich.console import Console
 from rich.table import Table
 
-from identify.gaps.decision.causes import ALIKE
 from identify.gaps.decision.comparison import TEMPERATURE
 from identify.gaps.decision.experiment import Experiment, begun_on, experiments, next_experiments, refitted
+from identify.gaps.decision.verdict import ALIKE
 from identify.gaps.residual.residual import linearized, residual_of
 from identify.gaps.residual.spectra import Record, record_of
 from identify.gaps.results import AGAIN, NextExperiment

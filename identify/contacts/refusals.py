@@ -180,10 +180,14 @@ class Refusal:
         return REMEDIES[self.remedy]
 
     @property
+    def cause(self) -> str:
+        """Why, as a part of a sentence."""
+        return CAUSES[self.code][0].format_map(self.evidence)
+
+    @property
     def sentence(self) -> str:
         """Cause and remedy, without a full stop."""
-        cause = CAUSES[self.code][0].format_map(self.evidence)
-        return "; ".join([*([PERHAPS_UNRECORDED] if self.unforced else []), cause, self.advice])
+        return "; ".join([*([PERHAPS_UNRECORDED] if self.unforced else []), self.cause, self.advice])
 
 
 class ContactRefusedError(RigError):

@@ -1,19 +1,18 @@
 """What a diagnosis says: the structure of gap.json."""
 
 import math
+from collections import Counter
 from collections.abc import Iterable
 from typing import Literal
 
 import msgspec
 
+from identify.gaps.decision_table import Bounded, Evidence, Strength, Verdict
+from identify.gaps.rollout.results import Rollout
 from rig.model.unmeasured_force import UnmeasuredForce, Value
 
-USUAL = 0.05
-"""A p-value from which tolerances and noise explain a gap."""
 AGAIN = "record the same again"
 """The experiment beside which others are judged."""
-
-Verdict = Literal["no_gap", "explained", "partly_explained", "unknown"]
 
 
 class Left(msgspec.Struct, frozen=True, kw_only=True):
@@ -29,14 +28,17 @@ class Left(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Cause(msgspec.Struct, frozen=True, kw_only=True):
-    """Effects that together explain the gap, wholly or in part. parameters and places are named EFFECT.FIELD.
+    """Effects that together explain the difference, wholly or in part. parameters and places are named EFFECT.FIELD; of
+    a second effect of one kind EFFECT_2.FIELD.
 
-    explained is the share of the gap that they close on the validation record: 1 - size with them / size without, of
+    words tell each effect with value and place, strengths how probable each is. explained is the share of the gap that they close on the validation record: 1 - size with them / size without, of
     what `Matters` measures, with the nuisance parameters as they are with them. log_prior and minus_two_log are what
     the probability is made of.
     """
 
     effects: tuple[str, ...]
+    words: tuple[str, ...]
+    strengths: tuple[Strength, ...]
     probability: float
     parameters: dict[str, Value]
     places: dict[str, str]
@@ -45,6 +47,36 @@ class Cause(msgspec.Struct, frozen=True, kw_only=True):
     left: Left
     log_prior: float
     minus_two_log: float
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The names by which parameters and places tell the effects apart."""
+        return labels_of(self.effects)
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """The words of the effects that may be named."""
+        return tuple(w for w, strength in zip(self.words, self.strengths, strict=True) if strength.is_named)
+
+
+def labels_of(effects: Iterable[str]) -> tuple[str, ...]:
+    """The names of effects, each once: "added_mass", "added_mass_2"."""
+    counts = Counter[str]()
+    found = []
+    for name in effects:
+        counts[name] += 1
+        found.append(name if counts[name] == 1 else f"{name}_{counts[name]}")
+    return tuple(found)
+
+
+class Criteria(msgspec.Struct, frozen=True):
+    """The row of the decision table: whether there is a difference, all that matters is bounded, effects are named (as
+    EFFECT:PLACE), and what they leave is bounded or usual."""
+
+    differs: bool
+    bounded: bool
+    named: tuple[str, ...]
+    enough: bool
 
 
 class Share(msgspec.Struct, frozen=True):
@@ -174,6 +206,7 @@ Analysis = Literal[
     "response_comparison",
     "next_experiment",
     "attribution",
+    "rollout",
 ]
 
 
@@ -185,34 +218,35 @@ class Note(msgspec.Struct, frozen=True):
 
 
 class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
-    """How the believed rig differs from the validation record.
+    """How the nominal rig differs from the records, judged on the one that was not fitted.
 
-    causes are likeliest first; what their probabilities lack of one is that of no gap and of something unknown. The
-    response comparison is of the likeliest cause, whatever the verdict. channel_faults names dead and clipped channels,
-    which were left out.
+    causes: the named effects first, then the likeliest; what their probabilities lack of one is that of the nominal rig
+    and of something unmeasured. The response comparison and the rollout are of the first. not_seen is what the records
+    neither bound nor show. channel_faults names dead and clipped channels, which were left out.
     """
 
     verdict: Verdict
-    criterion: str = ""
-    """What decided."""
+    criteria: Criteria
+    evidence: Evidence
+    """All that the verdict follows from."""
+    not_seen: tuple[Bounded, ...]
+    rollout: Rollout | None = None
+    """Whether the motion is predicted better with the named effects; None where none is named."""
     free_decay: bool = False
     """Whether no force was measured."""
     before: Left
     after: Left
-    """With the likeliest cause in the rig; as before where there is none."""
+    """With the first cause in the rig; as before where there is none."""
     matters: Matters
     causes: tuple[Cause, ...]
     probability_nothing: float
     probability_unknown: float
     nothing_minus_two_log: float
-    """Of the believed rig."""
+    """Of the nominal rig."""
     unknown_gain: float | None
     """By how much an unmeasured force lowers it; None where none was looked for."""
     unknown: UnmeasuredForce | None
-    doubted: Cause | None = None
-    """Beside "no gap": a cause that the fitted records show, of which the one that validates tells too little."""
     bands: tuple[Band, ...]
-    equivalent: tuple[tuple[str, ...], ...]
     separate_by: tuple[str, ...]
     """Experiments that confirm or refute the likeliest effects, as "EFFECT: what to do"."""
     next_experiments: tuple[NextExperiment, ...] = ()

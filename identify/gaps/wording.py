@@ -2,16 +2,19 @@
 
 from collections.abc import Sequence
 
-from identify.gaps.results import Between, Cause, Compared, Gap, Left
+from identify.gaps.decision_table import Bounded, Verdict
+from identify.gaps.results import Between, Cause, Compared, Diagnosis, Gap, Left
 from identify.pages import wording
 from identify.pages.wording import number, percent
 from rig.model.unmeasured_force import Value
 
 VERDICTS = {
-    "no_gap": "no gap",
-    "explained": "explained",
-    "partly_explained": "explained in part",
-    "unknown": "unknown cause",
+    Verdict.CONSISTENT: "consistent with rig.json",
+    Verdict.CANNOT_TELL: "cannot tell",
+    Verdict.SMALL: "a difference too small to matter",
+    Verdict.EXPLAINED: "explained",
+    Verdict.PARTLY_EXPLAINED: "explained in part",
+    Verdict.UNEXPLAINED: "not explained",
 }
 
 WHEN = {
@@ -26,7 +29,8 @@ ANALYSES = {
     "between_records": "what differs between the records",
     "response_comparison": "simulated beside measured",
     "next_experiment": "the next experiment",
-    "attribution": "where the gap lies",
+    "attribution": "where the difference lies",
+    "rollout": "prediction from measured states",
 }
 """Side analyses, which a note names."""
 MOST = 0.5
@@ -36,8 +40,44 @@ NOTHING = 0.01
 """A cause whose interval begins below this share is said to close nothing."""
 
 
+LEAST_CHANCE = 1e-12
+"""No p-value below this is told as a number: the tails of no distribution are known so far out."""
+
+
 def verdict(gap: Gap) -> str:
-    return "no gap, but not sure" if gap.doubted else VERDICTS[gap.verdict]
+    return VERDICTS[gap.verdict]
+
+
+def capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def chance(p_value: float) -> str:
+    """Such as "p = 0.43"."""
+    return f"p < {LEAST_CHANCE:g}" if p_value < LEAST_CHANCE else f"p = {number(p_value, 2)}"
+
+
+def quantity(one: Bounded) -> str:
+    """What the records say of a quantity that is not bounded: its reason, or its value and upper bound."""
+    if one.hidden:
+        return f"the {one.name} ({one.why})"
+    if one.unit == "1":
+        return f"the {one.name}, of which {percent(one.value)} and at most {percent(one.upper)} are unexplained"
+    value, upper, limit = (number(x, 3) for x in (one.value, one.upper, one.threshold))
+    return f"the {one.name}, {value} and at most {upper} {one.unit} off, where {limit} {one.unit} are three tolerances"
+
+
+def alternatives(gap: Diagnosis) -> list[tuple[str, list[str]]]:
+    """Each named effect of the first cause that has look-alikes, in words, with those."""
+    if not gap.causes:
+        return []
+    told = {s.effect: w for c in reversed(gap.causes) for s, w in zip(c.strengths, c.words, strict=True)}
+    first = gap.causes[0]
+    return [
+        (words, [told.get(name, name) for name in strength.instead])
+        for words, strength in zip(first.words, first.strengths, strict=True)
+        if strength.is_named and strength.instead
+    ]
 
 
 def interval(found: Value) -> str:
@@ -54,8 +94,8 @@ def interval(found: Value) -> str:
 def cause_name(cause: Cause) -> str:
     """Its effects with the places that they act at: "added_mass (barrel) + preload"."""
     named = []
-    for effect in cause.effects:
-        places = [place for field, place in cause.places.items() if field.split(".")[0] == effect]
+    for effect, label in zip(cause.effects, cause.labels, strict=True):
+        places = [place for field, place in cause.places.items() if field.split(".")[0] == label]
         named.append(f"{effect} ({', '.join(places)})" if places else effect)
     return " + ".join(named)
 
@@ -74,8 +114,8 @@ def closes_some(cause: Cause) -> bool:
 
 
 def leaves(left: Left) -> str:
-    """Shares: "0.3 % of the acceleration, 1.2 % of the force of contact_1 and 0.9 % of that of contact_2"."""
-    shares = [f"{percent(left.share)} of the acceleration"]
+    """Shares: "0.3 % of the motion, 1.2 % of the force of contact_1 and 0.9 % of that of contact_2"."""
+    shares = [f"{percent(left.share)} of the motion"]
     for i, (name, share) in enumerate((n, s) for n, s in left.contact_shares.items() if s > 0):
         shares.append(f"{percent(share)} of {'that' if i else 'the force'} of {name}")
     return joined(shares)
@@ -108,10 +148,10 @@ def not_computed(gap: Gap) -> list[str]:
 
 
 def others(gap: Gap) -> list[tuple[str, float]]:
-    """What the causes leave of probability one: no gap, and something unknown, which is not always looked for."""
+    """What the causes leave of probability one: rig.json as it is, and something unmeasured, if it was looked for."""
     sought = gap.unknown is not None or gap.probability_unknown > 0
-    unknown = "something unknown" if sought else "something unknown (not looked for)"
-    return [("no gap", gap.probability_nothing), (unknown, gap.probability_unknown)]
+    unknown = "something unmeasured" if sought else "something unmeasured (not looked for)"
+    return [("rig.json as it is", gap.probability_nothing), (unknown, gap.probability_unknown)]
 
 
 def probability(value: float) -> str:

@@ -122,6 +122,8 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """
 
     name: ClassVar[str]
+    words: ClassVar[str]
+    """What it is, as a part of a sentence, with its fields in braces; {at} is the place along its body."""
     separated_by: ClassVar[str] = "record for longer and at another level of force"
     """The experiment that tells it from effects that look alike in one record."""
     needs_zero: ClassVar[bool] = False

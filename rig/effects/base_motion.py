@@ -14,6 +14,7 @@ class ShakingBase(Effect, frozen=True):
     """The ground under clamps, springs and stops shakes unmeasured: Gaussian acceleration in a band, be it narrow."""
 
     name: ClassVar[str] = "base_motion"
+    words: ClassVar[str] = "an unmeasured base motion of {acceleration_rms_m_per_s2} rms from {low_hz} to {high_hz}"
     separated_by: ClassVar[str] = "record without force, or put an accelerometer on the base"
     stochastic: ClassVar[bool] = True
     acceleration_rms_m_per_s2: Annotated[float, Parameter("m/s^2", 0.0, 5.0, 0.0)] = 0.5

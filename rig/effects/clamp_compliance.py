@@ -14,6 +14,7 @@ class ClampCompliance(Effect, frozen=True):
     """The clamp turns under the bending moment like a rotational spring E I / (length * compliance)."""
 
     name: ClassVar[str] = "clamp_compliance"
+    words: ClassVar[str] = "a clamp of {beam} that gives way (compliance {compliance})"
     separated_by: ClassVar[str] = (
         "measure close to the clamp, where a clamp that gives moves and a softer beam does not"
     )

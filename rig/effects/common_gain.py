@@ -13,6 +13,7 @@ class CommonGain(Effect, frozen=True):
     """All sensors deliver `factor` times what their calibration says: a common amplifier, or other units."""
 
     name: ClassVar[str] = "common_gain"
+    words: ClassVar[str] = "a gain of all sensors that is {factor}"
     separated_by: ClassVar[str] = "measure one motion with a sensor of another chain, or shake a known free mass"
     factor: Annotated[float, Parameter("1", 0.05, 20.0, 1.0)] = 1.05
 

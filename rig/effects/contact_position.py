@@ -13,6 +13,7 @@ class ContactPosition(Effect, frozen=True):
     """The bodies lie `shift_m` farther along each other than believed, so that the contacts strike at other places."""
 
     name: ClassVar[str] = "contact_position"
+    words: ClassVar[str] = "contacts that strike {shift_m} farther along"
     separated_by: ClassVar[str] = "measure where the parts touch"
     shift_m: Annotated[float, Parameter("m", -0.05, 0.05, 0.0)] = 0.01
 

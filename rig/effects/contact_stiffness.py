@@ -14,6 +14,7 @@ class ContactStiffness(Effect, frozen=True):
     """The stops of a contact are `factor` times as stiff as believed."""
 
     name: ClassVar[str] = "contact_stiffness"
+    words: ClassVar[str] = "a stiffness of {contact} that is {factor}"
     separated_by: ClassVar[str] = "excite more strongly, so that the stops are pressed deeper"
     factor: Annotated[float, Parameter("1", 0.1, 10.0, 1.0)] = 1.3
     contact: str | None = None

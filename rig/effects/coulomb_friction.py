@@ -14,6 +14,7 @@ class CoulombFriction(Effect, frozen=True):
     """Dry friction of this force opposes the relative velocity across a contact, in and out of the gap."""
 
     name: ClassVar[str] = "coulomb_friction"
+    words: ClassVar[str] = "a dry friction of {force_n} in {contact}"
     separated_by: ClassVar[str] = "record at a low level that opens no contact"
     force_n: Annotated[float, Parameter("N", 0.0, 5.0, 0.0)] = 2.0
     contact: str | None = None

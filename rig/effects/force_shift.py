@@ -13,6 +13,7 @@ class ForceShift(Effect, frozen=True):
     """The true force follows the measured one `shift_s` later, or (negative) comes that much before it."""
 
     name: ClassVar[str] = "force_shift"
+    words: ClassVar[str] = "a force that acts {shift_s} later than measured"
     separated_by: ClassVar[str] = "shake a known free mass with the same force sensor"
     shift_s: Annotated[float, Parameter("s", -5e-3, 5e-3, 0.0)] = 5e-4
 

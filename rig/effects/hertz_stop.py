@@ -15,6 +15,7 @@ class HertzStop(Effect, frozen=True):
     """The force of a stop grows with a power of its depth (1.5: Hertz), and equals k depth at `reference_force_n`."""
 
     name: ClassVar[str] = "hertz_stop"
+    words: ClassVar[str] = "a force of the stops of {contact} that grows with the power {exponent} of their depth"
     separated_by: ClassVar[str] = "excite more strongly, so that the stops are pressed deeper"
     exponent: Annotated[float, Parameter("1", 1.0, 2.0, 1.0)] = 1.5
     reference_force_n: float = 20.0

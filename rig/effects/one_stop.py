@@ -15,6 +15,7 @@ class OneStop(Effect, frozen=True):
     """One stop of a contact alone, the upper or the lower, is `factor` times as stiff as believed."""
 
     name: ClassVar[str] = "one_stop"
+    words: ClassVar[str] = "a stiffness of the {side} stop of {contact} that is {factor}"
     separated_by: ClassVar[str] = "press the parts to either side with a static force and compare"
     factor: Annotated[float, Parameter("1", 0.1, 10.0, 1.0)] = 1.5
     contact: str | None = None

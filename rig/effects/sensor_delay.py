@@ -13,6 +13,7 @@ class SensorDelay(Effect, frozen=True):
     """One sensor (the last unless one is named) shows the motion of `delay_s` ago."""
 
     name: ClassVar[str] = "sensor_delay"
+    words: ClassVar[str] = "a delay of {delay_s} in {sensor}"
     separated_by: ClassVar[str] = "exchange the sensor's channel with another and record again"
     delay_s: Annotated[float, Parameter("s", -2e-3, 2e-3, 0.0)] = 5e-4
     sensor: str | None = None

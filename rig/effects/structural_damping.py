@@ -14,6 +14,7 @@ class StructuralDamping(Effect, frozen=True):
     """The modal damping ratios of a body (of all unless one is named) are `factor` times what is believed."""
 
     name: ClassVar[str] = "structural_damping"
+    words: ClassVar[str] = "a damping of {body} that is {factor}"
     separated_by: ClassVar[str] = "record a free decay at a low level that opens no contact"
     factor: Annotated[float, Parameter("1", 0.1, 15.0, 1.0)] = 3.0
     body: str | None = None

@@ -13,6 +13,7 @@ class HarmonicForce(Effect, frozen=True):
     """An unmeasured harmonic force acts on a body: `cosine_n` cos(2 pi f t) + `sine_n` sin(2 pi f t)."""
 
     name: ClassVar[str] = "tone"
+    words: ClassVar[str] = "an unmeasured tone of {frequency_hz} on {body}{at}"
     separated_by: ClassVar[str] = "record without force, with motors and mains switched on and off"
     grid_screened: ClassVar[str | None] = "frequency_hz"
     of_a_record: ClassVar[tuple[str, ...]] = ("cosine_n", "sine_n")

@@ -13,6 +13,7 @@ class YoungsModulus(Effect, frozen=True):
     """Young's modulus of one beam (the last unless one is named) is `factor` times what is believed."""
 
     name: ClassVar[str] = "youngs_modulus"
+    words: ClassVar[str] = "a Young's modulus of {beam} that is {factor}"
     separated_by: ClassVar[str] = (
         "fix a known mass to the beam's end: a softer beam and a giving clamp shift modes differently"
     )

@@ -1,5 +1,6 @@
 """What `identify gap` found, as gap.json says it: where the named effects and the unmeasured force act, and when."""
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,12 +12,15 @@ from rig.files import contents
 from rig.model.description import Rig, Station
 from rig.model.unmeasured_force import UnmeasuredForce, Value
 
-NAMED = {"explained", "partly_explained"}
+NAMED = {"explained", "partly_explained", "small"}
 """Verdicts that name effects."""
+SILENT = {"consistent", "cannot_tell"}
+"""Verdicts that say of no difference where it lies."""
 
 
 class _Cause(msgspec.Struct, frozen=True):
     effects: tuple[str, ...]
+    words: tuple[str, ...]
     parameters: dict[str, Value]
     places: dict[str, str]
 
@@ -81,7 +85,7 @@ def read_gap(path: Path, rig: Rig, duration_s: float) -> ShownGap:
     _check_places(file, rig, (*shares, *(m.place for m in marks)))
     if any(end > duration_s for _, end, _ in spans):
         raise RigError(f"{file}: is of a record longer than {duration_s:g} s; show the one that validates")
-    return ShownGap(_text(report), marks, shares if report.verdict != "no_gap" else {}, spans)
+    return ShownGap(_text(report), marks, shares if report.verdict not in SILENT else {}, spans)
 
 
 def _decoded(file: Path) -> _Gap:
@@ -110,19 +114,20 @@ def _of_effects(report: _Gap, rig: Rig) -> Iterator[Mark]:
     if report.verdict not in NAMED or not report.causes:
         return
     cause = report.causes[0]
-    for effect in cause.effects:
-        own = {n.partition(".")[2]: v for n, v in cause.parameters.items() if n.partition(".")[0] == effect}
-        along = own.pop("relative_position", None)
-        numbers = [f"{v.value:.3g} {v.unit}".removesuffix(" 1") for v in own.values() if not v.instead]
+    seen = Counter[str]()
+    for effect, words in zip(cause.effects, cause.words, strict=True):
+        seen[effect] += 1
+        label = effect if seen[effect] == 1 else f"{effect}_{seen[effect]}"
+        along = cause.parameters.get(f"{label}.relative_position")
         for name, place in cause.places.items():
             at = _station(rig, place, 0.5 if along is None else along.value)
-            if name.partition(".")[0] == effect and at is not None:
-                yield Mark(at, " ".join([effect, *numbers]))
+            if name.partition(".")[0] == label and at is not None:
+                yield Mark(at, words)
 
 
 def _of_force(report: _Gap, rig: Rig) -> Iterator[Mark]:
     force = report.unknown
-    if force is None or report.verdict == "no_gap":
+    if force is None or report.verdict in SILENT:
         return
     largest = max(force.by_time, default=0.0)
     strengths = tuple(part / largest for part in force.by_time) if largest > 0 else (1.0,)
@@ -153,6 +158,6 @@ def _text(report: _Gap) -> str:
             f"**{report.verdict.replace('_', ' ').capitalize()}**",
             report.sentence,
             *([report.unknown.sentence] if report.unknown else []),
-            *([f"Of the gap: {states}."] if states and report.verdict != "no_gap" else []),
+            *([f"Of the gap: {states}."] if states and report.verdict not in SILENT else []),
         ]
     )

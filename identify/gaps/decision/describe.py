@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from msgspec.structs import asdict
 
 from identify.gaps.decision.attribution import attribution
-from identify.gaps.decision.causes import ALIKE, bands_of, cause_of, confirmed_by, equivalent, left_of
+from identify.gaps.decision.causes import bands_of, cause_of, confirmed_by, left_of
 from identify.gaps.decision.differences import differences
 from identify.gaps.decision.experiment import next_experiments
 from identify.gaps.decision.hypotheses import Searched
@@ -15,9 +15,20 @@ from identify.gaps.decision.notes import Attempt, attempted
 from identify.gaps.decision.prepare import Prepared
 from identify.gaps.decision.response_comparison import compared
 from identify.gaps.decision.sentence import sentence
-from identify.gaps.decision.verdict import Decision, doubted
+from identify.gaps.decision.verdict import ALIKE, Decision
 from identify.gaps.residual.likelihood import Misfit
-from identify.gaps.results import Attribution, Between, Curve, Diagnosis, Figure, Gap, Matters, NextExperiment, Note
+from identify.gaps.results import (
+    Attribution,
+    Between,
+    Criteria,
+    Curve,
+    Diagnosis,
+    Figure,
+    Gap,
+    Matters,
+    NextExperiment,
+    Note,
+)
 from identify.gaps.search.hypothesis import Hypothesis
 from identify.gaps.unmeasured_force import described
 from identify.linear.joined import joined
@@ -36,19 +47,20 @@ def describe(
     """The answer. With ask_next the next experiment is computed where two causes stay alike."""
     decision, record = judgement.decision, prepared.validation.record
     sides = _side_analyses(prepared, searched, judgement, matters, ask_next, progress)
-    told = [
-        (weighed.judged, cause_of(weighed.judged, record, weighed.probability, prepared.null_reference, matters))
-        for weighed in decision.weighed
-        if weighed.judged.hypothesis.parts
-    ]
-    causes = tuple(cause for _, cause in told)
-    doubt = doubted(decision)
+    weighed = sorted(
+        (w for w in decision.weighed if w.judged.hypothesis.parts), key=lambda w: w.judged is not decision.named
+    )
+    causes = tuple(cause_of(w, decision.weighed, record, prepared.null_reference, matters) for w in weighed)
+    evidence = decision.evidence
     diagnosis = Diagnosis(
         verdict=decision.verdict,
-        criterion=decision.criterion,
+        criteria=Criteria(evidence.differs, evidence.bounded, evidence.named, evidence.enough),
+        evidence=evidence,
+        not_seen=evidence.not_seen,
+        rollout=judgement.rollout.value,
         free_decay=not any(one.record.forced for one in prepared.observations),
-        before=left_of(decision.without, record.rig, decision.p_before),
-        after=left_of(decision.after, record.rig, decision.p_after),
+        before=left_of(decision.without, record.rig, evidence.p_value),
+        after=left_of(decision.after, record.rig, evidence.p_value_after),
         matters=matters,
         causes=causes,
         probability_nothing=decision.probability_nothing,
@@ -56,10 +68,8 @@ def describe(
         nothing_minus_two_log=decision.nothing.misfit.minus_two_log,
         unknown_gain=judgement.unmeasured.gain,
         unknown=sides.unknown,
-        doubted=next((cause for judged, cause in told if judged is doubt), None),
         bands=bands_of(decision.without, decision.after, prepared.null_reference),
-        equivalent=equivalent(causes),
-        separate_by=confirmed_by(causes, [judged for judged, _ in told]),
+        separate_by=confirmed_by(causes, [w.judged for w in weighed]),
         next_experiments=sides.next_experiments,
         next_between=sides.next_between,
         attribution=sides.attribution,
@@ -67,7 +77,7 @@ def describe(
         curves=sides.curves,
         between=sides.between,
         channel_faults=prepared.channel_faults,
-        notes=(*judgement.unmeasured.notes, *sides.notes),
+        notes=(*judgement.rollout.notes, *judgement.unmeasured.notes, *sides.notes),
     )
     return Gap(**asdict(diagnosis), sentence=sentence(diagnosis))
 
@@ -125,7 +135,7 @@ def _between(
         return Attempt()
     records = [one.record for one in prepared.observations]
     references = [one.reference for one in prepared.observations]
-    cause = decision.best if decision.helps else None
+    cause = decision.named if decision.helps else None
     return attempted(
         "between_records",
         lambda: differences(records, references, cause, searched.candidates, prepared.titles, progress),

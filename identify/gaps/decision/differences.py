@@ -19,10 +19,11 @@ from jaxtyping import Float
 from scipy.stats import chi2
 
 from identify.gaps.decision.comparison import TEMPERATURE, Judged, of_this_record
+from identify.gaps.decision_table import USUAL
 from identify.gaps.residual.fit import Values
 from identify.gaps.residual.likelihood import Reference
 from identify.gaps.residual.spectra import Record
-from identify.gaps.results import USUAL, Between, Compared, Trend
+from identify.gaps.results import Between, Compared, Trend
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.hypothesis import applied, parameters_of, steps_of
 from identify.gaps.search.pooled import Information, Linearised, Pooled, linearised, pooled

@@ -8,9 +8,9 @@ from identify.gaps.residual.likelihood import Reference
 from identify.gaps.residual.spectra import Record
 from identify.gaps.search.candidates import Candidate, candidates, scale_of
 from identify.gaps.search.hypothesis import Hypothesis, Search
-from identify.gaps.search.joint import search as search_jointly
 from identify.gaps.search.nominal import fit_nuisance
 from identify.gaps.search.pooled import fitted_together
+from identify.gaps.search.sparse import search as search_sets
 
 
 @dataclass(frozen=True)
@@ -36,5 +36,5 @@ def search(prepared: Prepared, progress: Callable[[float], None] = lambda _: Non
 def search_record(record: Record, reference: Reference, progress: Callable[[float], None] = lambda _: None) -> Searched:
     linearization, residual = fit_nuisance(record, record.rig)
     known = candidates(scale_of(record, record.rig), [s.name for s in record.sensors], record.zero_known, record.forced)
-    hypotheses = search_jointly(Search(reference, linearization, residual, tuple(known)), progress)
+    hypotheses = search_sets(Search(reference, linearization, residual, tuple(known)), progress)
     return Searched(tuple(hypotheses), tuple(known))

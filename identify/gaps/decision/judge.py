@@ -3,25 +3,31 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from identify.gaps.decision.bounds import Difference, contact_bounds, share_bounds
 from identify.gaps.decision.comparison import Judged, closed, judged, log_priors
 from identify.gaps.decision.hypotheses import Searched
-from identify.gaps.decision.notes import attempted
+from identify.gaps.decision.notes import Attempt, attempted
+from identify.gaps.decision.null_reference import p_value
+from identify.gaps.decision.prediction import predicted
 from identify.gaps.decision.prepare import Prepared, PreparedRecording
-from identify.gaps.decision.verdict import HALF, Decision, acts_where_they_do, decided, nothing_of
+from identify.gaps.decision.verdict import Decision, Rivals, acts_where_they_do, decided, nominal_of
+from identify.gaps.decision_table import HALF, Bounded, Verdict, all_hold
 from identify.gaps.residual.likelihood import Misfit, misfit
 from identify.gaps.residual.residual import Linearization, Residual
-from identify.gaps.results import USUAL, Matters, Note
+from identify.gaps.results import Matters, Note
+from identify.gaps.rollout.results import Rollout
 from identify.gaps.search.contact_laws import with_contact_fit
 from identify.gaps.search.hypothesis import WORTH
 from identify.gaps.search.nominal import fit_nuisance
 from identify.gaps.unmeasured_force import UnmeasuredForceFit, likeliest_force
 from identify.gaps.unmeasured_force.clearance_modulation import ClearanceModulation, clearance_modulation
+from identify.linear.joined import joined
 from rig.model.description import Rig
 
 
 @dataclass(frozen=True)
 class Unmeasured:
-    """What acts unmeasured, or swings, beside the believed rig, or the likeliest effects if they explain a part.
+    """What acts unmeasured, or swings, beside the believed rig, or the named effects if they explain a part.
 
     gain is by how much -2 ln p of the believed rig falls with the force that explains it best; None where none was
     looked for.
@@ -38,6 +44,7 @@ class Judgement:
     """The decision on the validation record; linearization and residual there are those of the believed rig."""
 
     decision: Decision
+    rollout: Attempt[Rollout]
     unmeasured: Unmeasured
     linearization: Linearization
     residual: Residual
@@ -46,21 +53,52 @@ class Judgement:
 def judge(
     prepared: Prepared, searched: Searched, matters: Matters, progress: Callable[[float], None] = lambda _: None
 ) -> Judgement:
-    """Every hypothesis on the validation record, with something unmeasured where tolerances and noise leave less.
-
-    Effects that leave more than tolerances and noise must be likelier than something unmeasured, however little it is.
-    """
-    validation = prepared.validation
+    """The difference, every hypothesis on the validation record, whether the named effects predict the motion, and
+    something unmeasured where they do not suffice."""
+    validation, null_reference = prepared.validation, prepared.null_reference
     record = validation.record
     linearization, residual = fit_nuisance(record, record.rig, rounds=1)
     priors = log_priors(searched.hypotheses, searched.candidates)
     ranked = judged(record, validation.reference, residual, searched.hypotheses, priors, progress)
     ranked = _with_contact_fit(prepared, ranked, residual)
-    decision = decided(ranked, None, prepared.null_reference, matters)
+    difference = difference_of(prepared, residual, matters)
+    decision = decided(ranked, difference, null_reference, matters)
+    rollout: Attempt[Rollout] = Attempt()
+    if decision.helps and decision.named:
+        named = decision.named
+        rollout = attempted("rollout", lambda: predicted(prepared, residual, named))
+        vetoed = rollout.value is not None and rollout.value.vetoed
+        decision = decided(ranked, difference, null_reference, matters, vetoed=vetoed)
     unmeasured = Unmeasured()
-    if decision.verdict != "no_gap" and (decision.verdict != "explained" or decision.p_after < USUAL):
-        decision, unmeasured = _with_a_force(prepared, ranked, residual, matters)
-    return Judgement(decision, unmeasured, linearization, residual)
+    if decision.verdict in INCOMPLETE:
+        decision, unmeasured = _with_a_force(prepared, ranked, difference, residual, matters, decision)
+    return Judgement(decision, rollout, unmeasured, linearization, residual)
+
+
+INCOMPLETE = (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED)
+"""Verdicts with which something is left to be described."""
+
+
+def difference_of(prepared: Prepared, residual: Residual, matters: Matters) -> Difference:
+    """How the believed rig and all records differ; `residual` is that of the record that validates.
+
+    Contact parameters are looked at where no share exceeds what matters: else that is bounded by nothing anyway.
+    """
+    validation = prepared.validation
+    residuals = [
+        residual if one is validation else fit_nuisance(one.record, one.record.rig, rounds=1)[1]
+        for one in prepared.observations
+    ]
+    left = [misfit(one.record, one.reference, at) for one, at in zip(prepared.observations, residuals, strict=True)]
+    p = p_value(list(zip(prepared.null_references, left, strict=True)))
+    rig = validation.record.rig
+    names = [f"force of {contact.name}" for contact in joined(rig).contacts]
+    motion, *contacts = share_bounds(left[prepared.validating], names, matters)
+    parameters: tuple[Bounded, ...] = ()
+    if all_hold((motion, *contacts)):
+        recordings = [one.recording for one in prepared.observations]
+        parameters = contact_bounds(recordings, rig, validation.record.tolerances)
+    return Difference(p, motion, tuple(contacts), parameters)
 
 
 def _with_contact_fit(prepared: Prepared, ranked: list[Judged], residual: Residual) -> list[Judged]:
@@ -81,38 +119,34 @@ def _with_contact_fit(prepared: Prepared, ranked: list[Judged], residual: Residu
 
 
 def _with_a_force(
-    prepared: Prepared, ranked: Sequence[Judged], residual: Residual, matters: Matters
+    prepared: Prepared,
+    ranked: Sequence[Judged],
+    difference: Difference,
+    residual: Residual,
+    matters: Matters,
+    decision: Decision,
 ) -> tuple[Decision, Unmeasured]:
     """The decision with an unmeasured force as a rival of the effects; where they explain half, as their companion."""
     validation, null_reference = prepared.validation, prepared.null_reference
-    record = validation.record
+    record, vetoed = validation.record, decision.evidence.vetoed
     alone = attempted("unmeasured_force", lambda: likeliest_force(prepared.searched.record, record.rig, record))
-    nothing = nothing_of(ranked)
+    nothing = nominal_of(ranked)
     cost = cost_with(validation, record.rig, alone.value, nothing.misfit) if alone.value else None
     gain = None if cost is None else nothing.misfit.minus_two_log - cost
-    decision = decided(ranked, cost, null_reference, matters)
-    force, best = alone, decision.best
-    if _names_or_nothing(decision):
-        return decision, Unmeasured(gain=gain, notes=alone.notes)
-    if best and closed(best.without, best.misfit, matters) >= HALF:
-        rig = best.rig
+    decision = decided(ranked, difference, null_reference, matters, Rivals(cost), vetoed)
+    force, named = alone, decision.named
+    if named and closed(named.without, named.misfit, matters) >= HALF:
+        rig = named.rig
         beside = attempted("unmeasured_force", lambda: likeliest_force(prepared.searched.record, rig, record))
         companion = beside.value
         if companion and acts_where_they_do(companion.on_fit.candidate, record.rig, rig):
             companion = None
-        cost_beside = cost_with(validation, rig, companion, best.misfit) if companion else None
-        decision = decided(ranked, cost, null_reference, matters, cost_beside)
-        if decision.verdict == "partly_explained":
+        cost_beside = cost_with(validation, rig, companion, named.misfit) if companion else None
+        decision = decided(ranked, difference, null_reference, matters, Rivals(cost, cost_beside), vetoed)
+        if decision.verdict == Verdict.PARTLY_EXPLAINED:
             force, residual = beside, fit_nuisance(record, rig, rounds=1)[1]
-        if _names_or_nothing(decision):
-            return decision, Unmeasured(gain=gain, notes=force.notes)
     modulation = attempted("clearance_modulation", lambda: clearance_modulation(record, residual))
     return decision, Unmeasured(force.value, modulation.value, gain, (*force.notes, *modulation.notes))
-
-
-def _names_or_nothing(decision: Decision) -> bool:
-    """Whether nothing is left to be described."""
-    return decision.verdict in ("no_gap", "explained")
 
 
 def cost_with(validation: PreparedRecording, rig: Rig, force: UnmeasuredForceFit, alone: Misfit) -> float:

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from identify.gaps.decision.null_reference import NullReference, Simulate, null_reference_of
+from identify.gaps.decision.null_reference import NullReference, Simulate, null_key, null_reference_of
 from identify.gaps.decision.recordings import parts_of, sound
 from identify.gaps.decision.release import released
 from identify.gaps.residual.likelihood import Reference, reference_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import Record, record_of
+from identify.gaps.rollout.windows import Predict
 from rig.errors import RigError
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
@@ -20,14 +21,17 @@ from rig.recording import Recording
 
 @dataclass(frozen=True)
 class Simulator:
-    """What simulates a rig under a measured force, and its name."""
+    """What simulates a rig under a measured force, and its name; and what predicts it from measured states, if known."""
 
     name: str
     simulate: Simulate
+    predict: Predict | None = None
 
 
-SIMULATORS = "identify.simulators"
-"""The entry points by which packages offer simulators."""
+SIMULATORS, PREDICTORS = "identify.simulators", "identify.predictors"
+"""The entry points by which packages offer what simulates a rig, and what predicts it from measured states."""
+PREDICTOR = "modal"
+"""Predicts where the simulator's package offers no predictor of the same name."""
 
 
 def simulator_named(name: str) -> Simulator:
@@ -35,7 +39,9 @@ def simulator_named(name: str) -> Simulator:
     offered = {point.name: point for point in entry_points(group=SIMULATORS)}
     if name not in offered:
         raise RigError(f"no simulator {name!r}; there are {', '.join(sorted(offered))}")
-    return Simulator(name, offered[name].load())
+    predictors = {point.name: point for point in entry_points(group=PREDICTORS)}
+    predictor = predictors.get(name) or predictors.get(PREDICTOR)
+    return Simulator(name, offered[name].load(), predictor.load() if predictor else None)
 
 
 @dataclass(frozen=True)
@@ -56,14 +62,21 @@ class PreparedRecording:
 class Prepared:
     """Observations of one rig in the order of their time; the one at `validating` is fitted by no effect.
 
-    simulate makes recordings of that rig under a force, or of its free decay where no force was measured.
+    simulate makes recordings of that rig under a force, or of its free decay where no force was measured; predict runs
+    it from measured states. Each observation has the null reference of its level and length.
     """
 
     observations: tuple[PreparedRecording, ...]
     validating: int
     channel_faults: dict[str, str]
     simulate: Simulate
-    null_reference: NullReference
+    predict: Predict | None
+    null_references: tuple[NullReference, ...]
+
+    @property
+    def null_reference(self) -> NullReference:
+        """That of the record that validates."""
+        return self.null_references[self.validating]
 
     @property
     def validation(self) -> PreparedRecording:
@@ -99,7 +112,7 @@ def prepare(
     tolerances: Tolerances | None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Prepared:
-    """Recordings without faulty channels, their spectra, and the null reference of the one that validates.
+    """Recordings without faulty channels, their spectra, and the null reference of each.
 
     Tolerances say how exactly the rig is believed (else the rig itself does, else they are a laboratory's). Raises
     RigError if the recordings do not fit together or allow no diagnosis.
@@ -108,12 +121,23 @@ def prepare(
     believed = tolerances or parts[0].rig.tolerances or LABORATORY
     parts, channel_faults = sound(*parts)
     observations = tuple(observed(part, believed) for part in parts)
-    measured = observations[validating]
-    simulate = simulator.simulate
-    if not measured.record.forced:
-        simulate = released(measured.recording, simulate)
-    null_reference = null_reference_of(measured.recording, believed, simulate, simulator.name, progress, kept)
-    return Prepared(observations, validating, channel_faults, simulate, null_reference)
+    simulates = [
+        simulator.simulate if one.record.forced else released(one.recording, simulator.simulate) for one in observations
+    ]
+    keys = [null_key(one.recording, believed, simulator.name) for one in observations]
+    known: dict[str, NullReference] = {}
+    first = {key: k for k, key in reversed(list(enumerate(keys)))}
+    for number, (key, k) in enumerate(first.items()):
+
+        def told(share: float, number: int = number) -> None:
+            progress((number + share) / len(first))
+
+        recording, simulate = observations[k].recording, simulates[k]
+        known[key] = null_reference_of(
+            recording, believed, simulate, simulator.name, told, kept, predict=simulator.predict
+        )
+    references = tuple(known[key] for key in keys)
+    return Prepared(observations, validating, channel_faults, simulates[validating], simulator.predict, references)
 
 
 def observed(recording: Recording, tolerances: Tolerances) -> PreparedRecording:

@@ -1,56 +1,148 @@
-"""The verdict in a sentence, with the criterion that decided."""
+"""The verdict in sentences, made from what gap.json says alone."""
 
-from identify.gaps.results import USUAL, Cause, Diagnosis
-from identify.gaps.wording import MOST, between_records, cause_name, closes, closes_some, interval, joined, leaves
+from identify.gaps.decision_table import USUAL, Bounded, Verdict
+from identify.gaps.results import Cause, Diagnosis
+from identify.gaps.wording import MOST, alternatives, between_records, capital, chance, joined, leaves, quantity
 from identify.pages.wording import percent
 
 UNSCALED = (
     "No force was measured: a common factor of mass and stiffnesses, which rest on the mass in rig.json, does not "
     "show, nor one of clearances and gains of the sensors; faults of channels are not looked for."
 )
+WORSE = {
+    "worse": "With it the rig predicts the measured motion worse than without it.",
+    "no_improvement": "With it the rig does not predict the measured motion better, though it would if that were all.",
+}
+"""By the code of the rollout that vetoes."""
 
 
 def sentence(diagnosis: Diagnosis) -> str:
-    """The diagnosis in words, made from what gap.json says."""
-    said = [_verdict(diagnosis), *_alternatives(diagnosis), *_limits(diagnosis), f"Criterion: {diagnosis.criterion}."]
+    """The diagnosis in words: the verdict, what stands in the place of names, what was not seen."""
+    said = [*_VERDICTS[diagnosis.verdict](diagnosis), *_alternatives(diagnosis), *_limits(diagnosis)]
+    said += [] if diagnosis.verdict == Verdict.CANNOT_TELL else _not_seen(diagnosis)
     said += [UNSCALED] if diagnosis.free_decay else []
     said += [between_records(diagnosis.between)] if diagnosis.between else []
     said += [f"Channel {name} is {what} and was left out." for name, what in diagnosis.channel_faults.items()]
     return " ".join(said)
 
 
-def _verdict(gap: Diagnosis) -> str:
-    if gap.verdict == "no_gap":
-        small = gap.matters.times(gap.before.share, gap.before.contact_shares.values()) <= 1
-        usual = gap.before.p_value >= USUAL
-        if gap.doubted:
-            return _doubt(gap, gap.doubted)
-        what = "that matters" if small else "beyond tolerances and noise" if usual else "that surely matters"
-        return f"There is no gap {what}: the believed rig leaves {leaves(gap.before)} unexplained."
-    if gap.verdict == "unknown":
-        found = f"There is a gap that no effect of the library explains. {_looks(gap, 'It')}"
-        if not gap.causes or not closes_some(gap.causes[0]):
-            return f"{found} The likeliest effects close nothing of it."
-        return f"{found} {cause_name(gap.causes[0])}, the likeliest effect, closes only {closes(gap.causes[0])}."
-    best = gap.causes[0]
-    one = len(best.effects) == 1
-    explains, it_closes = ("explains", "it closes") if one else ("explain", "together they close")
-    how = f"{it_closes} {closes(best)} and {'leaves' if one else 'leave'} {leaves(gap.after)} unexplained"
-    if gap.verdict == "explained":
-        return f"{cause_name(best)} {explains} the gap: {how}."
-    return f"{cause_name(best)} {explains} the gap in part: {how}. {_looks(gap, 'The rest')}"
+def _consistent(gap: Diagnosis) -> list[str]:
+    return [
+        f"The machine is as rig.json says, as far as it matters: at most {_bounds(gap.evidence.quantities)} may be "
+        f"otherwise, and what is left is what tolerances and noise leave ({chance(gap.evidence.p_value)})."
+    ]
 
 
-def _doubt(gap: Diagnosis, cause: Cause) -> str:
-    values = joined([f"{name} {interval(value)}" for name, value in cause.parameters.items()])
-    return (
-        f"That there is no gap is not sure: {cause_name(cause)} explains what was fitted ({values}), and what "
-        f"validates tells too little of it; there the believed rig leaves {leaves(gap.before)} unexplained."
+def _cannot_tell(gap: Diagnosis) -> list[str]:
+    begin = (
+        f"These records do not tell whether rig.json is right: no difference is certain ({chance(gap.before.p_value)})"
     )
+    exceeding = [q for q in gap.evidence.quantities if not q.holds and not q.not_seen]
+    if exceeding:
+        begin += f", though {joined([quantity(q) for q in exceeding])}"
+    said = [f"{begin}."]
+    return said + _not_seen(gap)
+
+
+def _small(gap: Diagnosis) -> list[str]:
+    small = f"{_bounds(gap.evidence.quantities)} at most, less than what matters"
+    if named := _named(gap):
+        return [f"{capital(joined(named.named))} {_is(named)} certain, and too small to matter: {small}."]
+    return [
+        f"The machine differs from rig.json ({chance(gap.before.p_value)}), by too little to matter: {small}. No effect "
+        "of the library is named for it."
+    ]
+
+
+def _explained(gap: Diagnosis) -> list[str]:
+    named = gap.causes[0]
+    explain = "explains" if len(named.named) == 1 else "explain"
+    rest = "" if gap.after.p_value < USUAL else f", what tolerances and noise leave ({chance(gap.after.p_value)})"
+    return [
+        f"{capital(joined(named.named))} {explain} the difference: the rig leaves {leaves(gap.after)} unexplained{rest}, "
+        f"and without {_them(named)} {leaves(gap.before)}."
+    ]
+
+
+def _partly_explained(gap: Diagnosis) -> list[str]:
+    named = gap.causes[0]
+    explain = "explains" if len(named.named) == 1 else "explain"
+    return [
+        f"{capital(joined(named.named))} {explain} the difference in part: {_removes(gap)}, and {leaves(gap.after)} stay "
+        "unexplained.",
+        *_veto(gap),
+        _looks(gap, "The rest"),
+    ]
+
+
+def _unexplained(gap: Diagnosis) -> list[str]:
+    said = [
+        f"The machine differs from rig.json ({chance(gap.evidence.p_value)}), which leaves {leaves(gap.before)} "
+        "unexplained."
+    ]
+    if named := _named(gap):
+        said.append(f"{capital(joined(named.named))} {_is(named)} likely, and {_removes(gap)}.")
+        said += _veto(gap)
+    else:
+        said.append("No effect of the library is named for it.")
+    return [*said, _looks(gap, "It")]
+
+
+_VERDICTS = {
+    Verdict.CONSISTENT: _consistent,
+    Verdict.CANNOT_TELL: _cannot_tell,
+    Verdict.SMALL: _small,
+    Verdict.EXPLAINED: _explained,
+    Verdict.PARTLY_EXPLAINED: _partly_explained,
+    Verdict.UNEXPLAINED: _unexplained,
+}
+
+
+def _named(gap: Diagnosis) -> Cause | None:
+    """The first cause, if an effect of it is named."""
+    return gap.causes[0] if gap.causes and gap.causes[0].named else None
+
+
+def _is(cause: Cause) -> str:
+    return "is" if len(cause.named) == 1 else "are"
+
+
+def _them(cause: Cause) -> str:
+    return "it" if len(cause.named) == 1 else "them"
+
+
+def _removes(gap: Diagnosis) -> str:
+    """What the named effects remove of the mismatch."""
+    cause = gap.causes[0]
+    verb = "removes" if len(cause.named) == 1 else "remove"
+    return f"{verb} {percent(cause.explained)} of it" if cause.explained > 0 else f"{verb} nothing of it"
+
+
+def _veto(gap: Diagnosis) -> list[str]:
+    return [WORSE[gap.rollout.code]] if gap.rollout and gap.rollout.vetoed else []
+
+
+def _bounds(quantities: tuple[Bounded, ...]) -> str:
+    """Upper bounds of the shares: "0.3 % of the motion and 1.2 % of the force of contact_1"."""
+    shares = [q for q in quantities if q.unit == "1"]
+    text = joined([f"{percent(q.upper)} of the {q.name}" for q in shares])
+    further = (
+        " and every clearance, stiffness and damping within three tolerances" if len(quantities) > len(shares) else ""
+    )
+    return text + further
+
+
+def _not_seen(gap: Diagnosis) -> list[str]:
+    """What the records neither bound nor show, and what would show it."""
+    said = []
+    for one in gap.not_seen:
+        what = quantity(one)
+        said.append(f"Not seen: {what}{f'; {one.remedy}' if one.remedy else ''}.")
+    return said
 
 
 def _looks(gap: Diagnosis, what: str) -> str:
-    """What an unmeasured force tells of the gap, or of its rest, and how much of it where that is not most."""
+    """What an unmeasured force tells of the difference, or of its rest, and how much of it where that is not most."""
     if gap.unknown is None:
         return f"{what} has no form that was recognised."
     if gap.unknown.explained >= MOST:
@@ -61,19 +153,18 @@ def _looks(gap: Diagnosis, what: str) -> str:
 
 def _alternatives(gap: Diagnosis) -> list[str]:
     """What may stand in the place of an effect that is named."""
-    if gap.verdict not in ("explained", "partly_explained"):
-        return []
     return [
-        f"In place of {effect} it may be {joined(others, 'or')}: these records hardly tell them apart."
-        for effect, *others in gap.equivalent
+        f"In place of {words} it may be {joined(others, 'or')}: these records hardly tell them apart."
+        for words, others in alternatives(gap)
     ]
 
 
 def _limits(gap: Diagnosis) -> list[str]:
     """A parameter that stands at the end of what was searched may be larger, or its effect wrong."""
-    if gap.verdict not in ("explained", "partly_explained"):
+    named = _named(gap)
+    if not named:
         return []
-    at_limit = [name for name, value in gap.causes[0].parameters.items() if value.at_limit]
+    at_limit = [name for name, value in named.parameters.items() if value.at_limit]
     if not at_limit:
         return []
     stand = "stands at the limit of its range" if len(at_limit) == 1 else "stand at the limits of their ranges"

@@ -1,33 +1,31 @@
-"""The verdict: one statistic, and what is too small to matter."""
+"""What hypotheses, judged on the validation record, say together: probabilities, names, what is left, the verdict."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from identify.gaps.decision.comparison import (
-    PRIOR_UNKNOWN,
-    TEMPERATURE,
-    Judged,
-    closed,
-    matters_surely,
-    probabilities,
-    size,
-)
-from identify.gaps.decision.null_reference import NullReference
+from identify.gaps.decision.bounds import Difference, share_bounds
+from identify.gaps.decision.comparison import PRIOR_UNKNOWN, TEMPERATURE, Judged, closed, probabilities
+from identify.gaps.decision.null_reference import NullReference, p_value
+from identify.gaps.decision_table import Evidence, Strength, Verdict
 from identify.gaps.residual.likelihood import Misfit
-from identify.gaps.results import USUAL, Matters, Verdict
+from identify.gaps.results import Matters
 from identify.gaps.search.attached import ATTACHED
+from identify.gaps.search.candidates import Candidate
+from identify.gaps.search.hypothesis import Hypothesis
 from identify.gaps.unmeasured_force.force import SAME_M
 from identify.gaps.unmeasured_force.location import ForcePlace
+from identify.pages.wording import COVERED
 from rig.model.description import Rig
 
-HALF = 0.5
-"""An effect explains the gap in part if it closes this share of it: more than it leaves."""
-DOUBT = float(np.log(19))
-"""Logarithm of the odds."""
 UNKNOWN_PLACES = 100
 """An unknown force may act at so many places that a record tells apart (bodies of some metres, 20 mm each)."""
+ALIKE = 0.05
+"""Hypotheses that are likelier than this beside the best one cannot be told apart from it."""
+HELPS = (Verdict.SMALL, Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED)
+"""Verdicts with which named effects correct the rig."""
 
 
 @dataclass(frozen=True)
@@ -38,46 +36,54 @@ class Weighed:
     probability: float
 
 
-def nothing_of(ranked: Sequence[Judged]) -> Judged:
-    """The believed rig among hypotheses."""
+@dataclass(frozen=True)
+class Rivals:
+    """-2 ln p of the validation record with something unmeasured: the force that explains it best (`alone`), and the
+    one that explains best what the likeliest effects leave (`beside`); None where none was looked for."""
+
+    alone: float | None = None
+    beside: float | None = None
+
+
+def nominal_of(ranked: Sequence[Judged]) -> Judged:
+    """The nominal rig among hypotheses."""
     return next(j for j in ranked if not j.hypothesis.parts)
 
 
 @dataclass(frozen=True)
 class Decision:
-    """The verdict with the reason for it, the hypotheses judged, likeliest first, and the probability of something
-    unknown. p_before and p_after are p-values of what the believed rig leaves, and the likeliest effects."""
+    """The evidence with its verdict, the hypotheses, likeliest first, and the probability of something unmeasured.
 
-    verdict: Verdict
-    criterion: str
+    named is the hypothesis of the named effects alone, if it was judged, else the likeliest one with effects.
+    """
+
+    evidence: Evidence
     weighed: tuple[Weighed, ...]
     unknown: float
-    p_before: float
-    p_after: float
+    named: Judged | None
+
+    @property
+    def verdict(self) -> Verdict:
+        return self.evidence.verdict
 
     @property
     def nothing(self) -> Judged:
-        """The believed rig."""
-        return nothing_of([w.judged for w in self.weighed])
+        """The nominal rig."""
+        return nominal_of([w.judged for w in self.weighed])
 
     @property
     def probability_nothing(self) -> float:
         return next(w.probability for w in self.weighed if w.judged is self.nothing)
 
     @property
-    def best(self) -> Judged | None:
-        """The likeliest hypothesis with effects, whatever the verdict."""
-        return next((w.judged for w in self.weighed if w.judged.hypothesis.parts), None)
-
-    @property
     def helps(self) -> bool:
-        """Whether effects explain the gap, at least in part."""
-        return self.verdict in ("explained", "partly_explained")
+        """Whether effects are named that correct the rig."""
+        return self.verdict in HELPS and bool(self.evidence.named) and not self.evidence.vetoed
 
     @property
     def likeliest_rig(self) -> Rig | None:
-        """With the likeliest effects and what was fitted beside them, whatever the verdict."""
-        return self.best.corrected if self.best else None
+        """With the named effects and what was fitted beside them, whatever the verdict."""
+        return self.named.corrected if self.named else None
 
     @property
     def corrected_rig(self) -> Rig | None:
@@ -85,64 +91,95 @@ class Decision:
 
     @property
     def without(self) -> Misfit:
-        """What the believed rig leaves with the nuisance parameters of the likeliest effects."""
-        return self.best.without if self.best else self.nothing.misfit
+        """What the nominal rig leaves with the nuisance parameters of the named effects."""
+        return self.named.without if self.named else self.nothing.misfit
 
     @property
     def after(self) -> Misfit:
-        """What is left with the likeliest effects."""
-        return self.best.misfit if self.best else self.nothing.misfit
+        """What is left with the named effects."""
+        return self.named.misfit if self.named else self.nothing.misfit
 
     @property
     def left_to_describe(self) -> Misfit:
-        """What the likeliest effects leave if they explain a part, else what the believed rig leaves."""
-        return self.after if self.verdict == "partly_explained" else self.nothing.misfit
+        """What the named effects leave if they explain a part, else what the nominal rig leaves."""
+        return self.after if self.verdict == Verdict.PARTLY_EXPLAINED else self.nothing.misfit
 
 
 def decided(
     ranked: Sequence[Judged],
-    unknown: float | None,
+    difference: Difference,
     null_reference: NullReference,
     matters: Matters,
-    beside: float | None = None,
+    rivals: Rivals | None = None,
+    vetoed: bool = False,
 ) -> Decision:
-    """From hypotheses judged on the validation record, likeliest first; `unknown` is -2 ln p of it with the unmeasured
-    force that explains it best.
+    """From hypotheses judged on the validation record, likeliest first.
 
-    A gap that matters, and that tolerances and noise do not explain, is one: the probability of the believed rig alone
-    is then that of something unknown. `beside` is -2 ln p with the likeliest effects and the unmeasured force that
-    explains best what they leave: they are then as likely as they are alone or with it.
+    Something unmeasured is a rival of effects; as their companion, it makes them as likely as they are alone or with
+    it. Raises nothing: what is not told is no name.
     """
-    nothing = nothing_of(ranked)
+    rivals = rivals or Rivals()
     best = next((j for j in ranked if j.hypothesis.parts), None)
     scores = [j.log_posterior for j in ranked]
     if best:
-        with_force = _log_posterior(best.log_prior, beside)
-        scores[ranked.index(best)] = float(np.logaddexp(best.log_posterior, with_force))
-    scores.append(_log_posterior(0.0, unknown))
-    *likely, of_unknown = (float(p) for p in probabilities(np.array(scores)))
-    p_before = null_reference.p_value(nothing.misfit)
-    p_after = null_reference.p_value(best.misfit) if best else p_before
-    if matters_surely(nothing.misfit, matters) and p_before < USUAL:
-        alone = ranked.index(nothing)
-        of_unknown, likely[alone] = of_unknown + likely[alone], 0.0
-    verdict, criterion = _judged(ranked, nothing, best, of_unknown > max(likely), p_before, p_after, matters)
-    weighed = tuple(Weighed(one, probability) for one, probability in zip(ranked, likely, strict=True))
-    return Decision(verdict, criterion, weighed, of_unknown, p_before, p_after)
+        beside = _log_posterior(best.log_prior, rivals.beside)
+        scores[ranked.index(best)] = float(np.logaddexp(best.log_posterior, beside))
+    scores.append(_log_posterior(0.0, rivals.alone))
+    *likely, unknown = (float(p) for p in probabilities(np.array(scores)))
+    weighed = tuple(Weighed(*pair) for pair in sorted(zip(ranked, likely, strict=True), key=lambda pair: -pair[1]))
+    likeliest = next((w.judged for w in weighed if w.judged.hypothesis.parts), None)
+    strengths = strengths_of(likeliest.hypothesis, weighed) if likeliest else ()
+    named = _named(likeliest, strengths, ranked) if likeliest else None
+    left = named or nominal_of(ranked)
+    contacts = [quantity.name for quantity in difference.contacts]
+    evidence = Evidence(
+        p_value=difference.p_value,
+        quantities=difference.quantities,
+        strengths=strengths,
+        p_value_after=p_value([(null_reference, left.misfit)]),
+        quantities_after=share_bounds(left.misfit, contacts, matters),
+        removed=closed(left.without, left.misfit, matters),
+        vetoed=vetoed,
+    )
+    return Decision(evidence, weighed, unknown, named)
 
 
-def doubted(decision: Decision) -> Judged | None:
-    """Beside "no gap": effects that, on the records that were fitted and the one that validates together, are likelier
-    than the believed rig by `DOUBT`, where that leaves something of the fitted ones or strains its tolerances."""
-    nothing = decision.nothing
-    if decision.verdict != "no_gap" or not nothing.hypothesis.leaves_something:
-        return None
+def strengths_of(likeliest: Hypothesis, weighed: Sequence[Weighed]) -> tuple[Strength, ...]:
+    """Of every effect of the likeliest hypothesis: how probably it, or one that is in its place elsewhere, is there."""
+    found, first = [], 0
+    errors = np.sqrt(np.maximum(np.diag(likeliest.covariance), 0.0))
+    for part in likeliest.parts:
+        own = range(first, first := first + len(part.parameters))
+        instead = _look_alikes(likeliest, part, weighed)
+        among = {part.name, *instead}
+        told = [
+            ((likeliest.values[k] - p.neutral) / max(errors[k], 1e-300), k, p.neutral)
+            for k, p in zip(own, part.parameters, strict=True)
+            if p.neutral is not None
+        ]
+        _, k, neutral = max(told, key=lambda row: abs(row[0]))
+        half = COVERED * errors[k]
+        probability = sum(w.probability for w in weighed if among & set(w.judged.hypothesis.key))
+        interval = (float(likeliest.values[k] - half), float(likeliest.values[k] + half))
+        found.append(Strength(part.name, float(probability), interval, float(neutral), instead))
+    return tuple(found)
 
-    def evidence(one: Judged) -> float:
-        return one.log_posterior - one.hypothesis.cost / (2 * TEMPERATURE)
 
-    best = max((w.judged for w in decision.weighed), key=evidence)
-    return best if evidence(best) - evidence(nothing) > DOUBT else None
+def _look_alikes(likeliest: Hypothesis, part: Candidate, weighed: Sequence[Weighed]) -> tuple[str, ...]:
+    """What stands in an effect's place in other hypotheses that are likely too."""
+    whole = Counter(likeliest.key)
+    instead: list[str] = []
+    for other in (w.judged.hypothesis for w in weighed if w.probability > ALIKE):
+        more, less = Counter(other.key) - whole, whole - Counter(other.key)
+        if less == Counter([part.name]) and more.total() == 1:
+            instead += more
+    return tuple(dict.fromkeys(instead))
+
+
+def _named(likeliest: Judged, strengths: Sequence[Strength], ranked: Sequence[Judged]) -> Judged:
+    """The hypothesis of the named effects alone; the likeliest one where none is named, or that was not judged."""
+    key = tuple(sorted(s.effect for s in strengths if s.is_named))
+    return next((j for j in ranked if key and j.hypothesis.key == key), likeliest)
 
 
 def acts_where_they_do(force: ForcePlace, believed: Rig, rig: Rig) -> bool:
@@ -166,44 +203,3 @@ def _log_posterior(log_prior: float, cost: float | None) -> float:
     if cost is None:
         return -np.inf
     return log_prior + float(np.log(PRIOR_UNKNOWN / UNKNOWN_PLACES)) - cost / (2 * TEMPERATURE)
-
-
-def _judged(
-    ranked: Sequence[Judged],
-    nothing: Judged,
-    best: Judged | None,
-    unknown_first: bool,
-    p_before: float,
-    p_after: float,
-    matters: Matters,
-) -> tuple[Verdict, str]:
-    if best is None or ranked[0] is nothing or unknown_first:
-        return _without_effect(nothing, p_before, unknown_first, matters)
-    without, after = size(best.without, matters), size(best.misfit, matters)
-    made = float(np.sqrt(max(without**2 - after**2, 0.0)))
-    share = closed(best.without, best.misfit, matters)
-    usual, little = p_after >= USUAL, not matters_surely(best.misfit, matters)
-    verdict: Verdict = "explained" if little or usual else "partly_explained" if share >= HALF else "unknown"
-    left = f"what is left is {_times(after, little)}"
-    if made <= 1 and not matters_surely(nothing.misfit, matters):
-        return "no_gap", f"what the likeliest effect changes is {made:.2g} times what matters"
-    if verdict == "unknown":
-        return verdict, f"the likeliest effect closes {100 * max(share, 0.0):.0f} % of the gap alone"
-    if usual and not little:
-        left = f"tolerances and noise leave as much in {100 * p_after:.0f} % of all cases"
-    return verdict, left
-
-
-def _without_effect(nothing: Judged, p_before: float, unknown_first: bool, matters: Matters) -> tuple[Verdict, str]:
-    """Where no effect of the library is the likeliest hypothesis."""
-    if not matters_surely(nothing.misfit, matters):
-        return "no_gap", f"what the believed rig leaves is {_times(size(nothing.misfit, matters), True)}"
-    if not unknown_first and p_before >= USUAL:
-        return "no_gap", f"tolerances and noise leave as much in {100 * p_before:.0f} % of all cases"
-    return "unknown", "no effect of the library is likelier than something unknown"
-
-
-def _times(left: float, little: bool) -> str:
-    """More than what matters by no more than its scatter is little too."""
-    scatter = ", by no more than its scatter over the record" if little and left > 1 else ""
-    return f"{left:.2g} times what matters{scatter}"

@@ -2,8 +2,9 @@
 
 import math
 
-from identify.gaps.results import USUAL, Gap
-from identify.gaps.wording import MOST, cause_name, closes_some, joined, leaves
+from identify.gaps.decision_table import USUAL, Verdict
+from identify.gaps.results import Gap
+from identify.gaps.wording import MOST, alternatives, capital, closes_some, joined, leaves
 from identify.pages.wording import number, percent
 from rig.model.unmeasured_force import UnmeasuredForce
 
@@ -28,7 +29,14 @@ _BY_DEPENDENCE = {
 
 def next_steps(gap: Gap) -> list[str]:
     """What a reader of the diagnosis does now, most useful first."""
-    by_verdict = {"no_gap": _no_gap, "explained": _explained, "partly_explained": _partly, "unknown": _unknown}
+    by_verdict = {
+        Verdict.CONSISTENT: _consistent,
+        Verdict.CANNOT_TELL: _cannot_tell,
+        Verdict.SMALL: _small,
+        Verdict.EXPLAINED: _explained,
+        Verdict.PARTLY_EXPLAINED: _partly,
+        Verdict.UNEXPLAINED: _unexplained,
+    }
     return [*_between(gap), *by_verdict[gap.verdict](gap)]
 
 
@@ -53,31 +61,42 @@ def rest_hz(gap: Gap) -> list[tuple[float, float]]:
     return sorted(ranges, key=lambda r: r[0] - r[1])
 
 
-def _no_gap(gap: Gap) -> list[str]:
-    if gap.doubted:
-        return [
-            "Do not rely on rig.json: record for longer or excite more strongly, give a second recording by "
-            f"--validate, and see whether {cause_name(gap.doubted)} is confirmed."
-        ]
+SMALLER = (
+    "To find smaller differences, state tighter tolerances where you have measured them (--tolerances), record for "
+    "longer, or excite more strongly."
+)
+
+
+def _as_it_is(gap: Gap) -> list[str]:
     same = not (gap.between and gap.between.differing)
-    steps = ["Nothing needs to be done: simulate with rig.json as it is."] if same else []
-    if gap.before.p_value < USUAL:
-        return [
-            *steps,
-            "What is left is small, but more than tolerances and noise explain. To see its cause, lower --matters and "
-            "--matters-contact and diagnose again.",
-        ]
+    return ["Nothing needs to be done: simulate with rig.json as it is."] if same else []
+
+
+def _consistent(gap: Gap) -> list[str]:
+    return [*_as_it_is(gap), SMALLER, *_proposed(gap)]
+
+
+def _cannot_tell(gap: Gap) -> list[str]:
+    """What would show each thing that was not seen."""
+    remedies = dict.fromkeys(capital(one.remedy) for one in gap.not_seen if one.remedy)
+    steps = [f"{remedy}, and diagnose again." for remedy in remedies]
     return [
-        *steps,
-        "To find smaller gaps, state tighter tolerances where you have measured them (--tolerances), record for "
-        "longer, or excite more strongly.",
+        "Do not rely on rig.json yet.",
+        *(steps or ["Record for longer or excite more strongly, and diagnose again."]),
         *_proposed(gap),
     ]
 
 
+def _small(gap: Gap) -> list[str]:
+    if gap.causes and gap.causes[0].named:
+        step = "Simulate with rig.json as it is; the corrected rig.json (--out writes it) is closer to the machine."
+        return [step, *_tell_apart(gap)]
+    return [*_as_it_is(gap), "To see its cause, lower --matters and --matters-contact and diagnose again."]
+
+
 def _explained(gap: Gap) -> list[str]:
     best = gap.causes[0]
-    steps = [f"Simulate with the corrected rig.json (--out writes it): it holds {cause_name(best)}."]
+    steps = [f"Simulate with the corrected rig.json (--out writes it): it holds {joined(best.named)}."]
     if gap.after.p_value < USUAL:
         steps.append(
             f"What is left is {leaves(gap.after)}: more than tolerances and noise leave, too little to matter."
@@ -91,12 +110,12 @@ def _partly(gap: Gap) -> list[str]:
     best = gap.causes[0]
     steps = [
         "Take the corrected rig.json (--out writes it) as the better rig, not as the right one: with "
-        f"{cause_name(best)} it still leaves {leaves(gap.after)} unexplained."
+        f"{joined(best.named)} it still leaves {leaves(gap.after)} unexplained."
     ]
     return steps + _rest(gap) + (_where_to_look(gap.unknown) if gap.unknown else []) + _tell_apart(gap)
 
 
-def _unknown(gap: Gap) -> list[str]:
+def _unexplained(gap: Gap) -> list[str]:
     steps = ["Keep rig.json as it is for now: no effect of the library would make it right."]
     steps += _where_to_look(gap.unknown) if gap.unknown else _rest(gap)
     if gap.causes and closes_some(gap.causes[0]):
@@ -172,7 +191,7 @@ def place(unknown: UnmeasuredForce) -> str:
 
 
 def _tell_apart(gap: Gap) -> list[str]:
-    steps = [f"This record hardly tells {joined(names, 'from')}." for names in gap.equivalent]
+    steps = [f"This record hardly tells {joined([words, *others], 'from')}." for words, others in alternatives(gap)]
     return steps + _proposed(gap) + [f"To test {experiment}." for experiment in gap.separate_by]
 
 

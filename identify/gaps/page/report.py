@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from identify.gaps.decision_table import Verdict
+from identify.gaps.page.decided import decided
 from identify.gaps.page.screen import colour
 from identify.gaps.page.sections import (
     between_records,
@@ -49,14 +51,15 @@ def write_page(gap: Gap, figures: Mapping[str, Picture], title: str, path: Path,
 
     The first word of a figure's name says the section, as `identify.gaps.page.pictures` names them.
     """
-    rest = "What the rest looks like" if gap.verdict == "partly_explained" else "What is unknown"
+    rest = "What the rest looks like" if gap.verdict == Verdict.PARTLY_EXPLAINED else "What is not explained"
     sections = [
         ("What to do next", "next", what_next(gap)),
-        ("How large is the gap?", "large", how_large(gap)),
+        ("How large is the difference?", "large", how_large(gap)),
         ("What causes it?", "why", causes(gap)),
+        ("How was it decided?", "decided", decided(gap)),
         *([("What differs between the records?", "between", between_records(gap.between))] if gap.between else []),
         *([(rest, "unknown", unknown_force(gap.unknown))] if gap.unknown else []),
-        ("Where does the gap lie?", "where", where(gap.attribution)),
+        ("Where does it lie?", "where", where(gap.attribution)),
         ("Simulated and measured", "far", response_comparison(gap)),
         *([("What could not be computed", "notes", notes(gap))] if gap.notes else []),
     ]

@@ -4,6 +4,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from identify.gaps.decision_table import Verdict
 from identify.gaps.page.advice import next_steps
 from identify.gaps.results import Gap
 from identify.gaps.wording import WHEN, cause_name, closes, interval, leaves, not_computed, others, probability, verdict
@@ -11,13 +12,20 @@ from identify.pages.page import Colour
 from identify.pages.wording import number, percent
 from rig.model.unmeasured_force import UnmeasuredForce
 
-COLOURS: dict[str, Colour] = {"no_gap": "green", "explained": "green", "partly_explained": "yellow", "unknown": "red"}
+COLOURS: dict[Verdict, Colour] = {
+    Verdict.CONSISTENT: "green",
+    Verdict.CANNOT_TELL: "yellow",
+    Verdict.SMALL: "green",
+    Verdict.EXPLAINED: "green",
+    Verdict.PARTLY_EXPLAINED: "yellow",
+    Verdict.UNEXPLAINED: "red",
+}
 MOST = 5
 """Causes in the table."""
 
 
 def colour(gap: Gap) -> Colour:
-    return "yellow" if gap.doubted else COLOURS[gap.verdict]
+    return COLOURS[gap.verdict]
 
 
 def shown(gap: Gap) -> RenderableType:
@@ -58,6 +66,6 @@ def _table(gap: Gap) -> Table:
     if further := gap.causes[MOST:]:
         table.add_row(f"{len(further)} further", probability(sum(c.probability for c in further)), "", "", "")
     for name, likely in others(gap):
-        left = leaves(gap.before) if name == "no gap" else ""
+        left = leaves(gap.before) if name == others(gap)[0][0] else ""
         table.add_row(name, probability(likely), "", Text(left), "")
     return table

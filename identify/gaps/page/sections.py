@@ -4,8 +4,9 @@ from collections.abc import Mapping, Sequence
 from html import escape
 
 from identify.gaps import wording
+from identify.gaps.decision_table import USUAL
 from identify.gaps.page.advice import next_steps, place, rest_hz
-from identify.gaps.results import USUAL, Attribution, Between, Cause, Compared, Figure, Gap, Left, Share
+from identify.gaps.results import Attribution, Between, Cause, Compared, Figure, Gap, Left, Share
 from identify.gaps.wording import WHEN, cause_name, closes, closes_some, interval, joined, others, probability
 from identify.pages import page
 from identify.pages.wording import number, percent
@@ -30,7 +31,7 @@ def what_next(gap: Gap) -> str:
 
 def how_large(gap: Gap) -> str:
     """Unexplained shares before and after, beside what matters; the p-values."""
-    names = ["the acceleration", *(f"the force of {name}" for name in gap.before.contact_shares)]
+    names = ["the motion", *(f"the force of {name}" for name in gap.before.contact_shares)]
     limits = [gap.matters.motion, *([gap.matters.contact] * len(gap.before.contact_shares))]
     columns = [_shares(gap.before)]
     head = ["unexplained share of", "believed rig"]
@@ -58,20 +59,20 @@ def causes(gap: Gap) -> str:
     """Probabilities, what each cause closes and leaves, its parameters and places."""
     shown, further = gap.causes[:MOST], gap.causes[MOST:]
     contacts = list(gap.before.contact_shares)
-    head = ("cause", "probability", "closes", "leaves of the acceleration", *(f"leaves of {name}" for name in contacts))
+    head = ("cause", "probability", "closes", "leaves of the motion", *(f"leaves of {name}" for name in contacts))
     rest = [(name, probability(p), *[""] * (2 + len(contacts))) for name, p in others(gap)]
     folded = sum(c.probability for c in further)
     if further:
         rest.insert(0, (f"{len(further)} further causes", probability(folded), *[""] * (2 + len(contacts))))
     text = (
-        "<p>Effects of the library, alone and in pairs, beside no gap and something that the library does not hold. "
-        "The probabilities sum to one. A cause closes the share by which its effects alone make the gap smaller on the "
+        "<p>Sets of effects of the library, beside rig.json as it is and something unmeasured. The probabilities of sets "
+        "sum to one. A cause closes the share by which its effects alone make the gap smaller on the "
         "validation record, what the tolerances leave open held (95 % interval in brackets).</p>"
     )
     text += page.table(head, [*(_cause_row(c) for c in shown), *rest])
-    if gap.equivalent:
+    if look_alikes := wording.alternatives(gap):
         text += "<h3>What this recording hardly tells apart</h3>"
-        text += page.listed(" / ".join(names) for names in gap.equivalent)
+        text += page.listed(" / ".join([words, *others]) for words, others in look_alikes)
     closing = [c for c in shown if closes_some(c)]
     if closing:
         text += "<h3>Parameters and places</h3><p>Value ± 1.96 standard errors: the 95 % interval.</p>"

@@ -13,8 +13,8 @@ rig.json may have wrong (C_tolerances) and differ by their own scatter (C_own):
     v = sum_r W_r v_r,  W_r = (sum_s C_own,s^-1)^-1 C_own,r^-1,   cov v = (sum_s C_own,s^-1)^-1 + mean C_tolerances
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import msgspec
 import numpy as np
@@ -25,6 +25,7 @@ from identify.contacts.acceptance import accept
 from identify.contacts.contact_record import DAMPING, LAW, OFFSET, STIFFNESS
 from identify.contacts.determination import determine
 from identify.contacts.joint_fit import JointEstimate
+from identify.contacts.refusals import ContactRefusedError, Refusal
 from identify.contacts.separation import separate
 from identify.gaps.search.hypothesis import Hypothesis, steps_of
 from rig.errors import RigError
@@ -53,22 +54,44 @@ class LawEstimate:
     of_tolerances: Float[np.ndarray, "rows rows"]
 
 
-def law_estimates(recording: Recording, rig: Rig, tolerances: Tolerances) -> tuple[LawEstimate, ...]:
-    """The contacts that a record determines if its machine has the linear model of `rig`; none if it cannot be fitted.
+@dataclass(frozen=True)
+class LawOutcomes:
+    """The contacts that one record determines, and why it does not determine the others, by their names."""
+
+    estimates: tuple[LawEstimate, ...] = ()
+    refusals: Mapping[str, Refusal] = field(default_factory=dict)
+
+
+def law_outcomes(recording: Recording, rig: Rig, tolerances: Tolerances) -> LawOutcomes:
+    """What a record determines of contacts if its machine has the linear model of `rig`.
 
     What acts unmeasured (a base motion, a tone) is left to the scatter.
     """
     if rig.loads or rig.dampers or any(s.cubic_n_per_m3 for s in rig.springs) or rig.force_sensor.lag_s:
-        return ()
+        return LawOutcomes()
     force = recording.signals["force"]
     signals = {**recording.signals, "force": replace(force, values=force.values / rig.force_sensor.gain)}
     modelled = msgspec.structs.replace(rig, base_motion=None, tones=(), force_sensor=ForceSensor())
     try:
         separation = separate(replace(recording, rig=modelled, signals=signals), "auto", tolerances)
-        estimates = accept(separation, determine(separation)).outcomes.estimates
+        outcomes = accept(separation, determine(separation)).outcomes
+    except ContactRefusedError as error:
+        return LawOutcomes((), {contact.name: error.refusal for contact in rig.contacts})
     except RigError:
-        return ()
-    return tuple(_estimate(contact, estimate) for contact, estimate in estimates.items())
+        return LawOutcomes()
+    return LawOutcomes(
+        tuple(_estimate(contact, estimate) for contact, estimate in outcomes.estimates.items()), outcomes.refusals
+    )
+
+
+def pooled_estimate(estimates: Sequence[LawEstimate]) -> LawEstimate:
+    """One contact's, of several records together: of those that tell most of its quantities."""
+    most = max(len(one.values) for one in estimates)
+    same = [one for one in estimates if len(one.values) == most]
+    same = [one for one in same if np.array_equal(one.quantities, same[0].quantities)]
+    values, covariance = _pooled([(one.values, one.covariance, one.of_tolerances) for one in same])
+    shared = np.mean([one.of_tolerances for one in same], axis=0)
+    return replace(same[0], values=values, covariance=covariance, of_tolerances=shared)
 
 
 def _estimate(contact: str, fit: JointEstimate) -> LawEstimate:
@@ -96,7 +119,8 @@ def with_contact_fit(hypothesis: Hypothesis, recordings: Sequence[Recording], to
         return hypothesis
     rig, free = hypothesis.applied_to(believed), change.free
     of_records = (
-        _solved(believed, law_estimates(recording, rig, tolerances), change, values[free]) for recording in recordings
+        _solved(believed, law_outcomes(recording, rig, tolerances).estimates, change, values[free])
+        for recording in recordings
     )
     determined = [solution for solution in of_records if solution is not None]
     if not determined:
@@ -145,10 +169,11 @@ def _law_numbers(hypothesis: Hypothesis, believed: Rig, values: Values) -> Float
     )
     if any(law != b.law for law, b in zip(reset, believed.contacts, strict=True)):
         return None
-    return np.array([_numbers(c.law) for c in contacts]).reshape(-1, len(LAW))
+    return np.array([law_numbers(c.law) for c in contacts]).reshape(-1, len(LAW))
 
 
-def _numbers(law: ContactLaw) -> Float[np.ndarray, " 4"]:
+def law_numbers(law: ContactLaw) -> Float[np.ndarray, " 4"]:
+    """Lower and upper clearance (m), stiffness (N/m) and damping (N s/m)."""
     return np.array([getattr(law, name) for name in LAW.names])
 
 

@@ -9,7 +9,8 @@ Notes for maintainers
 3. Begin elsewhere (`_begun_by_single`): where a set leaves more than half of the mismatch, an effect is so large, or a
    line so sharp, that slopes say nothing of it. Then single effects are screened over their whole range.
 4. Leave out (`without_each`): linear removal of strong effects misleads, so the set is fitted again without each of its
-   members. A member without which S rises by less than `WORTH` leaves the set.
+   members. A member without which S rises by less than `WORTH` leaves the set. Then members leave one after the other,
+   the least first, so that the record that was not fitted may ask for fewer.
 5. Exchange (`look_alikes`): a member that another candidate replaces at little cost is fitted exchanged too, so that
    both are compared on the record that was not fitted.
 """
@@ -208,23 +209,33 @@ def _pruned(model: LocalModel, chosen: list[CandidateTerm], solution: Solution) 
 
 
 def without_each(begun: Search, best: FittedSet) -> tuple[FittedSet, list[Hypothesis]]:
-    """The set, less members that are not worth it, and it fitted again without each of those that stay."""
+    """The set, less members that are not worth it; and it fitted again without each of those that stay, and without the
+    least two, three and so on."""
     parts = best.hypothesis.parts
     if len(parts) < 2 or any(part.kind.stochastic for part in parts):  # without its only member it is the nominal rig
         return best, []
-    without = [_without(begun, best.tried, k) for k in range(len(parts))]
-    least = min(without, key=lambda tried: tried.cost)
-    if least.cost - best.tried.cost < WORTH:
-        return without_each(begun, FittedSet(least, best.exchanges))
-    return best, [tried.hypothesis for tried in without]
+    every = range(len(parts))
+    costs: list[float] = []
+    fitted_without: list[Hypothesis] = []
+    for k in every:
+        without = _with_members(begun, best.tried, [i for i in every if i != k])
+        if without.cost - best.tried.cost < WORTH:
+            return without_each(begun, FittedSet(without, best.exchanges))
+        costs.append(without.cost)
+        fitted_without.append(without.hypothesis)
+    order = np.argsort(costs)  # the least important first
+    for leaving in range(2, len(parts)):
+        rest = sorted(order[leaving:].tolist())
+        fitted_without.append(_with_members(begun, best.tried, rest).hypothesis)
+    return best, fitted_without
 
 
-def _without(begun: Search, best: Tried, k: int) -> Tried:
-    """The set fitted again without its k-th member."""
+def _with_members(begun: Search, best: Tried, members: Sequence[int]) -> Tried:
+    """Some members of the set, fitted again without the others."""
     parts, values = best.hypothesis.parts, best.hypothesis.split()
-    rest = parts[:k] + parts[k + 1 :]
+    rest = tuple(parts[k] for k in members)
     start = straightened(best.residual)
-    brief = fit_briefly(begun, rest, np.concatenate(values[:k] + values[k + 1 :]), start, best.linearization)
+    brief = fit_briefly(begun, rest, np.concatenate([values[k] for k in members]), start, best.linearization)
     return refined(begun, brief, best.cost)
 
 

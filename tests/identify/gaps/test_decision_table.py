@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from identify.gaps.decision.decision_table import Bounded, Evidence, Strength, Verdict
+from identify.gaps.decision_table import Bounded, Evidence, Strength, Verdict
 
 CASES = 2000
 

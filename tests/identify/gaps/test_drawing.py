@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.gaps.decision.null_reference import drawn
+from identify.gaps.decision.null_machine import drawn
 from rig.model.description import Sensor, Station
 from rig.model.tolerances import EXACT, LABORATORY
 from rig.simulation.reference import BarrelCradle, Sdof

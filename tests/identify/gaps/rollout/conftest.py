@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from identify.gaps.decision.null_reference import drawn
+from identify.gaps.decision.null_machine import drawn
 from identify.gaps.residual.residual import Residual
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.rollout.windows import null_errors

@@ -16,9 +16,10 @@ Notes for maintainers
 A rollout that predicts worse with the named set than without vetoes `explained`; it licenses nothing.
 """
 
-from dataclasses import dataclass
 from enum import StrEnum
 from math import isfinite
+
+import msgspec
 
 DIFFERS = 0.01
 """p-value below which a difference is certain: one null in a hundred."""
@@ -41,11 +42,11 @@ class Verdict(StrEnum):
     UNEXPLAINED = "unexplained"
 
 
-@dataclass(frozen=True)
-class Bounded:
+class Bounded(msgspec.Struct, frozen=True):
     """A quantity that matters: its estimate, the upper end of its one-sided 97.5 % interval, and the threshold.
 
-    All three in `unit`. hidden: noise hides the quantity, so that the record bounds it by nothing.
+    All three in `unit`. hidden: the records bound it by nothing; `why` then says the reason, `remedy` what would show
+    it.
     """
 
     name: str
@@ -54,6 +55,13 @@ class Bounded:
     upper: float
     threshold: float
     hidden: bool = False
+    why: str = ""
+    remedy: str = ""
+
+    @property
+    def not_seen(self) -> bool:
+        """Whether the records neither bound it nor show that it matters."""
+        return not self.holds and (self.hidden or not self.value >= self.threshold)
 
     @property
     def holds(self) -> bool:
@@ -61,14 +69,17 @@ class Bounded:
         return not self.hidden and isfinite(self.upper) and self.upper < self.threshold
 
 
-@dataclass(frozen=True)
-class Strength:
-    """An effect's strength (or that of a class of look-alikes) and how probably it is there."""
+class Strength(msgspec.Struct, frozen=True):
+    """An effect's strength and how probably it, or one of its look-alikes (`instead`), is there.
+
+    The records do not tell an effect from its look-alikes, so that the class is named.
+    """
 
     effect: str
     inclusion_probability: float
     interval_95: tuple[float, float]
     neutral: float
+    instead: tuple[str, ...] = ()
 
     @property
     def is_named(self) -> bool:
@@ -76,8 +87,7 @@ class Strength:
         return self.inclusion_probability >= NAMED and not low <= self.neutral <= high
 
 
-@dataclass(frozen=True)
-class Evidence:
+class Evidence(msgspec.Struct, frozen=True, kw_only=True):
     """All that decides. `after` is what the named set leaves; without a name it is what the nominal rig leaves.
 
     removed is the share of the mismatch that the named set removes, vetoed whether the rollout forbids `explained`.
@@ -90,6 +100,11 @@ class Evidence:
     quantities_after: tuple[Bounded, ...]
     removed: float
     vetoed: bool = False
+
+    @property
+    def not_seen(self) -> tuple[Bounded, ...]:
+        """What stands beside every verdict."""
+        return tuple(quantity for quantity in self.quantities if quantity.not_seen)
 
     @property
     def differs(self) -> bool:

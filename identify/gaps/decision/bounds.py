@@ -1,0 +1,113 @@
+"""What the nominal rig leaves, as quantities that matter: each with the upper end of its one-sided 97.5 % interval.
+
+Notes for maintainers
+1. Shares: with x_s what second s leaves beyond noise over the whole measured band (m^2/s^4), P the mean square of the
+   acceleration, the squared share is mean(x) / P with the standard error of that mean over the seconds (Student), so
+   that a band without signal decides nothing. Of a contact force likewise.
+2. Contact parameters: their distance from rig.json by the contact fit of `identify contact`, over all records, against
+   three of their stated standard deviations. What no record determines is bounded by nothing.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import t as student
+
+from identify.gaps.decision_table import Bounded
+from identify.gaps.residual.likelihood import Misfit
+from identify.gaps.results import Matters
+from identify.gaps.search.contact_laws import LawEstimate, law_numbers, law_outcomes, pooled_estimate
+from identify.pages.wording import COVERED
+from rig.model.contact_laws import DeadZone
+from rig.model.description import Contact, Rig
+from rig.model.tolerances import LABORATORY, Tolerances
+from rig.recording import Recording
+
+HIDDEN = 0.25
+"""A contact force is hidden where noise makes more than this share of its mean square: half of its size."""
+DEVIATIONS = 3.0
+"""Stated standard deviations that a contact parameter may lie from rig.json: convention."""
+STATED = ("clearance", "stiffness", "contact_damping_s")
+"""Fields of the tolerances of a contact."""
+LOUDER = "excite the rig more strongly, or use sensors of less noise"
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How nominal rig and records differ: the p-value over all records, and the quantities that matter."""
+
+    p_value: float
+    motion: Bounded
+    contacts: tuple[Bounded, ...]
+    contact_parameters: tuple[Bounded, ...] = ()
+
+    @property
+    def quantities(self) -> tuple[Bounded, ...]:
+        return (self.motion, *self.contacts, *self.contact_parameters)
+
+
+def share_bounds(left: Misfit, contacts: Sequence[str], matters: Matters) -> tuple[Bounded, ...]:
+    """The unexplained share of the motion, then that of each contact force."""
+    reference = left.reference
+    whole = max(float(reference.lines @ reference.power.sum(axis=1)), 1e-300)
+    beyond = np.einsum("sbi,b->s", left.left - reference.noise, reference.lines) / whole
+    found = [Bounded("motion", "1", left.share, max(left.share, _upper_share(beyond)), matters.motion)]
+    for j, name in enumerate(contacts):
+        force = float(np.mean(left.force_n2[:, j]))
+        upper = _upper_share(left.contact_n2[:, j] / max(force, 1e-300))
+        value, weights = float(left.contact_shares[j]), reference.seen[j].weights
+        moving = weights > 0
+        noise = float(np.sum(weights[moving] ** -2.0)) / weights.size
+        why = (True, "noise hides it", LOUDER) if noise > HIDDEN * force else ()
+        found.append(Bounded(name, "1", value, max(value, upper), matters.contact, *why))
+    return tuple(found)
+
+
+def _upper_share(squares: Float[np.ndarray, " seconds"]) -> float:
+    """Upper end of the 97.5 % interval of the root of a mean over seconds; nothing where one second is all there is."""
+    if squares.size < 2:
+        return float("inf")
+    error = float(squares.std(ddof=1)) / np.sqrt(squares.size)
+    return float(np.sqrt(max(squares.mean() + student.ppf(0.975, squares.size - 1) * error, 0.0)))
+
+
+def contact_bounds(recordings: Sequence[Recording], rig: Rig, tolerances: Tolerances) -> tuple[Bounded, ...]:
+    """Distances of every contact's parameters from `rig`, by the contact fit of all records together."""
+    outcomes = [law_outcomes(recording, rig, tolerances) for recording in recordings]
+    found: list[Bounded] = []
+    for contact in rig.contacts:
+        told = [estimate for one in outcomes for estimate in one.estimates if estimate.contact == contact.name]
+        if told and isinstance(contact.law, DeadZone):
+            found += _distances(contact, pooled_estimate(told), tolerances)
+        else:
+            refusal = next((one.refusals[contact.name] for one in outcomes if contact.name in one.refusals), None)
+            why, remedy = (refusal.cause, refusal.advice) if refusal else ("its law is no dead zone", "")
+            names = f"clearance, stiffness and damping of {contact.name}"
+            found.append(Bounded(names, "", float("nan"), float("inf"), 0.0, True, why, remedy))
+    return tuple(found)
+
+
+def _distances(contact: Contact, estimate: LawEstimate, tolerances: Tolerances) -> list[Bounded]:
+    clearance, stiffness, damping, *_ = deviations(contact, tolerances)
+    sigmas = (clearance, stiffness, damping, clearance)
+    apart = np.abs(estimate.values - estimate.quantities @ law_numbers(contact.law))
+    errors = COVERED * np.sqrt(np.diag(estimate.covariance))
+    names = ("clearance", "stiffness", "damping", "offset")
+    units = ("m", "N/m", "N s/m", "m")
+    return [
+        Bounded(f"{name} of {contact.name}", unit, float(value), float(value + error), DEVIATIONS * sigma)
+        for name, unit, value, error, sigma in zip(names, units, apart, errors, sigmas, strict=False)
+    ]
+
+
+def deviations(contact: Contact, tolerances: Tolerances) -> tuple[float, float, float]:
+    """Stated standard deviations of clearance (m), stiffness (N/m) and damping (N s/m).
+
+    A laboratory's where none is stated: no record bounds a distance by zero.
+    """
+    law = contact.law
+    stated = [getattr(tolerances, name) or getattr(LABORATORY, name) for name in STATED]
+    clearance, stiffness, damping_s = stated
+    return clearance * law.clearance_m, stiffness * law.stiffness_n_per_m, damping_s * law.stiffness_n_per_m
