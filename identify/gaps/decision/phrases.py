@@ -48,6 +48,8 @@ MILLI = ("m", "s")
 def _placed(field: str, place: str | None, rig: Rig) -> str:
     if field == "contact":
         return place or "all contacts"
+    if field == "side":
+        return str(place)
     if field == "sensor":
         return f"sensor {place or rig.sensors[-1].name}"
     return f"the {place}" if place else "all bodies"
