@@ -45,28 +45,27 @@ class Verdict(StrEnum):
 class Bounded(msgspec.Struct, frozen=True):
     """A quantity that matters: its estimate, the upper end of its one-sided 97.5 % interval, and the threshold.
 
-    All three in `unit`. hidden: the records bound it by nothing; `why` then says the reason, `remedy` what would show
-    it.
+    All three in `unit`. upper is None where the records bound it by nothing: `why` then says the reason, `remedy` what
+    would show it; value is None where they do not even estimate it.
     """
 
     name: str
     unit: str
-    value: float
-    upper: float
+    value: float | None
+    upper: float | None
     threshold: float
-    hidden: bool = False
     why: str = ""
     remedy: str = ""
 
     @property
     def not_seen(self) -> bool:
         """Whether the records neither bound it nor show that it matters."""
-        return not self.holds and (self.hidden or not self.value >= self.threshold)
+        return not self.holds and (self.upper is None or self.value is None or self.value < self.threshold)
 
     @property
     def holds(self) -> bool:
         """Whether it certainly lies below what matters; what is no number bounds nothing."""
-        return not self.hidden and isfinite(self.upper) and self.upper < self.threshold
+        return self.upper is not None and isfinite(self.upper) and self.upper < self.threshold
 
 
 class Strength(msgspec.Struct, frozen=True):

@@ -31,9 +31,9 @@ class Cause(msgspec.Struct, frozen=True, kw_only=True):
     """Effects that together explain the difference, wholly or in part. parameters and places are named EFFECT.FIELD; of
     a second effect of one kind EFFECT_2.FIELD.
 
-    words tell each effect with value and place, strengths how probable each is. explained is the share of the gap that they close on the validation record: 1 - size with them / size without, of
-    what `Matters` measures, with the nuisance parameters as they are with them. log_prior and minus_two_log are what
-    the probability is made of.
+    words tell each effect with value and place, strengths how probable each is. explained is the share of the
+    difference that they close on the validation record: 1 - size with them / size without, of what `Matters` measures,
+    with the nuisance parameters as they are with them. log_prior and minus_two_log are what the probability is made of.
     """
 
     effects: tuple[str, ...]

@@ -59,7 +59,7 @@ def chance(p_value: float) -> str:
 
 def quantity(one: Bounded) -> str:
     """What the records say of a quantity that is not bounded: its reason, or its value and upper bound."""
-    if one.hidden:
+    if one.value is None or one.upper is None:
         return f"the {one.name} ({one.why})"
     if one.unit == "1":
         return f"the {one.name}, of which {percent(one.value)} and at most {percent(one.upper)} are unexplained"

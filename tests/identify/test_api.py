@@ -64,7 +64,7 @@ def test_the_identified_rig_is_believed_instead_of_a_wrong_one(file, tmp_path):
     asked = {"null_reference": tmp_path}
     believed = identify.gap(file, rig=wrong, **asked)
     assert believed.report.causes[0].effects == ("contact_clearance",)
-    assert believed.report.verdict != "no_gap"
+    assert believed.report.verdict != "consistent"
     found = identify.contact(file, use="displacement")
     found.save(tmp_path / "found")
     identified = read_rig(tmp_path / "found" / "rig.json")
@@ -77,7 +77,7 @@ def test_the_identified_rig_is_believed_instead_of_a_wrong_one(file, tmp_path):
         estimate.stiffness_n_per_m.value,
     )
     again = identify.gap(file, rig=tmp_path / "found" / "rig.json", **asked)
-    assert again.report.verdict == "no_gap"
+    assert again.report.verdict == "consistent"
 
 
 def test_a_rig_with_other_sensors_is_refused(file, tmp_path):
@@ -93,7 +93,7 @@ def test_a_rig_with_other_sensors_is_refused(file, tmp_path):
 
 def test_no_gap_from_a_recording(file, tmp_path):
     found = identify.gap(rig.read(file))
-    assert found.report.verdict == "no_gap"
+    assert found.report.verdict == "consistent"
     assert str(found) == found.report.sentence
     assert found.corrected == MASS.rig()
     found.save(tmp_path)

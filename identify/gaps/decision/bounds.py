@@ -4,8 +4,9 @@ Notes for maintainers
 1. Shares: with x_s what second s leaves beyond noise over the whole measured band (m^2/s^4), P the mean square of the
    acceleration, the squared share is mean(x) / P with the standard error of that mean over the seconds (Student), so
    that a band without signal decides nothing. Of a contact force likewise.
-2. Contact parameters: their distance from rig.json by the contact fit of `identify contact`, over all records, against
-   three of their stated standard deviations. What no record determines is bounded by nothing.
+2. Contact parameters: their distance d from rig.json by the contact fit of `identify contact`, over all records,
+   against three of their stated standard deviations. What no record determines is bounded by nothing. With C the
+   covariance of the fit and S that of the tolerances, d' (C + S)^-1 d is chi-squared where nothing differs.
 """
 
 from collections.abc import Sequence
@@ -13,9 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.stats import chi2
 from scipy.stats import t as student
 
-from identify.gaps.decision_table import Bounded
+from identify.gaps.decision_table import DIFFERS, Bounded
 from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.results import Matters
 from identify.gaps.search.contact_laws import LawEstimate, law_numbers, law_outcomes, pooled_estimate
@@ -44,8 +46,21 @@ class Difference:
     contact_parameters: tuple[Bounded, ...] = ()
 
     @property
+    def certain(self) -> bool:
+        """D of the decision table."""
+        return self.p_value < DIFFERS
+
+    @property
     def quantities(self) -> tuple[Bounded, ...]:
         return (self.motion, *self.contacts, *self.contact_parameters)
+
+
+@dataclass(frozen=True)
+class ContactDistances:
+    """Of every contact's parameters from rig.json, and the p-value of each contact that records determine."""
+
+    bounds: tuple[Bounded, ...]
+    p_values: tuple[float, ...]
 
 
 def share_bounds(left: Misfit, contacts: Sequence[str], matters: Matters) -> tuple[Bounded, ...]:
@@ -53,61 +68,78 @@ def share_bounds(left: Misfit, contacts: Sequence[str], matters: Matters) -> tup
     reference = left.reference
     whole = max(float(reference.lines @ reference.power.sum(axis=1)), 1e-300)
     beyond = np.einsum("sbi,b->s", left.left - reference.noise, reference.lines) / whole
-    found = [Bounded("motion", "1", left.share, max(left.share, _upper_share(beyond)), matters.motion)]
+    found = [Bounded("motion", "1", left.share, _at_least(left.share, _upper_share(beyond)), matters.motion)]
     for j, name in enumerate(contacts):
         force = float(np.mean(left.force_n2[:, j]))
         upper = _upper_share(left.contact_n2[:, j] / max(force, 1e-300))
         value, weights = float(left.contact_shares[j]), reference.seen[j].weights
         moving = weights > 0
         noise = float(np.sum(weights[moving] ** -2.0)) / weights.size
-        why = (True, "noise hides it", LOUDER) if noise > HIDDEN * force else ()
-        found.append(Bounded(name, "1", value, max(value, upper), matters.contact, *why))
+        if noise > HIDDEN * force:
+            found.append(Bounded(name, "1", value, None, matters.contact, "noise hides it", LOUDER))
+        else:
+            found.append(Bounded(name, "1", value, _at_least(value, upper), matters.contact))
     return tuple(found)
 
 
-def _upper_share(squares: Float[np.ndarray, " seconds"]) -> float:
-    """Upper end of the 97.5 % interval of the root of a mean over seconds; nothing where one second is all there is."""
+def _at_least(value: float, upper: float | None) -> float | None:
+    return None if upper is None else max(value, upper)
+
+
+def _upper_share(squares: Float[np.ndarray, " seconds"]) -> float | None:
+    """Upper end of the 97.5 % interval of the root of a mean over seconds; None where one second is all there is."""
     if squares.size < 2:
-        return float("inf")
+        return None
     error = float(squares.std(ddof=1)) / np.sqrt(squares.size)
     return float(np.sqrt(max(squares.mean() + student.ppf(0.975, squares.size - 1) * error, 0.0)))
 
 
-def contact_bounds(recordings: Sequence[Recording], rig: Rig, tolerances: Tolerances) -> tuple[Bounded, ...]:
+def contact_distances(recordings: Sequence[Recording], rig: Rig, tolerances: Tolerances) -> ContactDistances:
     """Distances of every contact's parameters from `rig`, by the contact fit of all records together."""
     outcomes = [law_outcomes(recording, rig, tolerances) for recording in recordings]
     found: list[Bounded] = []
+    p_values: list[float] = []
     for contact in rig.contacts:
         told = [estimate for one in outcomes for estimate in one.estimates if estimate.contact == contact.name]
         if told and isinstance(contact.law, DeadZone):
-            found += _distances(contact, pooled_estimate(told), tolerances)
+            estimate = pooled_estimate(told)
+            found += _bounds(contact, estimate, tolerances)
+            p_values.append(_p_value(contact, estimate, tolerances))
         else:
             refusal = next((one.refusals[contact.name] for one in outcomes if contact.name in one.refusals), None)
             why, remedy = (refusal.cause, refusal.advice) if refusal else ("its law is no dead zone", "")
             names = f"clearance, stiffness and damping of {contact.name}"
-            found.append(Bounded(names, "", float("nan"), float("inf"), 0.0, True, why, remedy))
-    return tuple(found)
+            found.append(Bounded(names, "", None, None, 0.0, why, remedy))
+    return ContactDistances(tuple(found), tuple(p_values))
 
 
-def _distances(contact: Contact, estimate: LawEstimate, tolerances: Tolerances) -> list[Bounded]:
-    clearance, stiffness, damping, *_ = deviations(contact, tolerances)
-    sigmas = (clearance, stiffness, damping, clearance)
-    apart = np.abs(estimate.values - estimate.quantities @ law_numbers(contact.law))
+def _apart(contact: Contact, estimate: LawEstimate) -> Float[np.ndarray, " rows"]:
+    return np.asarray(estimate.values - estimate.quantities @ law_numbers(contact.law))
+
+
+def _p_value(contact: Contact, estimate: LawEstimate, tolerances: Tolerances) -> float:
+    apart = _apart(contact, estimate)
+    stated = np.diag(np.square(deviations(contact, tolerances)[: apart.size]))
+    return float(chi2.sf(apart @ np.linalg.solve(estimate.covariance + stated, apart), apart.size))
+
+
+def _bounds(contact: Contact, estimate: LawEstimate, tolerances: Tolerances) -> list[Bounded]:
+    apart = np.abs(_apart(contact, estimate))
     errors = COVERED * np.sqrt(np.diag(estimate.covariance))
-    names = ("clearance", "stiffness", "damping", "offset")
-    units = ("m", "N/m", "N s/m", "m")
+    names, units = ("clearance", "stiffness", "damping", "offset"), ("m", "N/m", "N s/m", "m")
+    rows = zip(names, units, apart, errors, deviations(contact, tolerances), strict=False)
     return [
         Bounded(f"{name} of {contact.name}", unit, float(value), float(value + error), DEVIATIONS * sigma)
-        for name, unit, value, error, sigma in zip(names, units, apart, errors, sigmas, strict=False)
+        for name, unit, value, error, sigma in rows
     ]
 
 
-def deviations(contact: Contact, tolerances: Tolerances) -> tuple[float, float, float]:
-    """Stated standard deviations of clearance (m), stiffness (N/m) and damping (N s/m).
+def deviations(contact: Contact, tolerances: Tolerances) -> tuple[float, float, float, float]:
+    """Stated standard deviations of clearance (m), stiffness (N/m), damping (N s/m) and of the play's middle (m).
 
     A laboratory's where none is stated: no record bounds a distance by zero.
     """
     law = contact.law
-    stated = [getattr(tolerances, name) or getattr(LABORATORY, name) for name in STATED]
-    clearance, stiffness, damping_s = stated
-    return clearance * law.clearance_m, stiffness * law.stiffness_n_per_m, damping_s * law.stiffness_n_per_m
+    clearance, stiffness, damping_s = (getattr(tolerances, name) or getattr(LABORATORY, name) for name in STATED)
+    clearance_m, stiffness_n_per_m = clearance * law.clearance_m, law.stiffness_n_per_m
+    return clearance_m, stiffness * stiffness_n_per_m, damping_s * stiffness_n_per_m, clearance_m

@@ -60,7 +60,7 @@ def cause_of(
         places=places,
         explained=closed(judged.without, judged.misfit, matters),
         interval_95=closed_interval(judged.without, judged.misfit, matters),
-        left=left_of(judged.misfit, judged.rig, p_value([(null_reference, judged.misfit)])),
+        left=left_of(judged.misfit, judged.rig, p_value(null_reference, judged.misfit)),
         log_prior=judged.log_prior,
         minus_two_log=judged.misfit.minus_two_log,
     )

@@ -51,6 +51,11 @@ class Judged:
         """Given the validation record, up to a constant."""
         return self.log_prior - self.misfit.minus_two_log / (2 * TEMPERATURE)
 
+    @property
+    def log_posterior_of_both(self) -> float:
+        """Given the record that was fitted too."""
+        return self.log_posterior - self.hypothesis.cost / (2 * TEMPERATURE)
+
 
 def judged(
     record: Record,

@@ -3,15 +3,17 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from identify.gaps.decision.bounds import Difference, contact_bounds, share_bounds
+import numpy as np
+
+from identify.gaps.decision.bounds import Difference, contact_distances, share_bounds
 from identify.gaps.decision.comparison import Judged, closed, judged, log_priors
 from identify.gaps.decision.hypotheses import Searched
 from identify.gaps.decision.notes import Attempt, attempted
-from identify.gaps.decision.null_reference import p_value
+from identify.gaps.decision.null_reference import combined, p_values
 from identify.gaps.decision.prediction import predicted
 from identify.gaps.decision.prepare import Prepared, PreparedRecording
 from identify.gaps.decision.verdict import Decision, Rivals, acts_where_they_do, decided, nominal_of
-from identify.gaps.decision_table import HALF, Bounded, Verdict, all_hold
+from identify.gaps.decision_table import DIFFERS, HALF, Verdict, all_hold
 from identify.gaps.residual.likelihood import Misfit, misfit
 from identify.gaps.residual.residual import Linearization, Residual
 from identify.gaps.results import Matters, Note
@@ -75,6 +77,8 @@ def judge(
     return Judgement(decision, rollout, unmeasured, linearization, residual)
 
 
+CERTAIN = DIFFERS / 10
+"""A p-value that no further part of the combination raises above `DIFFERS`."""
 INCOMPLETE = (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED)
 """Verdicts with which something is left to be described."""
 
@@ -82,7 +86,7 @@ INCOMPLETE = (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED)
 def difference_of(prepared: Prepared, residual: Residual, matters: Matters) -> Difference:
     """How the believed rig and all records differ; `residual` is that of the record that validates.
 
-    Contact parameters are looked at where no share exceeds what matters: else that is bounded by nothing anyway.
+    Contact parameters are looked at unless the rest is certain of a difference that is not bounded.
     """
     validation = prepared.validation
     residuals = [
@@ -90,15 +94,16 @@ def difference_of(prepared: Prepared, residual: Residual, matters: Matters) -> D
         for one in prepared.observations
     ]
     left = [misfit(one.record, one.reference, at) for one, at in zip(prepared.observations, residuals, strict=True)]
-    p = p_value(list(zip(prepared.null_references, left, strict=True)))
+    parts = p_values(list(zip(prepared.null_references, left, strict=True)))
     rig = validation.record.rig
     names = [f"force of {contact.name}" for contact in joined(rig).contacts]
     motion, *contacts = share_bounds(left[prepared.validating], names, matters)
-    parameters: tuple[Bounded, ...] = ()
-    if all_hold((motion, *contacts)):
-        recordings = [one.recording for one in prepared.observations]
-        parameters = contact_bounds(recordings, rig, validation.record.tolerances)
-    return Difference(p, motion, tuple(contacts), parameters)
+    if combined(parts) < CERTAIN and not all_hold((motion, *contacts)):
+        return Difference(combined(parts), motion, tuple(contacts))
+    recordings = [one.recording for one in prepared.observations]
+    distances = contact_distances(recordings, rig, validation.record.tolerances)
+    p = combined(np.append(parts, distances.p_values))
+    return Difference(p, motion, tuple(contacts), distances.bounds)
 
 
 def _with_contact_fit(prepared: Prepared, ranked: list[Judged], residual: Residual) -> list[Judged]:

@@ -101,28 +101,37 @@ class _Kept(msgspec.Struct, frozen=True):
     null_references: tuple[NullReference, ...]
 
 
-def p_value(records: Sequence[tuple[NullReference, Misfit]]) -> float:
-    """How often tolerances and noise alone leave as much of all records together as the nominal rig does.
+def p_values(records: Sequence[tuple[NullReference, Misfit]]) -> Float[np.ndarray, " parts"]:
+    """How often tolerances and noise alone leave as much of all records together as a rig does, part by part.
 
     The null simulations of several records are of the same machines, so their statistics are added machine by machine.
     With x one of the statistics of the measured records (the linear residual's part of -2 ln p, the contacts', the
     worst band's), m and s mean and standard deviation of it over n null machines, Student's prediction gives
 
-        p_i = P( t_(n-1) > (x - m) / (s sqrt(1 + 1/n)) )        s at least 1
-
-    and Cauchy's combination one p-value of all, whatever their dependence (Liu and Xie, J. Am. Stat. Assoc. 115, 2020):
-
-        p = 1/2 - arctan( mean tan((1/2 - p_i) pi) ) / pi
+        p = P( t_(n-1) > (x - m) / (s sqrt(1 + 1/n)) )        s at least 1
     """
     nulls = np.sum([reference.statistics for reference, _ in records], axis=0)
     measured = np.sum([[left.minus_two_log - left.law, left.law, left.peak] for _, left in records], axis=0)
     used = [True, bool(np.any(nulls[:, 1])), True]
     nulls, measured = nulls[:, used], measured[used]
     deviations = np.maximum(nulls.std(axis=0, ddof=1) * np.sqrt(1 + 1 / len(nulls)), 1.0)
-    each = np.clip(student.sf((measured - nulls.mean(axis=0)) / deviations, len(nulls) - 1), 1e-300, LIKELIEST)
+    return np.asarray(student.sf((measured - nulls.mean(axis=0)) / deviations, len(nulls) - 1))
+
+
+def combined(each: Float[np.ndarray, " parts"]) -> float:
+    """One p-value of several, whatever their dependence: Cauchy's combination.
+
+    p = 1/2 - arctan( mean tan((1/2 - p_i) pi) ) / pi        Liu and Xie, J. Am. Stat. Assoc. 115, 2020
+    """
+    each = np.clip(each, 1e-300, LIKELIEST)
     tangents = np.where(each > 1e-12, np.tan((0.5 - each) * np.pi), 1 / (np.pi * each))
     mean = float(np.mean(tangents))
     return 0.5 - float(np.arctan(mean)) / np.pi if mean < 1e12 else 1 / (np.pi * mean)
+
+
+def p_value(reference: NullReference, left: Misfit) -> float:
+    """How often tolerances and noise alone leave as much of one record."""
+    return combined(p_values([(reference, left)]))
 
 
 def null_reference_of(
@@ -137,7 +146,8 @@ def null_reference_of(
 ) -> NullReference:
     """That of a recording's rig, length and force, from the file `kept` if that holds it; else made, and kept.
 
-    Each null simulation is also predicted from its measured states, if a predictor is given. Of a folder it is the file named after the key, so that many rigs and levels have theirs in one.
+    Each null simulation is also predicted from its measured states, if a predictor is given. Of a folder it is the
+    file named after the key, so that many rigs and levels have theirs in one.
     """
     key = null_key(measured, tolerances, simulator, simulations)
     if kept and kept.is_dir():

@@ -21,7 +21,7 @@ from rig.recording import Recording
 
 @dataclass(frozen=True)
 class Simulator:
-    """What simulates a rig under a measured force, and its name; and what predicts it from measured states, if known."""
+    """What simulates a rig under a measured force, and its name; what predicts it from measured states, if known."""
 
     name: str
     simulate: Simulate

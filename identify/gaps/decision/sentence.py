@@ -41,6 +41,8 @@ def _cannot_tell(gap: Diagnosis) -> list[str]:
     if exceeding:
         begin += f", though {joined([quantity(q) for q in exceeding])}"
     said = [f"{begin}."]
+    if named := _named(gap):
+        said.append(f"{capital(joined(named.named))} would explain what is left, as tolerances and noise do.")
     return said + _not_seen(gap)
 
 
@@ -49,18 +51,21 @@ def _small(gap: Diagnosis) -> list[str]:
     if named := _named(gap):
         return [f"{capital(joined(named.named))} {_is(named)} certain, and too small to matter: {small}."]
     return [
-        f"The machine differs from rig.json ({chance(gap.before.p_value)}), by too little to matter: {small}. No effect "
-        "of the library is named for it."
+        f"The machine differs from rig.json ({chance(gap.before.p_value)}), by too little to matter: {small}. No "
+        "effect of the library is named for it."
     ]
 
 
 def _explained(gap: Diagnosis) -> list[str]:
     named = gap.causes[0]
     explain = "explains" if len(named.named) == 1 else "explain"
+    if leaves(gap.before) == leaves(gap.after):
+        said = f"{capital(joined(named.named))} {explain} the difference ({chance(gap.evidence.p_value)})"
+        return [f"{said}, of which the record that was not fitted shows too little."]
     rest = "" if gap.after.p_value < USUAL else f", what tolerances and noise leave ({chance(gap.after.p_value)})"
     return [
-        f"{capital(joined(named.named))} {explain} the difference: the rig leaves {leaves(gap.after)} unexplained{rest}, "
-        f"and without {_them(named)} {leaves(gap.before)}."
+        f"{capital(joined(named.named))} {explain} the difference: with {_them(named)} rig.json leaves "
+        f"{leaves(gap.after)} unexplained{rest}; without {_them(named)} {leaves(gap.before)}."
     ]
 
 
@@ -68,8 +73,9 @@ def _partly_explained(gap: Diagnosis) -> list[str]:
     named = gap.causes[0]
     explain = "explains" if len(named.named) == 1 else "explain"
     return [
-        f"{capital(joined(named.named))} {explain} the difference in part: {_removes(gap)}, and {leaves(gap.after)} stay "
-        "unexplained.",
+        f"{capital(joined(named.named))} {explain} the difference in part: "
+        f"{'it' if len(named.named) == 1 else 'they'} {_removes(gap)}, and {leaves(gap.after)} "
+        "stay unexplained.",
         *_veto(gap),
         _looks(gap, "The rest"),
     ]
@@ -125,7 +131,7 @@ def _veto(gap: Diagnosis) -> list[str]:
 def _bounds(quantities: tuple[Bounded, ...]) -> str:
     """Upper bounds of the shares: "0.3 % of the motion and 1.2 % of the force of contact_1"."""
     shares = [q for q in quantities if q.unit == "1"]
-    text = joined([f"{percent(q.upper)} of the {q.name}" for q in shares])
+    text = joined([f"{percent(q.upper)} of the {q.name}" for q in shares if q.upper is not None])
     further = (
         " and every clearance, stiffness and damping within three tolerances" if len(quantities) > len(shares) else ""
     )
@@ -153,10 +159,7 @@ def _looks(gap: Diagnosis, what: str) -> str:
 
 def _alternatives(gap: Diagnosis) -> list[str]:
     """What may stand in the place of an effect that is named."""
-    return [
-        f"In place of {words} it may be {joined(others, 'or')}: these records hardly tell them apart."
-        for words, others in alternatives(gap)
-    ]
+    return [f"These records hardly tell {words} from {joined(others, 'or')}." for words, others in alternatives(gap)]
 
 
 def _limits(gap: Diagnosis) -> list[str]:

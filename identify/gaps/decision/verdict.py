@@ -9,7 +9,7 @@ import numpy as np
 from identify.gaps.decision.bounds import Difference, share_bounds
 from identify.gaps.decision.comparison import PRIOR_UNKNOWN, TEMPERATURE, Judged, closed, probabilities
 from identify.gaps.decision.null_reference import NullReference, p_value
-from identify.gaps.decision_table import Evidence, Strength, Verdict
+from identify.gaps.decision_table import USUAL, Evidence, Strength, Verdict
 from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.results import Matters
 from identify.gaps.search.attached import ATTACHED
@@ -90,11 +90,6 @@ class Decision:
         return self.likeliest_rig if self.helps else None
 
     @property
-    def without(self) -> Misfit:
-        """What the nominal rig leaves with the nuisance parameters of the named effects."""
-        return self.named.without if self.named else self.nothing.misfit
-
-    @property
     def after(self) -> Misfit:
         """What is left with the named effects."""
         return self.named.misfit if self.named else self.nothing.misfit
@@ -116,14 +111,16 @@ def decided(
     """From hypotheses judged on the validation record, likeliest first.
 
     Something unmeasured is a rival of effects; as their companion, it makes them as likely as they are alone or with
-    it. Raises nothing: what is not told is no name.
+    it. Where the records differ from the nominal rig and the one that validates alone does not show it, it tells too
+    little to judge by: then the record that was fitted counts too.
     """
     rivals = rivals or Rivals()
     best = next((j for j in ranked if j.hypothesis.parts), None)
-    scores = [j.log_posterior for j in ranked]
+    blind = difference.certain and p_value(null_reference, nominal_of(ranked).misfit) >= USUAL
+    scores = [j.log_posterior_of_both if blind else j.log_posterior for j in ranked]
     if best:
         beside = _log_posterior(best.log_prior, rivals.beside)
-        scores[ranked.index(best)] = float(np.logaddexp(best.log_posterior, beside))
+        scores[ranked.index(best)] = float(np.logaddexp(scores[ranked.index(best)], beside))
     scores.append(_log_posterior(0.0, rivals.alone))
     *likely, unknown = (float(p) for p in probabilities(np.array(scores)))
     weighed = tuple(Weighed(*pair) for pair in sorted(zip(ranked, likely, strict=True), key=lambda pair: -pair[1]))
@@ -136,7 +133,7 @@ def decided(
         p_value=difference.p_value,
         quantities=difference.quantities,
         strengths=strengths,
-        p_value_after=p_value([(null_reference, left.misfit)]),
+        p_value_after=p_value(null_reference, left.misfit),
         quantities_after=share_bounds(left.misfit, contacts, matters),
         removed=closed(left.without, left.misfit, matters),
         vetoed=vetoed,

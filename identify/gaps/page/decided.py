@@ -54,7 +54,7 @@ def _yes(answer: bool) -> str:
 
 
 def _row(one: Bounded) -> tuple[str, ...]:
-    if one.hidden:
+    if one.value is None or one.upper is None:
         return one.name, "", "", "", f"not seen: {one.why}"
     mark = "" if one.holds else "not seen" if one.not_seen else "beyond"
     if one.unit == "1":

@@ -142,3 +142,12 @@ def candidates(scale: Scale, sensors: Sequence[str], zero_known: bool, forced: b
             if changed != scale.rig and len(joined_contacts(changed)) == len(joined_contacts(scale.rig)):
                 found.append(candidate)
     return found
+
+
+def joins(candidate: Candidate, rig: Rig) -> bool:
+    """Whether an effect makes sense in a rig."""
+    try:
+        candidate.applied(rig, candidate.default)
+    except RigError:
+        return False
+    return True

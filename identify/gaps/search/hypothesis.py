@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import block_diag
 
 from identify.gaps.residual.fit import Values, fit
 from identify.gaps.residual.likelihood import Misfit, Reference, misfit
@@ -245,3 +246,10 @@ def straightened(at: Residual) -> Residual:
         return at
     straight = tuple(replace(c, unknowns=c.believed) for c in at.contacts)
     return replace(at, nuisance=np.zeros_like(at.nuisance), contacts=straight)
+
+
+def beside(first: Tried, second: Tried) -> Hypothesis:
+    """A pair of which the second was fitted with the first held, as one is known by its spectrum alone."""
+    one, other = first.hypothesis, second.hypothesis
+    values = np.concatenate([one.values, other.values])
+    return Hypothesis((*one.parts, *other.parts), values, block_diag(one.covariance, other.covariance), other.misfit)

@@ -5,7 +5,8 @@ Notes for maintainers
    most solved with all others free; one enters if S falls by `WORTH`, one leaves if S then rises by less. A candidate
    may stand at two places of a body (two cables are two masses).
 2. Refine (`refined_set`): the whole set is fitted by Gauss-Newton, the local model is made anew about it, and more is
-   selected beside it, until nothing enters or a fit does not lower S by `GAINED`.
+   selected beside it, until nothing enters or a fit does not lower S by `GAINED`. Where nothing is selected, the three
+   that gain most are fitted whatever they gain, as tolerances that stand far off bend the model.
 3. Begin elsewhere (`_begun_by_single`): where a set leaves more than half of the mismatch, an effect is so large, or a
    line so sharp, that slopes say nothing of it. Then single effects are screened over their whole range.
 4. Leave out (`without_each`): linear removal of strong effects misleads, so the set is fitted again without each of its
@@ -23,21 +24,22 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.gaps.residual.residual import Linearization, Residual
-from identify.gaps.search.candidates import Candidate
+from identify.gaps.search.candidates import Candidate, joins
 from identify.gaps.search.hypothesis import (
     FAR,
     WORTH,
     Hypothesis,
     Search,
     Tried,
+    beside,
     fit_briefly,
     fit_spectrum,
     refined,
     straightened,
 )
-from identify.gaps.search.joint import beside, joins, single_effects
 from identify.gaps.search.local_model import CandidateTerm, LocalModel, Solution, local_model
 from identify.gaps.search.nominal import fitted
+from identify.gaps.search.singles import single_effects
 from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
 from rig.model.description import Rig
@@ -51,6 +53,8 @@ SAME_PLACE = 2
 ROUNDS = 4
 GAINED = 3.0
 """A refined set must lower S by so much, or the last one stands: odds of e^(3/12) on this record."""
+HINT, HINTS = WORTH / 3, 3
+"""So many candidates that gain so much less than `WORTH` in the local model are fitted all the same."""
 DOMINANT = 0.5
 """A set that leaves more than this share of the mismatch is tried against one that begins with a single effect."""
 
@@ -61,11 +65,12 @@ Values = Float[np.ndarray, " parameters"]
 @dataclass(frozen=True)
 class Selection:
     """Candidates chosen in a local model with the values of their parameters; of each the candidates that could stand
-    in its place."""
+    in its place. hints are those that gain something, though less than is asked for."""
 
     parts: tuple[Candidate, ...]
     values: tuple[Values, ...]
     exchanges: dict[str, tuple[Candidate, Values]]
+    hints: tuple[tuple[Candidate, Values], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -122,17 +127,37 @@ def refined_set(begun: Search, best: FittedSet) -> FittedSet:
     linearization, at = _about(tried, rig)
     steady = [c for c in begun.known if not (c.kind.stochastic or c.kind.grid_screened) and joins(c, rig)]
     selection = selected(local_model(linearization, at, begun.reference, best.hypothesis, steady), best.hypothesis)
-    if not selection.parts:
+    more = [(selection.parts, selection.values)] if selection.parts else [((c,), (v,)) for c, v in selection.hints]
+    brief = [
+        one
+        for parts, values in more
+        if (one := _fitted_beside(begun, best.hypothesis, parts, values, at, linearization)) is not None
+    ]
+    if not brief:
         return best
-    parts = (*best.hypothesis.parts, *selection.parts)
-    values = np.concatenate([best.hypothesis.values, *selection.values])
-    try:
-        better = refined(begun, fit_briefly(begun, parts, values, straightened(at), linearization))
-    except RigError:  # no rig has them all
+    better, asked = min(brief, key=lambda one: one.cost), GAINED if selection.parts else WORTH
+    if not selection.parts and tried.cost - better.cost <= asked:
         return best
-    if tried.cost - better.cost <= GAINED:
+    better = refined(begun, better)
+    if tried.cost - better.cost <= asked:
         return best
     return FittedSet(better, best.exchanges | selection.exchanges)
+
+
+def _fitted_beside(
+    begun: Search,
+    present: Hypothesis,
+    parts: tuple[Candidate, ...],
+    values: tuple[Values, ...],
+    at: Residual,
+    linearization: Linearization,
+) -> Tried | None:
+    """A set with more members, fitted for a few steps; None where no rig has them all."""
+    together = np.concatenate([present.values, *values])
+    try:
+        return fit_briefly(begun, (*present.parts, *parts), together, straightened(at), linearization)
+    except RigError:
+        return None
 
 
 def _about(tried: Tried, rig: Rig) -> tuple[Linearization, Residual]:
@@ -145,6 +170,7 @@ def selected(model: LocalModel, present: Hypothesis) -> Selection:
     """The candidates that together lower S most, each by `WORTH` or more beside the others."""
     chosen: list[CandidateTerm] = []
     solution = model.solved(chosen)
+    hints: tuple[tuple[Candidate, Values], ...] = ()
     while len(present.parts) + len(chosen) < LARGEST_SET:
         promising = _promising(model, chosen, present, solution)
         tried = [(model.solved([*chosen, term], solution.theta), term) for term in promising]
@@ -152,6 +178,7 @@ def selected(model: LocalModel, present: Hypothesis) -> Selection:
             break
         better, term = min(tried, key=lambda pair: pair[0].statistic)
         if solution.statistic - better.statistic < WORTH:
+            hints = _hints(tried, solution)
             break
         dominates = solution.statistic - better.statistic > FAR
         chosen, solution = _pruned(model, [*chosen, term], better)
@@ -162,8 +189,22 @@ def selected(model: LocalModel, present: Hypothesis) -> Selection:
         if (other := _exchange(model, [t for t in chosen if t is not term], term, present, solution)) is not None:
             exchanges[term.candidate.name] = other
     return Selection(
-        tuple(term.candidate for term in chosen), tuple(term.values(solution.theta) for term in chosen), exchanges
+        tuple(term.candidate for term in chosen),
+        tuple(term.values(solution.theta) for term in chosen),
+        exchanges,
+        hints,
     )
+
+
+def _hints(tried: Sequence[tuple[Solution, CandidateTerm]], before: Solution) -> tuple[tuple[Candidate, Values], ...]:
+    """The best candidates that gain `HINT`, each at one place."""
+    ranked = sorted(tried, key=lambda pair: pair[0].statistic)
+    worth = {
+        term.candidate.name: (term.candidate, term.values(solution.theta))
+        for solution, term in reversed(ranked)
+        if before.statistic - solution.statistic > HINT
+    }
+    return tuple(reversed(worth.values()))[:HINTS]
 
 
 def _exchange(

@@ -1,4 +1,4 @@
-"""Diagnoses made by hand: explained, by a pair, in part, an unknown force, a null, and one mass without contacts."""
+"""Diagnoses made by hand: one for each verdict, a pair, two masses of one body, and one mass without contacts."""
 
 from itertools import pairwise
 
@@ -7,6 +7,7 @@ import pytest
 from msgspec.structs import asdict, replace
 
 from identify.gaps.decision.sentence import sentence
+from identify.gaps.decision_table import Bounded, Evidence, Strength
 from identify.gaps.results import (
     AGAIN,
     Attribution,
@@ -14,6 +15,7 @@ from identify.gaps.results import (
     Between,
     Cause,
     Compared,
+    Criteria,
     Curve,
     Diagnosis,
     Figure,
@@ -23,7 +25,9 @@ from identify.gaps.results import (
     NextExperiment,
     ResidualMap,
     Share,
+    labels_of,
 )
+from identify.gaps.rollout.results import PredictionErrors, Rollout
 from rig.model.unmeasured_force import MeanForce, UnmeasuredForce, Value
 from rig.recording import read
 from rig.simulation.plants import modal
@@ -92,11 +96,25 @@ def left(share, *contacts, p_value):
     return Left(share=share, contact_shares={f"contact_{i}": s for i, s in enumerate(contacts, 1)}, p_value=p_value)
 
 
-def cause(effects, probability, explained, interval, left, parameters, **places):
+def cause(effects, words, probability, explained, interval, left, parameters, instead=(), **places):
+    """Of every effect the first of its parameters is the strength, neutral at 0; all are as probable as the cause."""
+    values = {name: Value(*value) for name, value in parameters.items()}
+    labels = labels_of(effects)
+    strengths = []
+    for label in labels:
+        first = next(v for name, v in values.items() if name.startswith(f"{label}."))
+        half = 1.96 * first.standard_error
+        place = next((p for name, p in places.items() if name.startswith(label)), "all")
+        kind = effects[labels.index(label)]
+        strengths.append(
+            Strength(f"{kind}:{place}", probability, (first.value - half, first.value + half), 0.0, instead)
+        )
     return Cause(
         effects=effects,
+        words=words,
+        strengths=tuple(strengths),
         probability=probability,
-        parameters={name: Value(*value) for name, value in parameters.items()},
+        parameters=values,
         places={name.replace("__", "."): place for name, place in places.items()},
         explained=explained,
         interval_95=interval,
@@ -113,7 +131,8 @@ BEFORE, SMALL, REST = (
 )
 MASS = cause(
     ("added_mass",),
-    0.934,
+    ("an added mass of 0.141 kg on the barrel at 0.99 m",),
+    0.964,
     0.977,
     (0.961, 0.988),
     SMALL,
@@ -121,14 +140,22 @@ MASS = cause(
         "added_mass.mass_kg": (0.1414, 0.00105, "kg"),
         "added_mass.relative_position": (0.9899, 0.0021, "1", True),
     },
+    instead=("clamp_compliance:all",),
     added_mass__body="barrel",
 )
 CLAMP = cause(
-    ("clamp_compliance",), 0.051, 0.12, (0.08, 0.17), BEFORE, {"clamp_compliance.compliance": (0.0173, 0.0009, "1")}
+    ("clamp_compliance",),
+    ("a clamp of the cradle that gives way (compliance 0.0173)",),
+    0.031,
+    0.12,
+    (0.08, 0.17),
+    BEFORE,
+    {"clamp_compliance.compliance": (0.0173, 0.0009, "1")},
 )
 PAIR = cause(
     ("coulomb_friction", "sensor_delay"),
-    0.81,
+    ("a dry friction of 0.764 N in contact_2", "a delay of 0.183 ms in sensor barrel_4"),
+    0.96,
     0.94,
     (0.91, 0.96),
     SMALL,
@@ -136,8 +163,25 @@ PAIR = cause(
     coulomb_friction__contact="contact_2",
     sensor_delay__sensor="barrel_4",
 )
+CABLES = cause(
+    ("added_mass", "added_mass"),
+    ("an added mass of 0.0120 kg on the barrel at 0.91 m", "an added mass of 0.0093 kg on the barrel at 0.49 m"),
+    0.97,
+    0.98,
+    (0.97, 0.99),
+    SMALL,
+    {
+        "added_mass.mass_kg": (0.012, 1e-4, "kg"),
+        "added_mass.relative_position": (0.911, 0.002, "1"),
+        "added_mass_2.mass_kg": (0.0093, 1e-4, "kg"),
+        "added_mass_2.relative_position": (0.488, 0.002, "1"),
+    },
+    added_mass__body="barrel",
+    added_mass_2__body="barrel",
+)
 CUBIC = cause(
     ("hardening_spring",),
+    ("a cubic spring of 2.96e+10 N/m³ between the barrel at 1.00 m and the ground",),
     0.012,
     -0.02,
     (-0.05, 0.01),
@@ -216,10 +260,34 @@ def bands(before, after):
     )
 
 
-def gap(verdict, criterion, causes, nothing, unknown, before=BEFORE, after=SMALL, **more):
+def quantities(left, upper=1.2, hidden=""):
+    """Shares with upper bounds above by a factor; noise hides one of the contacts."""
+    rows = [("motion", left.share, 5e-3), *((f"force of {n}", s, 3e-2) for n, s in left.contact_shares.items())]
+    return tuple(
+        Bounded(name, "1", value, None, limit, "noise hides it", "excite the rig more strongly")
+        if name == hidden
+        else Bounded(name, "1", value, upper * value + 1e-4, limit)
+        for name, value, limit in rows
+    )
+
+
+def gap(causes, nothing, unknown, before=BEFORE, after=SMALL, hidden="", **more):
+    """The verdict follows from what is left before and after."""
+    strengths = causes[0].strengths if causes else ()
+    evidence = Evidence(
+        p_value=before.p_value,
+        quantities=quantities(before, hidden=hidden),
+        strengths=strengths,
+        p_value_after=after.p_value,
+        quantities_after=quantities(after),
+        removed=causes[0].explained if causes else 0.0,
+        vetoed=more.pop("vetoed", False),
+    )
     diagnosis = Diagnosis(
-        verdict=verdict,
-        criterion=criterion,
+        verdict=evidence.verdict,
+        criteria=Criteria(evidence.differs, evidence.bounded, evidence.named, evidence.enough),
+        evidence=evidence,
+        not_seen=evidence.not_seen,
         before=before,
         after=after,
         matters=Matters(),
@@ -230,7 +298,6 @@ def gap(verdict, criterion, causes, nothing, unknown, before=BEFORE, after=SMALL
         probability_unknown=max(1 - nothing - sum(c.probability for c in causes), 0.0),
         unknown=unknown,
         bands=bands(before.share, after.share),
-        equivalent=more.pop("equivalent", ()),
         separate_by=more.pop("separate_by", ()),
         attribution=more.pop("attribution", attribution()),
         figures=FIGURES,
@@ -270,14 +337,33 @@ BETWEEN = Between(
     looked_at=70,
 )
 
+PREDICTED = Rollout(
+    code="not_vetoed",
+    horizon_s=0.18,
+    windows=160,
+    whole=PredictionErrors(nominal=0.36, corrected=0.08, null_median=0.07, null_95=0.14, shrunk=0.99),
+    shrunk_95=(0.97, 1.0),
+    within=0.33,
+    log_ratio=-1.4,
+    log_ratio_error=0.1,
+    expected_log_ratio=-1.3,
+)
+CERTAIN = left(3e-3, 1.5e-2, 0.0, p_value=1e-4)
+
+
+def unsure(one, probability):
+    """A cause that is hardly likely, and closes nothing."""
+    strengths = tuple(replace(s, inclusion_probability=probability) for s in one.strengths)
+    return replace(
+        one, probability=probability, strengths=strengths, explained=0.0, interval_95=(-0.1, 0.1), left=SMALL
+    )
+
+
 GAPS = {
     "explained": gap(
-        "explained",
-        "what is left is 0.16 times what matters",
         (MASS, CLAMP),
         0.005,
         None,
-        equivalent=(("added_mass", "clamp_compliance"),),
         separate_by=("added_mass: weigh the part", "clamp_compliance: measure close to the clamp"),
         channel_faults={"cradle_3": "dead"},
         next_experiments=(
@@ -287,46 +373,44 @@ GAPS = {
             NextExperiment("record with 0.3 times the force", -0.1),
         ),
         next_between=("added_mass", "clamp_compliance"),
+        rollout=PREDICTED,
     ),
-    "pair": gap(
-        "explained",
-        "tolerances and noise leave as much in 31 % of all cases",
-        (PAIR, CLAMP, CUBIC),
-        0.1,
-        None,
-        between=BETWEEN,
-    ),
+    "pair": gap((PAIR, CUBIC), 0.001, None, between=BETWEEN),
+    "cables": gap((CABLES, CUBIC), 0.003, None),
     "partly_explained": gap(
-        "partly_explained",
-        "what is left is 2.8 times what matters",
         (replace(MASS, explained=0.87, interval_95=(0.85, 0.88), left=REST), CUBIC),
         0.003,
         tone(),
         after=REST,
         separate_by=("added_mass: weigh the part",),
     ),
-    "unknown": gap(
-        "unknown",
-        "no effect of the library is likelier than something unknown",
-        (replace(CUBIC, probability=1e-12),),
-        1e-50,
-        softening(),
-        after=BEFORE,
+    "vetoed": gap(
+        (replace(MASS, explained=0.3, interval_95=(0.25, 0.35), left=SMALL), CUBIC),
+        0.003,
+        None,
+        vetoed=True,
+        rollout=replace(PREDICTED, code="worse", log_ratio=0.4),
     ),
-    "null": gap(
-        "no_gap",
-        "what the believed rig leaves is 0.5 times what matters",
-        (replace(CLAMP, probability=0.03, explained=0.0, interval_95=(-0.1, 0.1), left=SMALL),),
+    "unexplained": gap((unsure(CUBIC, 1e-12),), 1e-50, softening(), after=BEFORE),
+    "small": gap((MASS, CUBIC), 0.01, None, before=CERTAIN),
+    "consistent": gap(
+        (unsure(CLAMP, 0.03),),
         0.97,
         None,
         before=SMALL,
         after=SMALL,
     ),
+    "cannot_tell": gap(
+        (unsure(CLAMP, 0.03),),
+        0.97,
+        None,
+        before=SMALL,
+        after=SMALL,
+        hidden="force of contact_1",
+    ),
     "one_mass": gap(
-        "explained",
-        "what is left is 0.16 times what matters",
         (replace(MASS, places={"added_mass.body": "mass"}, left=left(4e-4, p_value=0.31)),),
-        0.066,
+        0.036,
         None,
         before=left(0.067, p_value=1e-9),
         after=left(4e-4, p_value=0.31),
@@ -344,7 +428,7 @@ def diagnosis(request):
 @pytest.fixture(scope="session")
 def rig_of():
     """The rig that a diagnosis is of."""
-    return lambda gap: RIGS["one_mass" if gap.attribution is ONE_MASS else "null"]
+    return lambda gap: RIGS["one_mass" if gap.attribution is ONE_MASS else "consistent"]
 
 
 @pytest.fixture(scope="session")

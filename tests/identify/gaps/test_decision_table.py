@@ -19,7 +19,7 @@ def drawn(rng):
     def quantity(name):
         value, threshold = rng.uniform(0, 2), float(rng.choice([0.5, 1.0]))
         upper = float(rng.choice([value + rng.exponential(0.3), threshold, 0.1, math.nan, math.inf]))
-        return Bounded(name, "%", value, upper, threshold, hidden=bool(rng.uniform() < 0.2))
+        return Bounded(name, "%", value, None if rng.uniform() < 0.2 else upper, threshold)
 
     def strength(name):
         centre, half = rng.normal(), rng.exponential()
@@ -37,7 +37,7 @@ def drawn(rng):
 
 
 def bounded(quantities):
-    return len(quantities) > 0 and not any(q.hidden or not q.upper < q.threshold for q in quantities)
+    return len(quantities) > 0 and not any(q.upper is None or not q.upper < q.threshold for q in quantities)
 
 
 def tabled(e):
@@ -71,11 +71,12 @@ def test_contradicts_no_number_beside_it():
     for _ in range(CASES):
         e = drawn(rng)
         if e.verdict == "explained":
-            assert e.p_value_after >= 0.05 or all(q.upper < q.threshold for q in e.quantities_after)
+            assert e.p_value_after >= 0.05 or bounded(e.quantities_after)
             assert not e.vetoed
         if e.verdict in ("consistent", "small"):
             assert e.quantities
-            assert not any(q.hidden or q.upper >= q.threshold for q in e.quantities)
+            assert bounded(e.quantities)
+            assert not e.not_seen
         if e.verdict in ("explained", "partly_explained"):
             assert all(not low <= 0.0 <= high for low, high in (s.interval_95 for s in e.strengths if s.is_named))
             assert e.named
@@ -83,7 +84,11 @@ def test_contradicts_no_number_beside_it():
             assert e.p_value >= 0.01
 
 
-@pytest.mark.parametrize("upper", [math.nan, math.inf])
+@pytest.mark.parametrize("upper", [None, math.nan, math.inf])
 def test_what_is_no_number_bounds_nothing(upper):
     quantity = Bounded("motion", "%", 0.1, upper, 0.5)
-    assert Evidence(0.5, (quantity,), (), 0.5, (), 0.0).verdict == "cannot_tell"
+    evidence = Evidence(
+        p_value=0.5, quantities=(quantity,), strengths=(), p_value_after=0.5, quantities_after=(), removed=0.0
+    )
+    assert evidence.verdict == "cannot_tell"
+    assert evidence.not_seen == (quantity,)

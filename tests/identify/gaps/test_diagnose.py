@@ -56,7 +56,7 @@ def diagnosed(actual: Rig, null_reference):
 
 def test_the_believed_rig_has_no_gap(null_reference):
     gap, corrected = diagnosed(RIG, null_reference)
-    assert gap.verdict == "no_gap"
+    assert gap.verdict == "consistent"
     assert corrected == RIG
     assert gap.before.p_value > 0.01
     assert gap.notes == ()
@@ -125,7 +125,7 @@ def test_an_effect_in_a_file_of_its_own_is_found_by_itself(monkeypatch, null_ref
 def test_no_gap_is_not_sure_where_the_validation_hardly_reaches_the_contact(text, doubted):
     actual = effect_named(text).applied_to(RIG) if text else RIG
     gap, corrected = diagnose(modal(RIG, actual, force(0, 0.5), 0), modal(RIG, actual, force(1, 0.03), 1), SIMULATOR)
-    assert gap.verdict == "no_gap"
+    assert gap.verdict == "consistent"
     assert corrected == RIG
     assert (gap.doubted is not None) == doubted
     if gap.doubted:

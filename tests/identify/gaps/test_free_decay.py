@@ -24,7 +24,7 @@ def row(recording):
     return recording.signals[recording.rig.sensors[-1].quantity].values[-1]
 
 
-@pytest.mark.parametrize(("effect", "verdict"), [("", "no_gap"), (STIFFER, "explained")])
+@pytest.mark.parametrize(("effect", "verdict"), [("", "consistent"), (STIFFER, "explained")])
 def test_a_free_decay_is_diagnosed(effect, verdict, tmp_path):
     found = identify.gap(*(decay(ACCELEROMETER, tmp_path, effect, level) for level in (1.0, VALIDATES)))
     assert found.report.verdict == verdict

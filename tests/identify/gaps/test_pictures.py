@@ -45,7 +45,7 @@ def test_every_picture_is_a_png_that_shows_something(made):
 
 def test_every_section_has_pictures(made):
     gap, files, _ = made
-    sections = {"large", "why", "where", "far"} | ({"unknown"} if gap.unknown else set())
+    sections = {"large", "why", "where", "far"} | ({"unexplained"} if gap.unknown else set())
     sections |= {"next"} if gap.next_experiments else set()
     assert {name.split("_")[0] for name in files} == sections
     for kind, count in (("where_surface", len(gap.attribution.surface)), ("far_curve", len(gap.curves))):
@@ -94,8 +94,8 @@ def test_probabilities_are_drawn_and_sum_to_one(made):
     assert widths(axes) == pytest.approx(drawn)
     assert sum(widths(axes)) == pytest.approx(100)
     names = [label.get_text() for label in axes.get_yticklabels()]
-    assert names[-2] == "no gap"
-    assert names[-1].startswith("something unknown")
+    assert names[-2] == "rig.json as it is"
+    assert names[-1].startswith("something unmeasured")
 
 
 def test_further_causes_are_one_bar(gaps, rig_of):
@@ -137,7 +137,7 @@ def test_bodies_lie_so_that_what_touches_is_one_above_the_other():
         assert at == pytest.approx(against)
 
 
-@pytest.mark.parametrize("name", ["partly_explained", "unknown"])
+@pytest.mark.parametrize("name", ["partly_explained", "unexplained"])
 def test_the_unknown_force_is_drawn_at_its_place(gaps, rig_of, name):
     gap, rig = gaps[name], rig_of(gaps[name])
     _, figures = drawn(gap, rig)
@@ -159,7 +159,7 @@ def test_the_unknown_force_is_drawn_at_its_place(gaps, rig_of, name):
     ],
 )
 def test_every_kind_of_unknown_is_drawn(gaps, rig_of, change, label):
-    gap = gaps["unknown"]
+    gap = gaps["unexplained"]
     rig = rig_of(gap)
     if change["kind"] == "sensor":
         change = {**change, "sensor": rig.sensors[3].name}
@@ -171,7 +171,7 @@ def test_every_kind_of_unknown_is_drawn(gaps, rig_of, change, label):
 
 
 def test_the_force_over_the_motion_is_the_right_way_round(gaps, rig_of):
-    gap = gaps["unknown"]
+    gap = gaps["unexplained"]
     seen = gap.unknown.over_motion
     _, figures = drawn(gap, rig_of(gap))
     mesh = figures["unknown_motion"].axes[0].collections[0]
@@ -213,7 +213,7 @@ def test_curves_are_those_given(made):
 
 
 def test_any_name_can_be_drawn(gaps, rig_of):
-    gap = gaps["null"]
+    gap = gaps["consistent"]
     odd = {"$\\frac": 0.5, "<b>" * 30: 0.3, "a_$x$": 0.2}
     _, figures = drawn(replace(gap, attribution=replace(gap.attribution, channels=odd)), rig_of(gap))
     labels = [t.get_text() for t in figures["where_channels"].axes[0].get_yticklabels()]
@@ -221,7 +221,7 @@ def test_any_name_can_be_drawn(gaps, rig_of):
 
 
 def test_what_is_missing_is_left_out(gaps, rig_of):
-    gap = gaps["null"]
+    gap = gaps["consistent"]
     nothing = Attribution(
         channels={}, modal_equations={}, positions_m={}, band_hz=(), contact_state={}, time_s=(), surface={}
     )

@@ -43,7 +43,7 @@ def diagnosed(actual, null_reference):
 
 def test_the_believed_rig_has_no_gap(null_reference):
     gap, corrected = diagnosed(RIG, null_reference)
-    assert gap.verdict == "no_gap"
+    assert gap.verdict == "consistent"
     assert corrected == RIG
 
 
@@ -71,7 +71,7 @@ def test_what_the_library_lacks_is_unknown_and_described(null_reference):
     law = DeadZone(lower_clearance_m=1e-3, upper_clearance_m=1e-3, stiffness_n_per_m=3e4)
     third = Contact(name="third", at=Station("cradle", 0.75), against=None, law=law)
     gap, corrected = diagnosed(replace(RIG, contacts=(*RIG.contacts, third)), null_reference)
-    assert gap.verdict == "unknown"
+    assert gap.verdict == "unexplained"
     assert "cradle" in gap.unknown.sentence
     assert gap.notes == ()
     assert corrected == RIG

@@ -18,16 +18,21 @@ from rig.viewer.viewing import write_rrd
 from tests.identify.gaps.conftest import GAPS, ONE_MASS, RIGS
 from tests.rig.viewer.test_viewing import column, series, static
 
+MASS = (Station("barrel", 0.9899), "an added mass of 0.141 kg on the barrel at 0.99 m")
 MARKS = {
-    "explained": [(Station("barrel", 0.9899), "added_mass 0.141 kg")],
-    "pair": [(RIGS["pair"].contacts[1].at, "coulomb_friction 0.764 N")],
-    "partly_explained": [
-        (Station("barrel", 0.9899), "added_mass 0.141 kg"),
-        (Station("cradle", 0.8), "unmeasured force, 0.99 N rms, always"),
+    "explained": [MASS],
+    "small": [MASS],
+    "pair": [(RIGS["pair"].contacts[1].at, "a dry friction of 0.764 N in contact_2")],
+    "cables": [
+        (Station("barrel", 0.911), "an added mass of 0.0120 kg on the barrel at 0.91 m"),
+        (Station("barrel", 0.488), "an added mass of 0.0093 kg on the barrel at 0.49 m"),
     ],
-    "unknown": [(Station("barrel", 0.8914), "unmeasured force, 10.5 N rms, always")],
-    "null": [],
-    "one_mass": [(Station("mass", 0.0), "added_mass 0.141 kg")],
+    "partly_explained": [MASS, (Station("cradle", 0.8), "unmeasured force, 0.99 N rms, always")],
+    "vetoed": [],
+    "unexplained": [(Station("barrel", 0.8914), "unmeasured force, 10.5 N rms, always")],
+    "consistent": [],
+    "cannot_tell": [],
+    "one_mass": [(Station("mass", 0.0), MASS[1])],
 }
 
 
@@ -37,7 +42,7 @@ def test_what_acts_is_marked_at_its_place(tmp_path, name):
     gap = read_gap(tmp_path, RIGS[name], 61.0)
     assert [(m.place, m.words) for m in gap.marks] == MARKS[name]
     assert GAPS[name].sentence in gap.text
-    assert bool(gap.shares) == (name != "null")
+    assert bool(gap.shares) == (name not in ("consistent", "cannot_tell"))
 
 
 @pytest.mark.parametrize(

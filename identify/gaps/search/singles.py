@@ -1,18 +1,15 @@
-"""The search over the library, jointly: single effects, and pairs that do not depend on which of the two came first."""
+"""Single effects that no slope shows: screened over their whole range, fitted, the likeliest first."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from itertools import chain
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from identify.gaps.residual.residual import Linearization, Residual, residual_of
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.hypothesis import (
-    FAR,
     WORTH,
-    Hypothesis,
     Search,
     Tried,
     fit_afresh,
@@ -22,56 +19,16 @@ from identify.gaps.search.hypothesis import (
     refined,
     straightened,
 )
-from identify.gaps.search.nominal import fitted
 from identify.gaps.search.screening import Screened, grid_screening, law_screening, of_laws, score_screening
 from rig.errors import RigError
-from rig.model.description import Rig
 
-BY_SCORE, BY_GRID, FRESH, BY_LAW = 5, 3, 3, 1
+BY_SCORE, BY_GRID, FRESH, BY_LAW = 3, 2, 2, 1
 """So many candidates of each screening are fitted for a few steps."""
 KEPT, RIVAL = 3, 0.5
 """So many of those are fitted to the end, if they gained this share of what the best one did."""
-FIRSTS, SECONDS = 3, 2
-"""So many effects at most are followed by a search for another, of which so many are fitted together with it."""
-SHOWN = 2
-"""So many hypotheses are compared on another record, however far they are."""
 
 
-def search(begun: Search, progress: Callable[[float], None]) -> list[Hypothesis]:
-    """The believed rig, and the single effects and pairs that explain most, the likeliest on this record first.
-
-    Every effect is screened, those that promise most are fitted for a few steps, the best of them to the end. Where a
-    tolerance stays at its limit, factors and linear effects are fitted whatever they promise, from their typical size.
-    Behind the best the library is screened again, and a pair is fitted together. Each part of the best pair is in turn
-    taken first, so that a pair does not depend on which of the two was found first.
-    """
-    nothing = begun.nothing()
-    singles = single_effects(begun, nothing)
-    progress(0.5)
-    pairs: dict[tuple[str, ...], Hypothesis] = {}
-    followed: set[tuple[str, ...]] = set()
-    queue = singles[:1]
-    while queue and len(followed) < FIRSTS:
-        first = queue.pop(0)
-        if first.hypothesis.key in followed or not first.hypothesis.leaves_something:
-            continue
-        followed.add(first.hypothesis.key)
-        for pair in _seconds(begun, first, min((p.cost for p in pairs.values()), default=np.inf)):
-            if pair.key not in pairs or pair.cost < pairs[pair.key].cost:
-                pairs[pair.key] = pair
-        progress(0.5 + 0.5 * len(followed) / FIRSTS)
-        best = min(pairs.values(), key=_cost, default=None)
-        if best and best.leaves_something and not queue:
-            known = {one.hypothesis.key: one for one in singles}
-            parts = _parts(begun, best, known)
-            singles += [one for one in parts if one.hypothesis.key not in known]
-            queue = _rivals([singles[0], *parts], nothing)
-    found = sorted([*(one.hypothesis for one in singles), *pairs.values()], key=_cost)
-    near = [one for i, one in enumerate(found) if i < SHOWN or one.cost < found[0].cost + FAR]
-    return sorted([nothing.hypothesis, *near], key=_cost)
-
-
-def _cost(one: Tried | Hypothesis) -> float:
+def _cost(one: Tried) -> float:
     return one.cost
 
 
@@ -184,64 +141,6 @@ def _rivals(found: Iterable[Tried], before: Tried) -> list[Tried]:
     return [one for gain, one in gains if gain > least]
 
 
-def _seconds(begun: Search, first: Tried, least: float) -> list[Hypothesis]:
-    """Pairs of a first effect with what the library holds best for what it leaves; no effect pairs with itself.
-
-    least is the cost of the best pair so far.
-    """
-    rig = first.hypothesis.applied_to(begun.linearization.rig)
-    linearization = begun.linearization.about(rig, first.residual, first.linearization.scales)
-    at = fitted(linearization, first.residual).residual
-    others = [c for c in begun.known if c.kind.name not in first.hypothesis.effects and joins(c, rig)]
-    inner = Search(begun.reference, linearization, at, ())
-    held = any(p.kind.stochastic for p in first.hypothesis.parts)
-    steady = [c for c in others if not c.kind.stochastic]
-    fresh = residual_of(linearization, linearization.rig, at.nuisance)  # its slow motion did not follow another law yet
-    laws = of_laws(linearization.rig, steady)
-    screened = [(s, at) for s in _by_score(linearization, at, steady, first, SECONDS)]
-    screened += [(s, fresh) for s in _worth(linearization, law_screening(linearization, fresh, laws), BY_LAW)]
-    found: dict[str, Tried] = {}
-    for one, start in screened:
-        with suppress(RigError):  # two effects may make no rig where each makes one
-            if held:
-                pair = fit_briefly(inner, (one.candidate,), one.values, straightened(start))
-            else:
-                pair = _together(begun, first, one, start)
-            name = one.candidate.name
-            found[name] = min(found.get(name, pair), pair, key=_cost)
-    rivals = _refined_all(inner if held else begun, _rivals(found.values(), first), least)
-    pairs = [beside(first, one) if held else one.hypothesis for one in rivals]
-    for candidate in others:
-        if candidate.kind.stochastic and (shaken := fit_spectrum(inner, inner.nothing(), candidate)):
-            pairs.append(beside(first, shaken))
-    return pairs
-
-
-def beside(first: Tried, second: Tried) -> Hypothesis:
-    """A pair of which the second was fitted with the first held, as one is known by its spectrum alone."""
-    one, other = first.hypothesis, second.hypothesis
-    values = np.concatenate([one.values, other.values])
-    return Hypothesis((*one.parts, *other.parts), values, block_diag(one.covariance, other.covariance), other.misfit)
-
-
-def _together(begun: Search, first: Tried, second: Screened, start: Residual) -> Tried:
-    """Both fitted for a few steps, from where the first stands."""
-    parts = (*first.hypothesis.parts, second.candidate)
-    values = np.concatenate([first.hypothesis.values, second.values])
-    return fit_briefly(begun, parts, values, straightened(start), first.linearization)
-
-
-def _parts(begun: Search, pair: Hypothesis, known: Mapping[tuple[str, ...], Tried]) -> list[Tried]:
-    """Each part of a pair alone, fitted by itself unless it is known."""
-    least = min((one.cost for one in known.values()), default=np.inf)
-    parts = zip(pair.parts, pair.split(), strict=True)
-    return [
-        known.get((part.name,)) or fit_effects(begun, (part,), values, begun.at, least)
-        for part, values in parts
-        if not part.kind.stochastic
-    ]
-
-
 def _refined_all(begun: Search, rivals: Iterable[Tried], least: float = np.inf) -> list[Tried]:
     """The best to the end, the others as far as they stay near it."""
     found = []
@@ -249,11 +148,3 @@ def _refined_all(begun: Search, rivals: Iterable[Tried], least: float = np.inf) 
         found.append(refined(begun, one, least))
         least = min(least, found[-1].cost)
     return sorted(found, key=_cost)
-
-
-def joins(candidate: Candidate, rig: Rig) -> bool:
-    try:
-        candidate.applied(rig, candidate.default)
-    except RigError:
-        return False
-    return True
