@@ -8,8 +8,11 @@ from msgspec.structs import replace
 
 import identify
 import rig
+from identify.gaps.results import Matters
 from rig.model.description import read_rig, to_json
 
+SOME = Matters(contact=0.1)
+"""What half a minute of one mass bounds."""
 MASS = rig.Sdof(duration_s=30.0, step_s=2.0**-12, sensors="displacement")
 
 
@@ -61,7 +64,7 @@ def test_the_identified_rig_is_believed_instead_of_a_wrong_one(file, tmp_path):
     right = MASS.rig().contacts[0]
     law = replace(right.law, lower_clearance_m=1.2e-3, upper_clearance_m=1.2e-3)
     wrong = replace(MASS.rig(), contacts=(replace(right, law=law),))
-    asked = {"null_reference": tmp_path}
+    asked = {"null_reference": tmp_path, "matters": SOME}
     believed = identify.gap(file, rig=wrong, **asked)
     assert believed.report.causes[0].effects == ("contact_clearance",)
     assert believed.report.verdict != "consistent"
@@ -91,8 +94,8 @@ def test_a_rig_with_other_sensors_is_refused(file, tmp_path):
         identify.gap(rig.read(file), rig=rig.Sdof(sensors="velocity").rig())
 
 
-def test_no_gap_from_a_recording(file, tmp_path):
-    found = identify.gap(rig.read(file))
+def test_a_machine_is_consistent_with_its_recording(file, tmp_path):
+    found = identify.gap(rig.read(file), matters=SOME)
     assert found.report.verdict == "consistent"
     assert str(found) == found.report.sentence
     assert found.corrected == MASS.rig()

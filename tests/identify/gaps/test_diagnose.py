@@ -10,7 +10,9 @@ from msgspec.structs import replace
 from identify.gaps.decision import describe
 from identify.gaps.decision.answer import Simulator, diagnose
 from identify.gaps.decision.null_reference import null_key, null_reference_of
+from identify.gaps.decision_table import Verdict
 from identify.gaps.faults import fault_of
+from identify.gaps.results import Matters
 from identify.gaps.search import candidates
 from rig.effects import effect_named, effects
 from rig.effects.base import Effect
@@ -38,9 +40,10 @@ SIMULATOR = Simulator("modal", modal)
 
 @pytest.fixture(scope="session")
 def null_reference(tmp_path_factory):
-    """The null reference of the rig at the force of the validation record, made once."""
+    """The null references of the rig at the forces of both records, made once."""
     path = tmp_path_factory.mktemp("null_reference") / "null_reference.json"
-    null_reference_of(records(RIG, RIG)[1], LABORATORY, modal, "modal", kept=path)
+    for record in records(RIG, RIG):
+        null_reference_of(record, LABORATORY, modal, "modal", kept=path)
     return path
 
 
@@ -50,13 +53,17 @@ def records(*actual: Rig) -> list[Recording]:
     ]
 
 
-def diagnosed(actual: Rig, null_reference):
-    return diagnose(*records(actual, actual), SIMULATOR, null_reference)
+def diagnosed(actual: Rig, null_reference, **asked):
+    return diagnose(*records(actual, actual), SIMULATOR, null_reference, **asked)
 
 
-def test_the_believed_rig_has_no_gap(null_reference):
-    gap, corrected = diagnosed(RIG, null_reference)
+def test_the_nominal_rig_is_consistent_within_what_matters(null_reference):
+    """Twenty seconds bound the stop's force within 4 %, which is no 3 %."""
+    gap, corrected = diagnosed(RIG, null_reference, matters=Matters(contact=0.05))
     assert gap.verdict == "consistent"
+    assert gap.not_seen == ()
+    (_, force_of_stop, *_) = gap.evidence.quantities
+    assert 0.03 < force_of_stop.upper < 0.05
     assert corrected == RIG
     assert gap.before.p_value > 0.01
     assert gap.notes == ()
@@ -109,6 +116,7 @@ def test_an_effect_in_a_file_of_its_own_is_found_by_itself(monkeypatch, null_ref
         """The force channel is late by more than anybody thought."""
 
         name: ClassVar[str] = "growing_lag"
+        words: ClassVar[str] = "a force channel that is late by {lag_s}"
         lag_s: Annotated[float, Parameter("s", 0.0, 0.02, 0.0)] = 2e-3
 
         def applied_to(self, rig: Rig) -> Rig:
@@ -121,16 +129,19 @@ def test_an_effect_in_a_file_of_its_own_is_found_by_itself(monkeypatch, null_ref
     assert gap.causes[0].parameters["growing_lag.lag_s"].value == pytest.approx(6e-3, rel=0.05)
 
 
-@pytest.mark.parametrize(("text", "doubted"), [("contact_clearance:factor=1.1", True), ("", False)])
-def test_no_gap_is_not_sure_where_the_validation_hardly_reaches_the_contact(text, doubted):
+@pytest.mark.parametrize(
+    ("text", "verdict"), [("contact_clearance:factor=1.1", Verdict.EXPLAINED), ("", Verdict.CANNOT_TELL)]
+)
+def test_what_the_validation_hardly_reaches_is_not_called_consistent(text, verdict):
+    """The contact closes in the record that is fitted, and hardly in the other."""
     actual = effect_named(text).applied_to(RIG) if text else RIG
     gap, corrected = diagnose(modal(RIG, actual, force(0, 0.5), 0), modal(RIG, actual, force(1, 0.03), 1), SIMULATOR)
-    assert gap.verdict == "consistent"
-    assert corrected == RIG
-    assert (gap.doubted is not None) == doubted
-    if gap.doubted:
-        assert gap.doubted.effects == ("contact_clearance",)
-        assert "not sure" in gap.sentence
+    assert gap.verdict == verdict
+    assert [one.name for one in gap.not_seen] == ["force of stop"]
+    assert (corrected == RIG) == (verdict == Verdict.CANNOT_TELL)
+    if verdict == Verdict.EXPLAINED:
+        assert gap.sentence.startswith("A clearance of stop that is 9.9")
+        assert "shows too little" in gap.sentence
 
 
 def test_another_rigs_validation_is_refused(null_reference):

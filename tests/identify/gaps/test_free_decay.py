@@ -8,6 +8,7 @@ from identify.gaps.decision.release import FIRST_S, released
 from identify.gaps.decision.sentence import UNSCALED
 from identify.gaps.faults import check_decay
 from identify.gaps.residual.spectra import LEFT_OUT_S, record_of
+from identify.gaps.results import Matters
 from identify.gaps.search.candidates import candidates, scale_of
 from rig.errors import RigError
 from rig.simulation.replay import modal
@@ -26,7 +27,8 @@ def row(recording):
 
 @pytest.mark.parametrize(("effect", "verdict"), [("", "consistent"), (STIFFER, "explained")])
 def test_a_free_decay_is_diagnosed(effect, verdict, tmp_path):
-    found = identify.gap(*(decay(ACCELEROMETER, tmp_path, effect, level) for level in (1.0, VALIDATES)))
+    records = (decay(ACCELEROMETER, tmp_path, effect, level) for level in (1.0, VALIDATES))
+    found = identify.gap(*records, matters=Matters(contact=0.1))
     assert found.report.verdict == verdict
     assert UNSCALED in found.report.sentence
     assert "dead" not in {f.cause for f in found.findings}

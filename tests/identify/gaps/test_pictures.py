@@ -45,7 +45,7 @@ def test_every_picture_is_a_png_that_shows_something(made):
 
 def test_every_section_has_pictures(made):
     gap, files, _ = made
-    sections = {"large", "why", "where", "far"} | ({"unexplained"} if gap.unknown else set())
+    sections = {"large", "why", "where", "far"} | ({"unknown"} if gap.unknown else set())
     sections |= {"next"} if gap.next_experiments else set()
     assert {name.split("_")[0] for name in files} == sections
     for kind, count in (("where_surface", len(gap.attribution.surface)), ("far_curve", len(gap.curves))):
