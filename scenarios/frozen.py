@@ -147,7 +147,7 @@ def told_of_gap(recording: Recording, gap: Gap) -> Told:
         "probability of no gap": Number(gap.probability_nothing),
         "probability of something unknown": Number(gap.probability_unknown),
     }
-    if gap.causes and gap.verdict != "unknown":
+    if gap.causes and gap.verdict != "unexplained":
         cause = gap.causes[0]
         words |= {"likeliest cause": " + ".join(cause.effects)} | cause.places
         numbers |= {name: number(value) for name, value in cause.parameters.items()} | {

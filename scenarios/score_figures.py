@@ -52,9 +52,9 @@ def _confusion(compared: Sequence[ScoredCase]) -> Figure:
     axes.set_yticks(
         range(len(rows)), [f"{r.replace('_', ' ')}  ({n})" for r, n in zip(rows, counts.sum(1), strict=True)]
     )
-    for border in (len(columns) - 3.5, len(columns) - 2.5):
+    for border in (len(columns) - 7.5, len(columns) - 6.5):
         axes.axvline(border, color=GREY, lw=0.8)
-    for border in (len(columns) - 3.5, len(rows) - 1.5):
+    for border in (len(columns) - 7.5, len(rows) - 1.5):
         axes.axhline(border, color=GREY, lw=0.8)
     axes.set(xlabel="named", ylabel="true (cases)")
     axes.spines[:].set_visible(False)

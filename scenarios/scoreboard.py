@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 from scipy.stats import binomtest
 
+from identify.gaps.decision_table import Verdict
 from identify.gaps.results import Gap
 from identify.pages.wording import COVERED
 from scenarios.blind_diagnosis import Found
@@ -17,8 +18,10 @@ from scenarios.worlds.drawing import DRAWABLE
 from scenarios.worlds.outside import OUTSIDE
 from scenarios.worlds.truth import Case, EffectTruth
 
-NAMING = ("explained", "partly_explained")
+NAMING = (Verdict.SMALL, Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED)
 """The verdicts that name a cause."""
+QUIET = (Verdict.CONSISTENT, Verdict.CANNOT_TELL)
+"""The verdicts that claim no difference."""
 KINDS = ("null", "single", "pair", "outside")
 
 
@@ -78,8 +81,11 @@ class ScoredCase:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """The effects of the likeliest cause, none unless the verdict names it."""
-        return self.gap.causes[0].effects if self.gap.verdict in NAMING and self.gap.causes else ()
+        """The effects that the verdict names."""
+        if self.gap.verdict not in NAMING or not self.gap.causes:
+            return ()
+        first = self.gap.causes[0]
+        return tuple(e for e, strength in zip(first.effects, first.strengths, strict=True) if strength.is_named)
 
     def is_truth(self, effects: Sequence[str]) -> bool:
         """Whether these are the true effects, all of the library."""
@@ -182,7 +188,7 @@ def _pair_rates(pairs: Sequence[ScoredCase]) -> tuple[Rate, ...]:
 
 def _outside_rates(outside: Sequence[ScoredCase]) -> tuple[Rate, ...]:
     return (
-        _rate("outside: unknown or partly explained", (_not_mistaken(c) for c in outside)),
+        _rate("outside: unexplained or partly explained", (_not_mistaken(c) for c in outside)),
         _rate("outside: that, above its limit", (_not_mistaken(c) for c in _above(outside))),
         _rate("outside: description right", (_described_right(c) for c in outside)),
         _rate("outside: description right, above its limit", (_described_right(c) for c in _above(outside))),
@@ -192,7 +198,7 @@ def _outside_rates(outside: Sequence[ScoredCase]) -> tuple[Rate, ...]:
 def _null_rates(nulls: Sequence[ScoredCase]) -> tuple[Rate, ...]:
     return (
         _rate("null: an effect named", (c.gap.verdict in NAMING for c in nulls)),
-        _rate("null: any verdict but no gap", (c.gap.verdict != "no_gap" for c in nulls)),
+        _rate("null: a difference claimed", (c.gap.verdict not in QUIET for c in nulls)),
     )
 
 
@@ -223,11 +229,11 @@ def parameter_errors(compared: Iterable[ScoredCase]) -> list[tuple[str, float]]:
 def confusion(compared: Iterable[ScoredCase]) -> tuple[list[str], list[str], np.ndarray]:
     """Rows: what is true (pairs left out); columns: what was named; and how often."""
     rows = [*DRAWABLE, *OUTSIDE, "null"]
-    columns = [*DRAWABLE, "two effects", "unknown", "no_gap"]
+    columns = [*DRAWABLE, "several effects", *Verdict]
     counts = np.zeros((len(rows), len(columns)), dtype=int)
     for c in compared:
         if c.truth.kind != "pair":
-            said = c.gap.verdict if not c.named else c.named[0] if len(c.named) == 1 else "two effects"
+            said = c.gap.verdict if not c.named else c.named[0] if len(c.named) == 1 else "several effects"
             counts[rows.index(c.label), columns.index(said)] += 1
     return rows, columns, counts
 
@@ -241,7 +247,7 @@ def wilson(count: int, of: int) -> tuple[float, float]:
 
 
 def _not_mistaken(c: ScoredCase) -> bool:
-    return c.gap.verdict in ("unknown", "partly_explained")
+    return c.gap.verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED)
 
 
 def _described_right(c: ScoredCase) -> bool:

@@ -12,7 +12,7 @@ FACTORS = {"doubled": 2.0, "halved": 0.5}
 COLUMNS = {
     "single effect right, above its limit": "singles",
     "both of a pair": "pairs",
-    "outside: unknown or partly explained": "outside",
+    "outside: unexplained or partly explained": "outside",
     "outside: description right": "described",
     "null: an effect named": "false alarms",
     "parameter in its 95 % interval": "parameters",

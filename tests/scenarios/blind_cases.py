@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from identify.gaps.results import Attribution, Cause, Gap, Left, Matters
+from identify.gaps.decision_table import Evidence, Strength
+from identify.gaps.results import Attribution, Cause, Criteria, Gap, Left, Matters, labels_of
 from rig.model.unmeasured_force import UnmeasuredForce, Value
 from scenarios.blind_diagnosis import Found
 from scenarios.scoreboard import ScoredCase
@@ -14,6 +15,7 @@ MACHINE = nominal_machine(believed_rig("own", np.random.default_rng(1)))
 NOTHING = Attribution(
     channels={}, modal_equations={}, positions_m={}, band_hz=(), contact_state={}, time_s=(), surface={}
 )
+EVIDENCE = Evidence(p_value=0.001, quantities=(), strengths=(), p_value_after=0.5, quantities_after=(), removed=0.9)
 ABOVE, BELOW = TrueEffect(made=5.0, gain=50.0, needed=32.0), TrueEffect(made=0.5, gain=8.0, needed=32.0)
 
 
@@ -51,8 +53,15 @@ def cause(*effects, probability=0.9, explained=0.8, log_prior=-6.0, minus_two_lo
     """Parameters and places as EFFECT__FIELD."""
     parameters = {k.replace("__", "."): v for k, v in fields.items() if isinstance(v, Value)}
     places = {k.replace("__", "."): v for k, v in fields.items() if isinstance(v, str)}
+    strengths = []
+    for label, kind in zip(labels_of(effects), effects, strict=True):
+        value = next((v for k, v in parameters.items() if k.startswith(f"{label}.")), Value(1.0, 0.01, "1"))
+        half = 1.96 * value.standard_error
+        strengths.append(Strength(kind, 0.99, (value.value - half, value.value + half), -1e9))
     return Cause(
         effects=effects,
+        words=effects,
+        strengths=tuple(strengths),
         probability=probability,
         parameters=parameters,
         places=places,
@@ -78,7 +87,9 @@ def gap(verdict, *causes, nothing=0.1, unknown=0.0, force=None, nothing_minus_tw
         unknown_gain=unknown_gain,
         unknown=force,
         bands=(),
-        equivalent=(),
+        criteria=Criteria(True, False, (), False),
+        evidence=EVIDENCE,
+        not_seen=(),
         separate_by=(),
         attribution=NOTHING,
     )

@@ -55,7 +55,7 @@ def quick(monkeypatch):
 
     def diagnosed(fit, _validate, null_reference, tolerances):
         calls.append((fit.samples, null_reference, tolerances))
-        return gap("no_gap", nothing=0.9)
+        return gap("consistent", nothing=0.9)
 
     def best(answers, *_):
         return [Best(0.0 if a.kind == "null" else 2.0, 0.9, (ABOVE,) * len(a.effects)) for a in answers]
@@ -87,7 +87,7 @@ def test_what_is_made_is_sealed_and_scored(cases, tmp_path):
     told = msgspec.json.decode((tmp_path / "score" / "score.json").read_bytes())
     board = msgspec.convert(told["worlds"]["wide"], Score)
     rates = {r.name: (r.count, r.of) for r in board.rates}
-    assert rates["null: any verdict but no gap"] == (0, sum(c.kind == "null" for c in key.cases))
+    assert rates["null: a difference claimed"] == (0, sum(c.kind == "null" for c in key.cases))
     below = sum(c.kind == "null" for c in key.cases)
     assert told["calibration"]["wide"]["brier"] == pytest.approx((below * 0.1**2 + (3 - below) * 0.9**2) / 3)
     assert "temperature" in ran("calibrate", "--cases", cases, "--found", folder)
@@ -148,7 +148,7 @@ def test_a_null_reference_that_is_there_costs_nothing(cases, monkeypatch, tmp_pa
 
 
 def test_what_is_large_is_not_stored():
-    one = gap("no_gap")
+    one = gap("consistent")
     full = msgspec.structs.replace(
         one,
         attribution=msgspec.structs.replace(one.attribution, positions_m={"barrel": {0.1: 1.0}}, channels={"a": 1.0}),
@@ -215,7 +215,7 @@ def test_a_refused_diagnosis_is_counted_and_told(cases, quick, tmp_path, monkeyp
     def some_refused(fit, *_):
         if np.array_equal(fit.force_n, of_one):
             raise RigError("velocity sensors are not read")
-        return gap("no_gap", nothing=0.9)
+        return gap("consistent", nothing=0.9)
 
     monkeypatch.setattr(blind_diagnosis, "gap_of", some_refused)
     folder = tmp_path / "found"

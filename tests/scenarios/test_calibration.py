@@ -32,10 +32,10 @@ def test_brier_by_hand():
     [
         (GAIN, gap("explained", cause("force_gain", probability=0.7), nothing=0.2), (0.7, True)),
         (GAIN, gap("explained", cause("common_gain", probability=0.7), nothing=0.2), (0.7, False)),
-        (GAIN, gap("no_gap", cause("force_gain", probability=0.3), nothing=0.7), (0.7, False)),
-        (DRAG, gap("unknown", cause("force_gain", probability=0.3), nothing=0.0, unknown=0.7), (0.7, True)),
+        (GAIN, gap("consistent", cause("force_gain", probability=0.3), nothing=0.7), (0.7, False)),
+        (DRAG, gap("unexplained", cause("force_gain", probability=0.3), nothing=0.0, unknown=0.7), (0.7, True)),
         (DRAG, gap("explained", cause("force_gain", probability=0.8), nothing=0.0), (0.8, False)),
-        (case("null"), gap("no_gap", nothing=0.6, unknown=0.4), (0.6, True)),
+        (case("null"), gap("consistent", nothing=0.6, unknown=0.4), (0.6, True)),
     ],
 )
 def test_the_likeliest_may_be_nothing_or_unknown(truth, one, told):
@@ -43,7 +43,7 @@ def test_the_likeliest_may_be_nothing_or_unknown(truth, one, told):
 
 
 def test_nothing_is_right_below_the_limit():
-    one = gap("no_gap", cause("common_gain", probability=0.1), nothing=0.9)
+    one = gap("consistent", cause("common_gain", probability=0.1), nothing=0.9)
     assert likeliest(compared(GAIN, one, BELOW)) == (0.9, True)
     assert likeliest(compared(DRAG, one, before=1.0)) == (0.9, True)
     assert likeliest(compared(DRAG, one, before=2.0)) == (0.9, False)

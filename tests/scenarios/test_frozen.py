@@ -16,7 +16,7 @@ STORED = Path(__file__).parents[2] / "scenarios" / "frozen.json"
 VALUE, ERROR = 5e-3, 1e-5
 
 
-def told(value=VALUE, error=ERROR, word="no_gap", **more):
+def told(value=VALUE, error=ERROR, word="consistent", **more):
     numbers = {"clearance_m": Number(value, error), "probability": Number(0.25), **more}
     return {"beams": Told({"verdict": word}, numbers)}
 
@@ -45,7 +45,7 @@ def test_equal_numbers_and_rounding_are_not_marked(now):
         (told(error=ERROR * (1 - 1.1e-3)), "clearance_m, standard error"),
         (told(probability=Number(0.25 * (1 - 1.1e-6))), "probability"),
         (told(probability=Number(np.nan)), "probability"),
-        (told(word="unknown"), "verdict"),
+        (told(word="unexplained"), "verdict"),
         (told(rms_n=Number(1.0)), "rms_n"),
     ],
 )

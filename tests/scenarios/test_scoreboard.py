@@ -26,7 +26,7 @@ from tests.scenarios.blind_cases import (
 )
 
 SENSOR = "barrel_0000mm_acceleration"
-NO_GAP, UNKNOWN = gap("no_gap", nothing=0.9), gap("unknown", unknown=0.9)
+NO_GAP, UNKNOWN = gap("consistent", nothing=0.9), gap("unexplained", unknown=0.9)
 GAIN = case("single", effect("sensor_gain", {"sensor": SENSOR}, strength=2.0, factor=1.1))
 MASS = case("single", effect("added_mass", {"body": "barrel", "position_m": 0.5}, mass_kg=0.2, relative_position=0.5))
 SHAKE = case("single", effect("base_motion", strength=0.3, low_hz=10.0, high_hz=14.0))
@@ -67,12 +67,12 @@ COMPARED = [
         ),
         null_reference_cpu_s=40.0,
     ),
-    compared(SHAKE, gap("no_gap", cause("base_motion")), BELOW),
+    compared(SHAKE, gap("consistent", cause("base_motion")), BELOW),
     compared(LATE, gap("explained", cause("force_shift", explained=1.0, force_shift__shift_s=Value(5e-4, 1e-6, "s")))),
     compared(PAIR, gap("explained", cause("force_gain", "preload"))),
     compared(PAIR, gap("explained", cause("preload"))),
     compared(
-        DRAG, gap("unknown", unknown=0.9, force=ON_THE_BARREL), cpu_s=20.0, null_reference_cpu_s=60.0, key="another"
+        DRAG, gap("unexplained", unknown=0.9, force=ON_THE_BARREL), cpu_s=20.0, null_reference_cpu_s=60.0, key="another"
     ),
     compared(DRAG, gap("explained", cause("coulomb_friction")), before=1.2),
 ]
@@ -88,12 +88,12 @@ def test_every_rate_counts_what_it_says():
         ("both of a pair", 1, 2),
         ("both of a pair, both above their limit", 1, 2),
         ("at least one of a pair", 2, 2),
-        ("outside: unknown or partly explained", 1, 2),
+        ("outside: unexplained or partly explained", 1, 2),
         ("outside: that, above its limit", 1, 1),
         ("outside: description right", 1, 2),
         ("outside: description right, above its limit", 1, 1),
         ("null: an effect named", 1, 2),
-        ("null: any verdict but no gap", 1, 2),
+        ("null: a difference claimed", 1, 2),
         ("place right, of single effects right", 1, 2),
         ("parameter in its 95 % interval", 3, 4),
     ]
@@ -231,10 +231,10 @@ def test_wilson_of_the_textbook():
 def test_confusion_counts_every_case_but_pairs():
     rows, columns, counts = confusion(COMPARED)
     assert counts.sum() == 8
-    assert counts[rows.index("quadratic_drag"), columns.index("unknown")] == 1
-    assert counts[rows.index("null"), columns.index("no_gap")] == 1
+    assert counts[rows.index("quadratic_drag"), columns.index("unexplained")] == 1
+    assert counts[rows.index("null"), columns.index("consistent")] == 1
     assert counts[rows.index("force_shift"), columns.index("force_shift")] == 1
-    assert counts[rows.index("base_motion"), columns.index("no_gap")] == 1
+    assert counts[rows.index("base_motion"), columns.index("consistent")] == 1
 
 
 def test_the_table_has_a_column_a_world():

@@ -96,7 +96,7 @@ def _upper_share(squares: Float[np.ndarray, " seconds"]) -> float | None:
 
 def contact_distances(recordings: Sequence[Recording], rig: Rig, tolerances: Tolerances) -> ContactDistances:
     """Distances of every contact's parameters from `rig`, by the contact fit of all records together."""
-    outcomes = [law_outcomes(recording, rig, tolerances) for recording in recordings]
+    outcomes = [law_outcomes(recording, rig, tolerances) for recording in recordings if rig.contacts]
     found: list[Bounded] = []
     p_values: list[float] = []
     for contact in rig.contacts:

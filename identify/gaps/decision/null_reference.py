@@ -95,7 +95,7 @@ class NullReference(msgspec.Struct, frozen=True):
         return np.asarray(rows.mean(axis=0) + beyond * rows.std(axis=0, ddof=1))
 
 
-class _Kept(msgspec.Struct, frozen=True):
+class _KeptReferences(msgspec.Struct, frozen=True):
     """What a file holds."""
 
     null_references: tuple[NullReference, ...]
@@ -177,7 +177,7 @@ def null_reference_of(
     reference = NullReference(key, tuple(rows))
     if kept:
         make_folder(kept.parent)
-        holds = _Kept((*others[1 - KEPT :], replace(reference, checksum=_checksum(reference))))
+        holds = _KeptReferences((*others[1 - KEPT :], replace(reference, checksum=_checksum(reference))))
         write_bytes(msgspec.json.encode(holds), kept)
     return reference
 
@@ -269,7 +269,7 @@ def _read(path: Path) -> tuple[NullReference, ...]:
     if content and not content.startswith(b'{"null_references"') and not path.name.endswith(NULL_REFERENCE_SUFFIX):
         raise RigError(f"{path}: is no null reference, and is not written over; give another name, or remove it")
     try:
-        found = msgspec.json.decode(content, type=_Kept).null_references
+        found = msgspec.json.decode(content, type=_KeptReferences).null_references
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return ()
     return tuple(one for one in found if one.checksum == _checksum(one))
