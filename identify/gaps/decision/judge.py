@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identify.gaps.decision.bounds import Difference, contact_distances, share_bounds
-from identify.gaps.decision.comparison import Judged, closed, judged, log_priors
+from identify.gaps.decision.comparison import TEMPERATURE, Judged, closed, judged, log_priors
 from identify.gaps.decision.hypotheses import Searched
 from identify.gaps.decision.notes import Attempt, attempted
 from identify.gaps.decision.null_reference import combined, p_values
@@ -63,7 +63,7 @@ def judge(
     priors = log_priors(searched.hypotheses, searched.candidates)
     ranked = judged(record, validation.reference, residual, searched.hypotheses, priors, progress)
     ranked = _with_contact_fit(prepared, ranked, residual)
-    difference = difference_of(prepared, residual, matters)
+    difference = difference_of(prepared, residual, matters, split_p_value(ranked))
     decision = decided(ranked, difference, null_reference, matters)
     rollout: Attempt[Rollout] = Attempt()
     if decision.helps and decision.named:
@@ -77,13 +77,25 @@ def judge(
     return Judgement(decision, rollout, unmeasured, linearization, residual)
 
 
+def split_p_value(ranked: Sequence[Judged]) -> float:
+    """p-value of the nominal rig against the hypotheses that were fitted on another record.
+
+    With S of the nominal rig and of the n-th hypothesis on the record that was not fitted, the split likelihood ratio
+    gives p <= n exp((S_hypothesis - S_nominal) / (2 TEMPERATURE)) (Wasserman, Ramdas and Balakrishnan, Proc.
+    Natl. Acad. Sci. 117, 2020).
+    """
+    nominal = nominal_of(ranked).misfit.minus_two_log
+    gains = [nominal - j.misfit.minus_two_log for j in ranked if j.hypothesis.parts]
+    return float(min(1.0, len(gains) * np.exp(-max(gains, default=0.0) / (2 * TEMPERATURE)))) if gains else 1.0
+
+
 CERTAIN = DIFFERS / 10
 """A p-value that no further part of the combination raises above `DIFFERS`."""
 INCOMPLETE = (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED)
 """Verdicts with which something is left to be described."""
 
 
-def difference_of(prepared: Prepared, residual: Residual, matters: Matters) -> Difference:
+def difference_of(prepared: Prepared, residual: Residual, matters: Matters, p_split: float) -> Difference:
     """How the believed rig and all records differ; `residual` is that of the record that validates.
 
     Contact parameters are looked at unless the rest is certain of a difference that is not bounded.
@@ -94,7 +106,7 @@ def difference_of(prepared: Prepared, residual: Residual, matters: Matters) -> D
         for one in prepared.observations
     ]
     left = [misfit(one.record, one.reference, at) for one, at in zip(prepared.observations, residuals, strict=True)]
-    parts = p_values(list(zip(prepared.null_references, left, strict=True)))
+    parts = np.append(p_values(list(zip(prepared.null_references, left, strict=True))), p_split)
     rig = validation.record.rig
     names = [f"force of {contact.name}" for contact in joined(rig).contacts]
     motion, *contacts = share_bounds(left[prepared.validating], names, matters)
