@@ -2,29 +2,56 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 import msgspec
 
 from rig.errors import RigError
+from rig.files import write_bytes, write_json
 from scenarios.blind_diagnosis import Found, Refused
 from scenarios.scoreboard import ScoredCase, compared_cases
-from scenarios.true_effect import Best, best_of
+from scenarios.true_effect import Best
 from scenarios.worlds.making import sha256_of
 from scenarios.worlds.truth import Case, Key
 
 T = TypeVar("T")
+Sealed = Literal["key", "limits"]
+"""The answers, and what their true effects achieve: of every case by its name."""
+MISSING: dict[Sealed, str] = {
+    "key": "make the cases first",
+    "limits": "lay the limits first, with the command `limits`",
+}
+
+
+def seal(value: object, folder: Path, name: Sealed) -> str:
+    """Writes what is sealed, and its hash beside the recordings; returns that."""
+    path = folder / "sealed" / f"{name}.json"
+    write_json(value, path)
+    digest = sha256_of(path)
+    write_bytes(f"{digest}\n".encode(), folder / f"{name}.sha256")
+    return digest
+
+
+def unsealed(folder: Path, name: Sealed, kind: type[T]) -> T:
+    """Raises RigError if it is not what was sealed."""
+    path, hash_path = folder / "sealed" / f"{name}.json", folder / f"{name}.sha256"
+    for wanted in (path, hash_path):
+        if not wanted.exists():
+            raise RigError(f"{wanted}: is missing; {MISSING[name]}")
+    if sha256_of(path) != hash_path.read_text().strip():
+        raise RigError(f"{path}: is not what was sealed: its hash differs from {hash_path}; make the cases anew")
+    return decoded(path, kind)
 
 
 def opened(folder: Path) -> Key:
     """The sealed answers; raises RigError if they are not those whose hash was published."""
-    path, hash_path = folder / "sealed" / "key.json", folder / "key.sha256"
-    for wanted in (path, hash_path):
-        if not wanted.exists():
-            raise RigError(f"{wanted}: is missing; make the cases first")
-    if sha256_of(path) != hash_path.read_text().strip():
-        raise RigError(f"{path}: is not what was sealed: its hash differs from {hash_path}; make the cases anew")
-    return decoded(path, Key)
+    return unsealed(folder, "key", Key)
+
+
+def limits_of(folder: Path, answers: Sequence[Case]) -> list[Best]:
+    """The sealed limits, in the order of the answers."""
+    known = unsealed(folder, "limits", dict[str, Best])
+    return [known[answer.case] for answer in answers]
 
 
 def check_recordings(folder: Path, answers: Sequence[Case]) -> None:
@@ -40,8 +67,8 @@ def check_recordings(folder: Path, answers: Sequence[Case]) -> None:
 
 def beside(
     answers: Sequence[Case], found: Sequence[Found], refused: Sequence[Refused] = ()
-) -> list[tuple[Case, Found]]:
-    """What was found, in the order of the answers, without the cases whose diagnosis was refused.
+) -> list[tuple[Case, Found | Refused]]:
+    """What was found, or that the diagnosis was refused, in the order of the answers.
 
     Raises RigError where it is missing or of another recording.
     """
@@ -52,8 +79,7 @@ def beside(
             raise RigError(f"{answer.case}: was not diagnosed; run diagnose on all cases")
         if by_case[answer.case].sha256 != answer.sha256:
             raise RigError(f"{answer.case}: another recording was diagnosed than was sealed; run diagnose again")
-    pairs = [(answer, by_case[answer.case]) for answer in answers]
-    return [(answer, one) for answer, one in pairs if isinstance(one, Found)]
+    return [(answer, by_case[answer.case]) for answer in answers]
 
 
 def refused_in(folder: Path) -> list[Refused]:
@@ -73,15 +99,14 @@ def pairs_of(cases: Path, found: Path, also: Sequence[str]) -> list[tuple[Path, 
     return pairs
 
 
-def by_world(pairs: Sequence[tuple[Path, Path]], kept: Path) -> dict[str, list[ScoredCase]]:
-    """Everything compared, world by world; what the truth achieves is laid once and kept in a folder."""
-    worlds: dict[str, list[tuple[Case, Found, Best]]] = {}
+def by_world(pairs: Sequence[tuple[Path, Path]]) -> dict[str, list[ScoredCase]]:
+    """Everything compared, world by world."""
+    worlds: dict[str, list[tuple[Case, Found | Refused, Best]]] = {}
     for cases, folder in pairs:
         key = opened(cases)
         check_recordings(cases, key.cases)
         answered = beside(key.cases, decoded(folder / "found.json", list[Found]), refused_in(folder))
-        tolerances = answered[0][1].tolerances if answered else None
-        best = best_of([answer for answer, _ in answered], cases / "recordings", kept, tolerances)
+        best = limits_of(cases, key.cases)
         worlds.setdefault(key.world, []).extend((*pair, one) for pair, one in zip(answered, best, strict=True))
     return {world: compared_cases(rows) for world, rows in worlds.items() if rows}
 

@@ -1,4 +1,7 @@
-"""Blind cases diagnosed from their recordings alone: null references first, as many cases share one, then each case."""
+"""Blind cases diagnosed from their recordings alone: null references first, as many cases share them, then each case.
+
+A case needs one for each of its recordings; each is made once over all cases.
+"""
 
 import resource
 import sys
@@ -7,70 +10,74 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
+import numpy as np
 from msgspec.structs import replace
 
-from identify.gaps.decision.answer import Simulator, diagnose
+from identify.gaps.decision.answer import diagnose
 from identify.gaps.decision.null_reference import null_key, null_reference_of
+from identify.gaps.decision.prepare import simulator_named
 from identify.gaps.decision.recordings import sound
+from identify.gaps.decision.release import released
 from identify.gaps.results import Gap
 from rig.errors import RigError
 from rig.files import write_json
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording, read
-from rig.simulation import replay
 from scenarios.tasks import run_tasks
 from scenarios.worlds.making import sha256_of
 
-SIMULATOR = Simulator("modal", replay.modal)
+SIMULATOR = simulator_named("modal")
 MIB_PER_UNIT = 1 / 2**20 if sys.platform == "darwin" else 1 / 2**10
 """`getrusage` counts memory in bytes there, in KiB elsewhere."""
 
 
 class ToDiagnose(msgspec.Struct, frozen=True, kw_only=True):
-    """One case as its diagnosis sees it; null references are kept in a folder, that of the case by its `key`."""
+    """One case as its diagnosis sees it; null references are kept in a folder, those of its recordings by `keys`."""
 
     case: str
     fit: str
     validate: str
     null_reference: str
-    key: str
+    keys: tuple[str, str]
     tolerances: Tolerances | None
     sha256: dict[str, str]
 
 
 class NullReferenceToMake(msgspec.Struct, frozen=True, kw_only=True):
-    """A null reference, and the recordings of one case that needs it."""
+    """A null reference, and the recordings of one case that needs it for the first or the second of them."""
 
     key: str
     fit: str
     validate: str
+    which: int
     null_reference: str
     tolerances: Tolerances | None
 
 
 class NullReferenceMade(msgspec.Struct, frozen=True):
-    """What a null reference cost; nothing if another run had made it. Why there is none, where it was refused."""
+    """What a null reference cost; nothing if another run had made it. Why there is none, where it was refused, or
+    crashed."""
 
     key: str
     cpu_s: float
     memory_mib: float
     refusal: str = ""
+    crashed: bool = False
 
 
 class Found(msgspec.Struct, frozen=True, kw_only=True):
     """The diagnosis of one case without curves, and of which recordings it is.
 
-    cpu_s is that of the diagnosis without its null reference, which took null_reference_cpu_s and may be shared by
-    many cases (0 if it was there already); memory_mib the largest of the process so far.
+    cpu_s is that of the diagnosis without its null references; null_references_cpu_s of those by their keys, which many
+    cases may share (0 if it was there already); memory_mib the largest of the process so far.
     """
 
     case: str
     sha256: dict[str, str]
     gap: Gap
     cpu_s: float
-    null_reference_cpu_s: float
+    null_references_cpu_s: dict[str, float]
     memory_mib: float
-    key: str
     tolerances: Tolerances | None
 
 
@@ -110,9 +117,14 @@ def diagnosed_cases(
     tasks = [p for p in prepared if isinstance(p, ToDiagnose)]
     made = _null_references(tasks, out, dask)
     answers = [Answer(refused=p) for p in prepared if isinstance(p, Refused)]
-    answers += [Answer(refused=_refused(t, made[t.key].refusal)) for t in tasks if made[t.key].refusal]
-    answers += run_tasks(diagnosed, [t for t in tasks if not made[t.key].refusal], Answer, out / "tasks", dask)
-    found = [replace(a.found, null_reference_cpu_s=made[a.found.key].cpu_s) for a in answers if a.found]
+    without = {t.case: one for t in tasks for one in (made[key] for key in t.keys) if one.refusal}
+    answers += [Answer(refused=_refused(t, without[t.case])) for t in tasks if t.case in without]
+    answers += run_tasks(diagnosed, [t for t in tasks if t.case not in without], Answer, out / "tasks", dask)
+    found = [
+        replace(a.found, null_references_cpu_s={k: made[k].cpu_s for k in a.found.null_references_cpu_s})
+        for a in answers
+        if a.found
+    ]
     write_json(found, out / "found.json")
     write_json(sorted((a.refused for a in answers if a.refused), key=lambda r: r.case), out / "refused.json")
     return found
@@ -120,27 +132,38 @@ def diagnosed_cases(
 
 def _null_references(tasks: Sequence[ToDiagnose], out: Path, dask: str | None) -> dict[str, NullReferenceMade]:
     """By key, each made from the first case that needs it."""
-    first = {task.key: task for task in reversed(tasks)}
+    first = {key: (task, which) for task in reversed(tasks) for which, key in reversed([*enumerate(task.keys)])}
     to_make = [
         NullReferenceToMake(
-            key=key, fit=t.fit, validate=t.validate, null_reference=t.null_reference, tolerances=t.tolerances
+            key=key,
+            fit=t.fit,
+            validate=t.validate,
+            which=which,
+            null_reference=t.null_reference,
+            tolerances=t.tolerances,
         )
-        for key, t in sorted(first.items())
+        for key, (t, which) in sorted(first.items())
     ]
     return {m.key: m for m in run_tasks(null_reference_made, to_make, NullReferenceMade, out / "tasks", dask)}
 
 
 def null_reference_made(task: NullReferenceToMake) -> NullReferenceMade:
-    """Makes and keeps the null reference of a case, unless it is there."""
-    (_, validation), _ = sound(read(Path(task.fit)), read(Path(task.validate)))
+    """Makes and keeps the null reference of a recording, unless it is there."""
+    recording = sound(read(Path(task.fit)), read(Path(task.validate)))[0][task.which]
     there = any(Path(task.null_reference).glob(f"{task.key[:16]}.json"))
     began = time.process_time()
-    believed = _believed(validation, task.tolerances)
+    believed, kept = _believed(recording, task.tolerances), Path(task.null_reference)
+    refusal, crashed = "", False
     try:
-        null_reference_of(validation, believed, SIMULATOR.simulate, SIMULATOR.name, kept=Path(task.null_reference))
+        forced = bool(np.any(recording.forces_n))
+        simulate = SIMULATOR.simulate if forced else released(recording, SIMULATOR.simulate)
+        null_reference_of(recording, believed, simulate, SIMULATOR.name, kept=kept, predict=SIMULATOR.predict)
     except RigError as error:
-        return NullReferenceMade(task.key, time.process_time() - began, _memory_mib(), str(error))
-    return NullReferenceMade(task.key, 0.0 if there else time.process_time() - began, _memory_mib())
+        refusal = str(error)
+    except Exception as error:  # as of a case
+        refusal, crashed = f"{type(error).__name__}: {error}", True
+    cpu_s = 0.0 if there else time.process_time() - began
+    return NullReferenceMade(task.key, cpu_s, _memory_mib(), refusal, crashed)
 
 
 def diagnosed(task: ToDiagnose) -> Answer:
@@ -149,7 +172,7 @@ def diagnosed(task: ToDiagnose) -> Answer:
     try:
         gap = gap_of(read(Path(task.fit)), read(Path(task.validate)), Path(task.null_reference), task.tolerances)
     except RigError as error:
-        return Answer(refused=_refused(task, str(error)))
+        return Answer(refused=Refused(case=task.case, sha256=task.sha256, sentence=str(error)))
     except Exception as error:  # counted against the program, and the other cases go on
         sentence = f"{type(error).__name__}: {error}"
         return Answer(refused=Refused(case=task.case, sha256=task.sha256, sentence=sentence, crashed=True))
@@ -158,9 +181,8 @@ def diagnosed(task: ToDiagnose) -> Answer:
         sha256=task.sha256,
         gap=without_curves(gap),
         cpu_s=time.process_time() - began,
-        null_reference_cpu_s=0.0,
+        null_references_cpu_s=dict.fromkeys(task.keys, 0.0),
         memory_mib=_memory_mib(),
-        key=task.key,
         tolerances=task.tolerances,
     )
     return Answer(found)
@@ -181,8 +203,9 @@ def _task(fit: Path, null_reference: Path, tolerances: Tolerances | None) -> ToD
     validate = fit.with_name(f"{fit.stem}_validate.mcap")
     sha256 = {path.name: sha256_of(path) for path in (fit, validate)}
     try:
-        (_, validation), _ = sound(read(fit), read(validate))
-        key = null_key(validation, _believed(validation, tolerances), SIMULATOR.name)
+        fitted, validation = (
+            null_key(one, _believed(one, tolerances), SIMULATOR.name) for one in sound(read(fit), read(validate))[0]
+        )
     except RigError as error:
         return Refused(case=fit.stem, sha256=sha256, sentence=str(error))
     return ToDiagnose(
@@ -190,14 +213,14 @@ def _task(fit: Path, null_reference: Path, tolerances: Tolerances | None) -> ToD
         fit=str(fit),
         validate=str(validate),
         null_reference=str(null_reference),
-        key=key,
+        keys=(fitted, validation),
         tolerances=tolerances,
         sha256=sha256,
     )
 
 
-def _refused(task: ToDiagnose, sentence: str) -> Refused:
-    return Refused(case=task.case, sha256=task.sha256, sentence=sentence)
+def _refused(task: ToDiagnose, made: NullReferenceMade) -> Refused:
+    return Refused(case=task.case, sha256=task.sha256, sentence=made.refusal, crashed=made.crashed)
 
 
 def _believed(recording: Recording, tolerances: Tolerances | None) -> Tolerances:

@@ -6,6 +6,7 @@ python -m scenarios.blind_gap score --cases out/blind --found out/found --out ou
 """
 
 import sys
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated
@@ -14,17 +15,18 @@ import typer
 from rich.console import Console
 
 from rig.commands.command_line import Force, refuse_existing, run
-from rig.files import write_bytes, write_json
+from rig.files import write_json
 from rig.model.tolerances import tolerances_named
 from scenarios import score_figures
-from scenarios.blind_comparison import by_world, check_recordings, pairs_of, refused_in
+from scenarios.blind_comparison import by_world, check_recordings, opened, pairs_of, refused_in, seal
 from scenarios.blind_diagnosis import diagnosed_cases
 from scenarios.calibration import calibrated, calibrated_temperature, hypotheses_of
 from scenarios.score_table import calibration_told, limits_told, shown, temperature_told
 from scenarios.scoreboard import scored
 from scenarios.tasks import Dask, run_tasks
 from scenarios.tolerance_sensitivity import settings, table_of
-from scenarios.worlds.making import made, planned, sha256_of
+from scenarios.true_effect import best_of
+from scenarios.worlds.making import made, planned
 from scenarios.worlds.truth import Case, Key, World
 
 app = typer.Typer(pretty_exceptions_enable=False, no_args_is_help=True)
@@ -52,20 +54,33 @@ def make(
     force: Force = False,
 ) -> None:
     """Records the cases and seals their answers; run again after an interruption, it goes on."""
-    key_path, hash_path = out / "sealed" / "key.json", out / "key.sha256"
     plans = planned(out, world, seed, cases, duration, nulls_only)
-    refuse_existing(hash_path, force, new_folder=True)
+    refuse_existing(out / "key.sha256", force, new_folder=True)
     (out / "recordings").mkdir(parents=True, exist_ok=True)
     (out / "sealed" / "work").mkdir(parents=True, exist_ok=True)
     answers = run_tasks(made, plans, Case, out / "sealed" / "tasks", dask)
     check_recordings(out, answers)
     answered = Key(world=world, seed=seed, nulls_only=nulls_only, duration_s=duration, cases=tuple(answers))
-    write_json(answered, key_path)
-    digest = sha256_of(key_path)
-    write_bytes(f"{digest}\n".encode(), hash_path)
     console = Console()
-    console.print(f"{len(answers)} cases in {out / 'recordings'}, answers in {key_path}")
+    _seal_limits(out, answers, dask, console)
+    digest = seal(answered, out, "key")
+    console.print(f"{len(answers)} cases in {out / 'recordings'}, answers in {out / 'sealed'}")
     console.print(f"sha256 of the answers: {digest}", soft_wrap=True)
+
+
+@app.command()
+def limits(cases: Cases, dask: Dask = None, force: Force = False) -> None:
+    """Lays and seals the detection limits of cases that were made without; before anything is tuned on them."""
+    refuse_existing(cases / "limits.sha256", force)
+    key = opened(cases)
+    check_recordings(cases, key.cases)
+    _seal_limits(cases, key.cases, dask, Console())
+
+
+def _seal_limits(folder: Path, answers: Sequence[Case], dask: str | None, console: Console) -> None:
+    best = best_of(answers, folder / "recordings", folder / "sealed" / "tasks", dask)
+    digest = seal(dict(zip((answer.case for answer in answers), best, strict=True)), folder, "limits")
+    console.print(f"sha256 of the detection limits: {digest}", soft_wrap=True)
 
 
 @app.command()
@@ -98,7 +113,7 @@ def score(
 ) -> None:
     """Opens the sealed answers, if they are those that were hashed, and compares."""
     pairs = pairs_of(cases, found, also or ())
-    worlds = by_world(pairs, out / "tasks")
+    worlds = by_world(pairs)
     every = [c for compared in worlds.values() for c in compared]
     groups = worlds | {"all": every} if len(worlds) > 1 else worlds
     boards = {name: scored(compared) for name, compared in groups.items()}
@@ -112,15 +127,18 @@ def score(
         console.print(f"{name}: {calibration_told(reliability[name])}", soft_wrap=True)
         console.print(f"{name}: detection limits, of the default magnitude: {limits_told(board)}", soft_wrap=True)
     console.print(f"figures: {', '.join(p.name for p in figures)} in {out}", soft_wrap=True)
-    for _, folder in pairs:
-        _tell_refusals(folder, console)
+    for folder, found_in in pairs:
+        digest = (folder / "limits.sha256").read_text().strip()
+        console.print(f"{folder}: sha256 of the detection limits: {digest}", soft_wrap=True)
+        _tell_refusals(found_in, console)
 
 
 @app.command()
 def calibrate(cases: Cases, found: Found, also: Also = None) -> None:
     """The temperature of the posterior at which tuning cases find their right answers likeliest."""
-    worlds = by_world(pairs_of(cases, found, also or ()), found / "best")
-    tempered = calibrated_temperature([hypotheses_of(c) for compared in worlds.values() for c in compared])
+    worlds = by_world(pairs_of(cases, found, also or ()))
+    known = [hypotheses_of(c, c.gap) for compared in worlds.values() for c in compared if c.gap]
+    tempered = calibrated_temperature(known)
     Console().print(temperature_told(tempered), soft_wrap=True)
 
 
@@ -135,7 +153,7 @@ def sensitivity(
     boards = {}
     for name, tolerances in settings(only):
         diagnosed_cases(cases / "recordings", out / name, tolerances, dask=dask)
-        worlds = by_world([(cases, out / name)], out / name / "best")
+        worlds = by_world([(cases, out / name)])
         boards[name] = scored([c for compared in worlds.values() for c in compared])
     write_json(boards, out / "sensitivity.json")
     _wide_console().print(table_of(boards))

@@ -1,4 +1,8 @@
-"""Whether probabilities hold: reliability, the Brier score, and the temperature that sealed answers ask for."""
+"""Whether probabilities hold: reliability, Brier scores, the temperature that answers ask for, p-values of nulls.
+
+A set is right if it holds every visible effect and nothing false, as the verdict `explained` with it would be. Nothing
+is right where nothing is above its limit, something unmeasured where an effect outside the library acts.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,16 +13,20 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import minimize_scalar
 from scipy.special import logsumexp
+from scipy.stats import kstest
 
 from identify.gaps.decision.comparison import PRIOR_NOTHING, PRIOR_UNKNOWN, TEMPERATURE
 from identify.gaps.decision.verdict import UNKNOWN_PLACES
-from identify.gaps.results import Left, Matters
+from identify.gaps.decision_table import Verdict
+from identify.gaps.results import Cause, Gap
+from scenarios.score_names import classes_of, effects_of, likeliest_set
+from scenarios.score_sets import score_set, verdict_right
 from scenarios.scoreboard import ScoredCase, wilson
 
-OLD_POWER = 20
-"""The rule before: probability in proportion to (what is left)^-20, without anything unknown."""
 EDGES = (0.0, 0.5, 0.7, 0.9, 0.97, 0.99, 1.0)
-TEMPERATURES, STEPS = (0.05, 500.0), 200
+TEMPERATURES = (0.05, 500.0)
+Told = Sequence[tuple[float, bool]]
+"""Probabilities that were given, and whether what they were given to is right."""
 
 
 class Bin(msgspec.Struct, frozen=True):
@@ -32,24 +40,33 @@ class Bin(msgspec.Struct, frozen=True):
     interval_95: tuple[float, float]
 
 
-class Calibration(msgspec.Struct, frozen=True):
-    """Of the likeliest hypothesis: the reliability diagram, the Brier score, and that of the rule before.
-
-    An answer that lacks only what is below its limit is right; brier_whole counts it as wrong.
-    """
+class Reliability(msgspec.Struct, frozen=True):
+    """The reliability diagram, and the Brier score."""
 
     bins: tuple[Bin, ...]
     brier: float
-    brier_before: float
-    brier_whole: float
+
+
+class Uniformity(msgspec.Struct, frozen=True):
+    """Kolmogorov's distance of p-values from a uniform distribution, and the p-value of that."""
+
+    cases: int
+    distance: float
+    p_value: float
+
+
+class Calibration(msgspec.Struct, frozen=True):
+    """inclusion: of every effect of the likeliest set, or its look-alikes; sets: of the likeliest hypothesis."""
+
+    inclusion: Reliability | None
+    sets: Reliability | None
+    nulls: Uniformity | None
 
 
 class Tempered(msgspec.Struct, frozen=True):
-    """The temperature at which the right hypotheses are likeliest, and that at which the Brier score of the likeliest
-    one is least; without are cases whose right one was not judged."""
+    """The temperature at which the right hypotheses are likeliest; without are cases whose right one was not judged."""
 
     temperature: float
-    by_brier: float
     mean_log_probability: float
     at_present: float
     """The mean logarithm of the right hypothesis' probability at the temperature in use."""
@@ -65,88 +82,103 @@ class Hypotheses:
     minus_two_log: Float[np.ndarray, " hypotheses"]
     right: Bool[np.ndarray, " hypotheses"]
 
-    def probabilities(self, temperature: float) -> Float[np.ndarray, " hypotheses"]:
-        scores = self.log_prior - self.minus_two_log / (2 * temperature)
-        return np.asarray(np.exp(scores - logsumexp(scores)))
-
-    def likeliest(self, temperature: float) -> tuple[float, bool]:
-        """The probability of the likeliest, and whether it is right."""
-        shares = self.probabilities(temperature)
-        return float(shares.max()), bool(self.right[np.argmax(shares)])
-
     def log_right(self, temperature: float) -> float:
         """The logarithm of the probability of all that is right."""
         scores = self.log_prior - self.minus_two_log / (2 * temperature)
         return float(logsumexp(scores[self.right]) - logsumexp(scores))
 
 
-def hypotheses_of(c: ScoredCase) -> Hypotheses:
-    gap = c.found.gap
+def hypotheses_of(c: ScoredCase, gap: Gap) -> Hypotheses:
     prior = [cause.log_prior for cause in gap.causes] + [np.log(PRIOR_NOTHING)]
     costs = [cause.minus_two_log for cause in gap.causes] + [gap.nothing_minus_two_log]
-    right = [c.holds(cause.effects) for cause in gap.causes] + [c.nothing_right]
+    right = [set_right(c, cause) for cause in gap.causes] + [nothing_right(c)]
     if gap.unknown_gain is not None:
         prior.append(np.log(PRIOR_UNKNOWN / UNKNOWN_PLACES))
         costs.append(gap.nothing_minus_two_log - gap.unknown_gain)
-        right.append(c.unknown_right)
+        right.append(unmeasured_right(c))
     return Hypotheses(np.array(prior), np.array(costs), np.array(right))
 
 
-def likeliest(c: ScoredCase, whole: bool = False) -> tuple[float, bool]:
-    """The probability of the likeliest hypothesis, and whether it is right; with `whole` only if it holds every effect,
-    those below their limits too."""
-    gap, right = c.found.gap, c.is_truth if whole else c.holds
-    told = [(cause.probability, right(cause.effects)) for cause in gap.causes[:1]]
-    told += [(gap.probability_nothing, c.nothing_right), (gap.probability_unknown, c.unknown_right)]
+def set_right(c: ScoredCase, cause: Cause) -> bool:
+    classes = [(effect,) for effect in effects_of(cause)]
+    return score_set(c.truths, classes, Verdict.EXPLAINED, c.contacts).verdict_right
+
+
+def nothing_right(c: ScoredCase) -> bool:
+    return verdict_right(c.truths, 0, 0, 0, Verdict.CONSISTENT)
+
+
+def unmeasured_right(c: ScoredCase) -> bool:
+    return c.truth.kind == "outside"
+
+
+def likeliest(c: ScoredCase, gap: Gap) -> tuple[float, bool]:
+    """The probability of the likeliest hypothesis, and whether it is right."""
+    first = likeliest_set(gap)
+    told = [(first.probability, set_right(c, first))] if first else []
+    told += [(gap.probability_nothing, nothing_right(c)), (gap.probability_unknown, unmeasured_right(c))]
     return max(told, key=lambda t: t[0])
 
 
-def likeliest_before(c: ScoredCase) -> tuple[float, bool]:
-    """Likewise by the rule before, as far as what is stored tells."""
-    gap = c.found.gap
-    left = [size_of(cause.left, gap.matters) for cause in gap.causes] + [c.best.before]
-    right = [c.holds(cause.effects) for cause in gap.causes] + [c.nothing_right]
-    scores = -OLD_POWER * np.log(np.maximum(left, 1e-12))
-    first = int(np.argmax(scores))
-    return float(np.exp(scores[first] - logsumexp(scores))), right[first]
-
-
-def size_of(left: Left, matters: Matters) -> float:
-    """The size of a gap from what is told of it, in units of what matters (as `comparison.size`)."""
-    contacts = sum((share / matters.contact) ** 2 for share in left.contact_shares.values())
-    return float(np.sqrt((left.share / matters.motion) ** 2 + contacts))
+def inclusions(c: ScoredCase, gap: Gap) -> Told:
+    """Of every effect of the likeliest set."""
+    first = likeliest_set(gap)
+    if first is None:
+        return []
+    right = score_set(c.truths, classes_of(first, gap), gap.verdict, c.contacts).names_right
+    return [(s.inclusion_probability, is_right) for s, is_right in zip(first.strengths, right, strict=True)]
 
 
 def calibrated(compared: Sequence[ScoredCase]) -> Calibration:
-    """Of all cases."""
-    now, before = ([rule(c) for c in compared] for rule in (likeliest, likeliest_before))
-    said, right = np.array([p for p, _ in now]), np.array([r for _, r in now])
+    """Of all cases that were diagnosed."""
+    known = [(c, c.gap) for c in compared if c.gap]
+    return Calibration(
+        inclusion=reliability([one for pair in known for one in inclusions(*pair)]),
+        sets=reliability([likeliest(*pair) for pair in known]),
+        nulls=uniformity(null_p_values(compared)),
+    )
+
+
+def reliability(told: Told) -> Reliability | None:
+    if not told:
+        return None
+    said, right = np.array([p for p, _ in told]), np.array([r for _, r in told], dtype=bool)
     bins = []
     for low, high in pairwise(EDGES):
         inside = (said >= low) & ((said < high) | (high == EDGES[-1]))
         if np.any(inside):
             count, of = int(right[inside].sum()), int(inside.sum())
             bins.append(Bin(low, high, float(said[inside].mean()), count, of, wilson(count, of)))
-    return Calibration(tuple(bins), brier(now), brier(before), brier([likeliest(c, whole=True) for c in compared]))
+    return Reliability(tuple(bins), brier(told))
 
 
-def brier(told: Sequence[tuple[float, bool]]) -> float:
+def brier(told: Told) -> float:
     """The mean square of probability less outcome: 0 at best, 0.25 for a coin's (Brier, Mon. Weather Rev. 78, 1950)."""
-    return float(np.mean([(p - right) ** 2 for p, right in told])) if told else float("nan")
+    return float(np.mean([(p - right) ** 2 for p, right in told]))
+
+
+def null_p_values(compared: Sequence[ScoredCase]) -> list[float]:
+    """Of machines that differ by tolerances alone: none of them has a cable that nobody counted."""
+    return [c.gap.evidence.p_value for c in compared if c.gap and not c.truth.effects]
+
+
+def uniformity(p_values: Sequence[float]) -> Uniformity | None:
+    if not p_values:
+        return None
+    found = kstest(p_values, "uniform")
+    return Uniformity(len(p_values), float(found.statistic), float(found.pvalue))
 
 
 def calibrated_temperature(cases: Sequence[Hypotheses]) -> Tempered:
-    """The temperature of the largest product of the right hypotheses' probabilities, and of the least Brier score."""
+    """The temperature of the largest product of the right hypotheses' probabilities."""
     known = [one for one in cases if one.right.any()]
 
     def mean_log(temperature: float) -> float:
         return float(np.mean([one.log_right(temperature) for one in known]))
 
     if not known:
-        return Tempered(TEMPERATURE, TEMPERATURE, np.nan, np.nan, 0, len(cases))
+        return Tempered(TEMPERATURE, np.nan, np.nan, 0, len(cases))
     bounds = tuple(np.log(TEMPERATURES))
     found = minimize_scalar(lambda t: -mean_log(float(np.exp(t))), bounds=bounds, method="bounded")
-    grid = np.geomspace(*TEMPERATURES, STEPS)  # by the Brier score there may be several minima
-    scores = [brier([one.likeliest(t) for one in cases]) for t in grid]
-    best, by_brier = float(np.exp(found.x)), float(grid[np.argmin(scores)])
-    return Tempered(best, by_brier, mean_log(best), mean_log(TEMPERATURE), len(known), len(cases) - len(known))
+    best = float(np.exp(found.x))
+    return Tempered(best, mean_log(best), mean_log(TEMPERATURE), len(known), len(cases) - len(known))

@@ -139,12 +139,12 @@ def told_of_contacts(recording: Recording, report: ContactReport) -> Told:
 
 
 def told_of_gap(recording: Recording, gap: Gap) -> Told:
-    """The verdict and the likeliest cause; of an unknown cause what it is and where, as all others are improbable."""
+    """The verdict and the first cause, if it explains something; of an unmeasured force what it is and where."""
     words: dict[str, str] = {"verdict": gap.verdict}
     numbers = rms_of(recording) | {
         "p-value of the believed rig": Number(gap.before.p_value),
         "-2 ln p of the believed rig": Number(gap.nothing_minus_two_log),
-        "probability of no gap": Number(gap.probability_nothing),
+        "probability of the believed rig": Number(gap.probability_nothing),
         "probability of something unknown": Number(gap.probability_unknown),
     }
     if gap.causes and gap.verdict != "unexplained":

@@ -5,14 +5,13 @@ A named set is a tuple of classes; a class holds the look-alikes of which one is
 
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations
-from typing import Literal
 
 import msgspec
 
+from identify.gaps.decision_table import Verdict
+from identify.pages.wording import COVERED
 from scenarios.worlds.truth import Case, EffectTruth
 
-Verdict = Literal["consistent", "cannot_tell", "small", "explained", "partly_explained", "unexplained"]
-COVERED = 1.96
 WITHIN_M = 0.05
 """A place on a body is right if it is this close."""
 LUMPED_WITHIN = 0.25
@@ -53,17 +52,51 @@ class TrueOne(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SetScore(msgspec.Struct, frozen=True, kw_only=True):
-    """Of one case. recalled of visible effects, named of all true effects of the library, false names; covered of the
-    parameters of what is named rightly; whether the verdict is right."""
+    """Of one case: whether each truth is named and each class stands for something true, whether the verdict is right,
+    and the errors of the parameters of what is named rightly, in standard errors, as EFFECT.PARAMETER."""
 
-    visible: int
-    recalled: int
-    true_effects: int
-    named_of_all: int
-    false_names: int
-    parameters: int
-    covered: int
+    truths: tuple[TrueOne, ...]
+    found: tuple[bool, ...]
+    names_right: tuple[bool, ...]
+    errors: tuple[tuple[str, float], ...]
     verdict_right: bool
+
+    @property
+    def visible(self) -> int:
+        """Effects of the library above their limits, ..."""
+        return sum(t.library and t.above for t in self.truths)
+
+    @property
+    def recalled(self) -> int:
+        """... so many of them named, ..."""
+        return sum(t.above for t, found in zip(self.truths, self.found, strict=True) if found)
+
+    @property
+    def true_effects(self) -> int:
+        """... and of all sizes."""
+        return sum(t.library for t in self.truths)
+
+    @property
+    def named_of_all(self) -> int:
+        return sum(self.found)
+
+    @property
+    def false_names(self) -> int:
+        return sum(not right for right in self.names_right)
+
+    @property
+    def true_alone(self) -> bool:
+        """Whether something is named, and nothing that is false."""
+        return bool(self.names_right) and all(self.names_right)
+
+    @property
+    def parameters(self) -> int:
+        return len(self.errors)
+
+    @property
+    def covered(self) -> int:
+        """Parameters whose 95 % interval holds the true value."""
+        return sum(abs(error) <= COVERED for _, error in self.errors)
 
 
 def true_ones(case: Case, above: Sequence[bool]) -> tuple[TrueOne, ...]:
@@ -103,20 +136,22 @@ def score_set(
     answered = list(zip(named, groups, strict=True))
     spread = [t for t in truths if t.library and not _among(t, groups) and _at_every_contact(t, named, contacts)]
     right = (*groups, tuple(spread))
-    visible = [t for t in truths if t.library and t.above]
-    recalled = sum(_among(t, right) for t in visible)
-    false_names = sum(not (g or _part_of(n, spread) or _stands_in(n, truths)) for n, g in answered)
-    covered = [is_covered for n, g in answered for is_covered in _covered(n, g)]
+    found = tuple(_among(t, right) for t in truths)
+    names_right = tuple(bool(g) or _part_of(n, spread) or _stands_in(n, truths) for n, g in answered)
+    recalled = sum(t.above for t, is_found in zip(truths, found, strict=True) if is_found)
     return SetScore(
-        visible=len(visible),
-        recalled=recalled,
-        true_effects=sum(t.library for t in truths),
-        named_of_all=sum(len(group) for group in right),
-        false_names=false_names,
-        parameters=len(covered),
-        covered=sum(covered),
-        verdict_right=verdict_right(truths, recalled, len(named), false_names, verdict),
+        truths=tuple(truths),
+        found=found,
+        names_right=names_right,
+        errors=tuple(error for n, g in answered for error in _errors(n, g)),
+        verdict_right=verdict_right(truths, recalled, len(named), names_right.count(False), verdict),
     )
+
+
+def not_answered(truths: Sequence[TrueOne]) -> SetScore:
+    """The score of a case whose diagnosis was refused: nothing named, and no verdict."""
+    nothing = (False,) * len(truths)
+    return SetScore(truths=tuple(truths), found=nothing, names_right=(), errors=(), verdict_right=False)
 
 
 def verdict_right(truths: Sequence[TrueOne], recalled: int, names: int, false_names: int, verdict: Verdict) -> bool:
@@ -131,14 +166,14 @@ def verdict_right(truths: Sequence[TrueOne], recalled: int, names: int, false_na
     true_alone = names > 0 and not false_names
     if outside:
         stood_for = true_alone and all(t.stand_ins for t in outside)
-        return verdict in ("partly_explained", "unexplained") or (verdict == "explained" and stood_for)
-    rights: dict[Verdict, bool] = {
-        "consistent": not visible,
-        "cannot_tell": not visible,
-        "small": not visible and not false_names,
-        "explained": true_alone and recalled == len(visible),
-        "partly_explained": true_alone and (not visible or 0 < recalled < len(visible)),
-        "unexplained": False,
+        return verdict in (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED, *[Verdict.EXPLAINED] * stood_for)
+    rights = {
+        Verdict.CONSISTENT: not visible,
+        Verdict.CANNOT_TELL: not visible,
+        Verdict.SMALL: not visible and not false_names,
+        Verdict.EXPLAINED: true_alone and recalled == len(visible),
+        Verdict.PARTLY_EXPLAINED: true_alone and (not visible or 0 < recalled < len(visible)),
+        Verdict.UNEXPLAINED: False,
     }
     return rights[verdict]
 
@@ -175,11 +210,16 @@ def _grown(look_alikes: Sequence[Named], group: Group, truths: Sequence[TrueOne]
     """A mass that stands for one true mass may stand for those beside it too, if it weighs what they weigh together."""
     if len(group) != 1 or group[0].name != "added_mass":
         return group
-    (named,) = (n for n in look_alikes if n.name == "added_mass")
+    named = _meant(look_alikes, group)
     beside = [t for t in truths if t.name == "added_mass" and not _among(t, taken)]
     options = [group, *((*group, *more) for size in (1, 2, 3) for more in combinations(beside, size))]
     fitting = [g for g in options if _weighs(named, g)]
     return min(fitting, key=lambda g: abs(named.values["mass_kg"].value - _mass_kg(g)), default=group)
+
+
+def _meant(look_alikes: Sequence[Named], group: Group) -> Named:
+    """The one of a class that stands for these true effects."""
+    return next(n for n in look_alikes if n.name == group[0].name and _fields_right(n, group[0]))
 
 
 def _weighs(named: Named, group: Group) -> bool:
@@ -252,16 +292,16 @@ def _stands_in(look_alikes: Sequence[Named], truths: Sequence[TrueOne]) -> bool:
     return any(near(n, t) for t in truths if not t.library for n in look_alikes)
 
 
-def _covered(look_alikes: Sequence[Named], group: Group) -> list[bool]:
-    """Of every parameter with a standard error, whether the true value lies in its 95 % interval."""
+def _errors(look_alikes: Sequence[Named], group: Group) -> list[tuple[str, float]]:
+    """Of every parameter with a standard error."""
     if not group:
         return []
-    named = next(n for n in look_alikes if n.name == group[0].name)
+    named = _meant(look_alikes, group)
     true: Mapping[str, float] = group[0].whole
     if len(group) > 1:
         true = {"mass_kg": _mass_kg(group), "relative_position": _centre(group)}
     return [
-        abs(estimate.value - true[field]) <= COVERED * estimate.standard_error
+        (f"{named.name}.{field}", (estimate.value - true[field]) / estimate.standard_error)
         for field, estimate in named.values.items()
         if field in true and field not in NOT_REPORTED and estimate.standard_error > 0
     ]

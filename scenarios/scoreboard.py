@@ -1,4 +1,7 @@
-"""What a diagnosis found against the sealed answers: shares of right answers with their intervals."""
+"""What a diagnosis found against the sealed answers: shares of right answers with their intervals.
+
+Every case counts. One whose diagnosis was refused, or crashed, has a wrong verdict, and its visible effects are missed.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -6,27 +9,25 @@ from functools import cached_property
 
 import msgspec
 import numpy as np
-from scipy.stats import binomtest
+from scipy.stats import binomtest, chi2
 
 from identify.gaps.decision_table import Verdict
 from identify.gaps.results import Gap
-from identify.pages.wording import COVERED
-from scenarios.blind_diagnosis import Found
-from scenarios.score_places import description_right, place_fields, place_right
-from scenarios.true_effect import Best, named_now
-from scenarios.worlds.drawing import DRAWABLE
-from scenarios.worlds.outside import OUTSIDE
-from scenarios.worlds.truth import Case, EffectTruth
+from scenarios.blind_diagnosis import Found, Refused
+from scenarios.score_names import named_classes
+from scenarios.score_places import description_right
+from scenarios.score_sets import SetScore, TrueOne, not_answered, score_set, true_ones
+from scenarios.true_effect import Best
+from scenarios.worlds.truth import Case
 
-NAMING = (Verdict.SMALL, Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED)
-"""The verdicts that name a cause."""
 QUIET = (Verdict.CONSISTENT, Verdict.CANNOT_TELL)
 """The verdicts that claim no difference."""
-KINDS = ("null", "single", "pair", "outside")
+ROWS = ("null", "below the limit", "one of the library", "several", "outside the library")
+"""What is true of a case, by the effects above their limits."""
 
 
 class Rate(msgspec.Struct, frozen=True):
-    """So many of so many, with the 95 % interval of Wilson."""
+    """So many of so many, with a 95 % interval of the quotient."""
 
     name: str
     count: int
@@ -35,207 +36,147 @@ class Rate(msgspec.Struct, frozen=True):
 
 
 class Score(msgspec.Struct, frozen=True, kw_only=True):
-    """The scoreboard; limits are the detection limits, the median over an effect's cases, in default magnitudes.
+    """The scoreboard. rates are shares, with Wilson's interval; of false names there may be several a case (Garwood's).
 
-    share_of_true_closure is the median over causes that are right and above their limit. The costs: a case without its
-    null reference, a null reference where one was made, and the largest memory of either.
+    limits are the detection limits, the median over an effect's cases, in default magnitudes. The costs: a case without
+    its null references, a null reference where one was made, and the largest memory of either; None where there is
+    none.
     """
 
     cases: int
     rates: tuple[Rate, ...]
-    share_of_true_closure: float | None
-    closures: int
-    cpu_s_median: float
-    cpu_s_largest: float
+    false_names: Rate
+    cpu_s_median: float | None
+    cpu_s_largest: float | None
     null_reference_cpu_s_median: float | None
     null_reference_cpu_s_largest: float | None
-    memory_mib_largest: float
+    memory_mib_largest: float | None
     limits: dict[str, float]
 
 
 @dataclass(frozen=True)
 class ScoredCase:
-    """An answer beside what was found, what the truth achieves, and the gap that nulls of the world leave (median)."""
+    """What is true beside what was found; `best` is what the truth achieves, `usual` the gap that nulls of the world
+    leave (median)."""
 
     truth: Case
-    found: Found
+    answer: Found | Refused
     best: Best
     usual: float
 
     @property
-    def gap(self) -> Gap:
-        return self.found.gap
+    def gap(self) -> Gap | None:
+        """None where the diagnosis was refused."""
+        return self.answer.gap if isinstance(self.answer, Found) else None
+
+    @property
+    def contacts(self) -> tuple[str, ...]:
+        return tuple(contact.name for contact in self.truth.nominal.contacts)
 
     @cached_property
-    def effects(self) -> tuple[EffectTruth, ...]:
-        return tuple(named_now(effect) for effect in self.truth.effects)
+    def truths(self) -> tuple[TrueOne, ...]:
+        """Outside the library, an effect is above its limit if it leaves more than nulls, by what matters.
+
+        None is where the records allow no limits.
+        """
+        above = [effect.above for effect in self.best.effects]
+        if self.truth.kind == "outside" or not above:
+            above = [self.truth.kind == "outside" and self.best.before - self.usual > 1] * len(self.truth.effects)
+        return true_ones(self.truth, above)
+
+    @cached_property
+    def score(self) -> SetScore:
+        if self.gap is None:
+            return not_answered(self.truths)
+        return score_set(self.truths, named_classes(self.gap), self.gap.verdict, self.contacts)
 
     @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(effect.name for effect in self.effects)
+    def row(self) -> str:
+        """Which of `ROWS` it is."""
+        visible = [t for t in self.truths if t.above]
+        if not visible:
+            return ROWS[0] if self.truth.kind == "null" else ROWS[1]
+        if not all(t.library for t in visible):
+            return ROWS[4]
+        return ROWS[3] if len(visible) > 1 else ROWS[2]
 
     @property
-    def label(self) -> str:
-        """What is true, in one word."""
-        return self.truth.kind if self.truth.kind in ("null", "pair") else self.names[0]
+    def false_alarm(self) -> bool:
+        """Of a null: any verdict but consistent or cannot_tell; of one with cables, unless they alone are named."""
+        loud = self.gap is not None and self.gap.verdict not in QUIET
+        return self.truth.kind == "null" and loud and not self.score.true_alone
 
     @property
-    def named(self) -> tuple[str, ...]:
-        """The effects that the verdict names."""
-        if self.gap.verdict not in NAMING or not self.gap.causes:
-            return ()
-        first = self.gap.causes[0]
-        return tuple(e for e, strength in zip(first.effects, first.strengths, strict=True) if strength.is_named)
-
-    def is_truth(self, effects: Sequence[str]) -> bool:
-        """Whether these are the true effects, all of the library."""
-        return self.truth.kind in ("single", "pair") and sorted(effects) == sorted(self.names)
-
-    def holds(self, effects: Sequence[str]) -> bool:
-        """Whether these are the true effects, but for such as are below their limits."""
-        shown = {name for name, best in zip(self.names, self.best.effects, strict=False) if best.above}
-        return self.truth.kind in ("single", "pair") and bool(effects) and shown <= {*effects} <= {*self.names}
-
-    @property
-    def right(self) -> bool:
-        return self.is_truth(self.named)
-
-    @property
-    def first_right(self) -> bool:
-        """Whether the likeliest cause is right, whatever the verdict."""
-        return bool(self.gap.causes) and self.is_truth(self.gap.causes[0].effects)
-
-    @property
-    def above(self) -> bool:
-        """Whether the truth is above its limit: for outside the library, whether it leaves more than nulls, by what
-        matters."""
-        return self.best.before - self.usual > 1 if self.truth.kind == "outside" else self.best.above
-
-    @property
-    def nothing_right(self) -> bool:
-        """No gap is the right answer to a null, and to what is below its limit: of a pair, to two such effects."""
-        if self.truth.kind == "pair":
-            return not any(effect.above for effect in self.best.effects)
-        return self.truth.kind == "null" or not self.above
-
-    @property
-    def unknown_right(self) -> bool:
-        return self.truth.kind == "outside"
+    def described(self) -> bool:
+        """Of an effect outside the library: whether it is told where it is and by what law."""
+        return self.gap is not None and description_right(self.truth.expected, self.gap.unknown)
 
 
-def compared_cases(rows: Sequence[tuple[Case, Found, Best]]) -> list[ScoredCase]:
+def compared_cases(rows: Sequence[tuple[Case, Found | Refused, Best]]) -> list[ScoredCase]:
     """Of one world: every answer with what was found and what the truth achieves."""
-    nulls = [best.before for case, _, best in rows if case.kind == "null"]
+    nulls = [best.before for case, _, best in rows if case.kind == "null" and not best.refusal]
     usual = float(np.median(nulls)) if nulls else 0.0
     return [ScoredCase(*row, usual) for row in rows]
 
 
 def scored(compared: Sequence[ScoredCase]) -> Score:
     """The scoreboard of all cases."""
-    closures = [c.gap.causes[0].explained / c.best.closes for c in compared if c.right and c.above]
-    made = list(
-        {c.found.key: c.found.null_reference_cpu_s for c in compared if c.found.null_reference_cpu_s > 0}.values()
-    )
-    cpu_s = [c.found.cpu_s for c in compared]
+    found = [c.answer for c in compared if isinstance(c.answer, Found)]
+    made = {key: cpu_s for one in found for key, cpu_s in one.null_references_cpu_s.items() if cpu_s > 0}
+    cpu_s_median, cpu_s_largest = _median_and_largest([one.cpu_s for one in found])
+    made_median, made_largest = _median_and_largest([*made.values()])
     return Score(
         cases=len(compared),
         rates=rates(compared),
-        share_of_true_closure=float(np.median(closures)) if closures else None,
-        closures=len(closures),
-        cpu_s_median=float(np.median(cpu_s)),
-        cpu_s_largest=max(cpu_s),
-        null_reference_cpu_s_median=float(np.median(made)) if made else None,
-        null_reference_cpu_s_largest=max(made) if made else None,
-        memory_mib_largest=max(c.found.memory_mib for c in compared),
+        false_names=false_names(compared),
+        cpu_s_median=cpu_s_median,
+        cpu_s_largest=cpu_s_largest,
+        null_reference_cpu_s_median=made_median,
+        null_reference_cpu_s_largest=made_largest,
+        memory_mib_largest=max((one.memory_mib for one in found), default=None),
         limits=detection_limits(compared),
     )
 
 
+def _median_and_largest(values: Sequence[float]) -> tuple[float | None, float | None]:
+    return (float(np.median(values)), max(values)) if values else (None, None)
+
+
 def rates(compared: Sequence[ScoredCase]) -> tuple[Rate, ...]:
     """Of right answers, by what is true."""
-    of_kind = {kind: [c for c in compared if c.truth.kind == kind] for kind in KINDS}
-    placed = [c for c in of_kind["single"] if c.right and place_fields(c.effects[0])]
+    scores = [c.score for c in compared]
+    outside = [c for c in compared if c.truth.kind == "outside"]
+    refused = [c.answer for c in compared if isinstance(c.answer, Refused)]
     return (
-        *_single_rates(of_kind["single"]),
-        *_pair_rates(of_kind["pair"]),
-        *_outside_rates(of_kind["outside"]),
-        *_null_rates(of_kind["null"]),
-        _rate("place right, of single effects right", (place_right(c.effects[0], c.gap.causes[0]) for c in placed)),
-        _rate("parameter in its 95 % interval", (abs(z) < COVERED for _, z in parameter_errors(compared))),
+        _rate("visible effects named", sum(s.recalled for s in scores), sum(s.visible for s in scores)),
+        _rate("effects of all sizes named", sum(s.named_of_all for s in scores), sum(s.true_effects for s in scores)),
+        _share("verdict right", (s.verdict_right for s in scores)),
+        _share("null: false alarm", (c.false_alarm for c in compared if c.truth.kind == "null")),
+        _rate("parameter in its 95 % interval", sum(s.covered for s in scores), sum(s.parameters for s in scores)),
+        _share("outside: description right", (c.described for c in outside)),
+        _share("outside: that, above its limit", (c.described for c in outside if c.row == ROWS[4])),
+        _rate("refused", sum(not r.crashed for r in refused), len(compared)),
+        _rate("crashed", sum(r.crashed for r in refused), len(compared)),
+        _share("limits not known", (bool(c.best.refusal) for c in compared)),
     )
 
 
-def _above(cases: Sequence[ScoredCase]) -> list[ScoredCase]:
-    return [c for c in cases if c.above]
-
-
-def _single_rates(singles: Sequence[ScoredCase]) -> tuple[Rate, ...]:
-    return (
-        _rate("single effect right", (c.right for c in singles)),
-        _rate("single effect right, above its limit", (c.right for c in _above(singles))),
-        _rate("single effect likeliest, by any verdict", (c.first_right for c in singles)),
-        _rate("single effect likeliest, above its limit", (c.first_right for c in _above(singles))),
-    )
-
-
-def _pair_rates(pairs: Sequence[ScoredCase]) -> tuple[Rate, ...]:
-    return (
-        _rate("both of a pair", (c.right for c in pairs)),
-        _rate("both of a pair, both above their limit", (c.right for c in _above(pairs))),
-        _rate("at least one of a pair", (bool({*c.named} & {*c.names}) for c in pairs)),
-    )
-
-
-def _outside_rates(outside: Sequence[ScoredCase]) -> tuple[Rate, ...]:
-    return (
-        _rate("outside: unexplained or partly explained", (_not_mistaken(c) for c in outside)),
-        _rate("outside: that, above its limit", (_not_mistaken(c) for c in _above(outside))),
-        _rate("outside: description right", (_described_right(c) for c in outside)),
-        _rate("outside: description right, above its limit", (_described_right(c) for c in _above(outside))),
-    )
-
-
-def _null_rates(nulls: Sequence[ScoredCase]) -> tuple[Rate, ...]:
-    return (
-        _rate("null: an effect named", (c.gap.verdict in NAMING for c in nulls)),
-        _rate("null: a difference claimed", (c.gap.verdict not in QUIET for c in nulls)),
-    )
+def false_names(compared: Sequence[ScoredCase]) -> Rate:
+    """So many a case; the interval is of a Poisson count (Garwood, Biometrika 28, 1936)."""
+    count, of = sum(c.score.false_names for c in compared), len(compared)
+    low = chi2.ppf(0.025, 2 * count) / 2 if count else 0.0
+    high = chi2.ppf(0.975, 2 * count + 2) / 2
+    return Rate("false names a case", count, of, (float(low) / of, float(high) / of))
 
 
 def detection_limits(compared: Iterable[ScoredCase]) -> dict[str, float]:
-    """Of every single effect, the median over its cases of the strength that what it achieves asks for."""
+    """Of every effect of the library, the median over its cases of the strength that what it achieves asks for."""
     found: dict[str, list[float]] = {}
     for c in compared:
-        if c.truth.kind == "single":
-            found.setdefault(c.label, []).append(c.best.effects[0].limit(c.effects[0].strength))
+        for effect, best in zip(c.truth.effects, c.best.effects, strict=False):
+            found.setdefault(effect.name, []).append(best.limit(effect.strength))
     medians = {name: float(np.median(limits)) for name, limits in sorted(found.items())}
     return {name: limit for name, limit in medians.items() if np.isfinite(limit)}
-
-
-def parameter_errors(compared: Iterable[ScoredCase]) -> list[tuple[str, float]]:
-    """Of all effects that were named rightly: EFFECT.PARAMETER and its error in standard errors."""
-    errors = []
-    for c in compared:
-        if not c.right:
-            continue
-        for effect in c.effects:
-            for field, true in effect.parameters.items():
-                name = f"{effect.name}.{field}"
-                if (found := c.gap.causes[0].parameters.get(name)) and found.standard_error > 0:
-                    errors.append((name, (found.value - true) / found.standard_error))
-    return errors
-
-
-def confusion(compared: Iterable[ScoredCase]) -> tuple[list[str], list[str], np.ndarray]:
-    """Rows: what is true (pairs left out); columns: what was named; and how often."""
-    rows = [*DRAWABLE, *OUTSIDE, "null"]
-    columns = [*DRAWABLE, "several effects", *Verdict]
-    counts = np.zeros((len(rows), len(columns)), dtype=int)
-    for c in compared:
-        if c.truth.kind != "pair":
-            said = c.gap.verdict if not c.named else c.named[0] if len(c.named) == 1 else "several effects"
-            counts[rows.index(c.label), columns.index(said)] += 1
-    return rows, columns, counts
 
 
 def wilson(count: int, of: int) -> tuple[float, float]:
@@ -246,14 +187,10 @@ def wilson(count: int, of: int) -> tuple[float, float]:
     return float(between.low), float(between.high)
 
 
-def _not_mistaken(c: ScoredCase) -> bool:
-    return c.gap.verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED)
-
-
-def _described_right(c: ScoredCase) -> bool:
-    return description_right(c.truth.expected, c.gap.unknown)
-
-
-def _rate(name: str, answers: Iterable[bool]) -> Rate:
+def _share(name: str, answers: Iterable[bool]) -> Rate:
     known = list(answers)
-    return Rate(name, sum(known), len(known), wilson(sum(known), len(known)))
+    return _rate(name, sum(known), len(known))
+
+
+def _rate(name: str, count: int, of: int) -> Rate:
+    return Rate(name, count, of, wilson(count, of))

@@ -10,12 +10,12 @@ from scenarios.scoreboard import Score
 
 FACTORS = {"doubled": 2.0, "halved": 0.5}
 COLUMNS = {
-    "single effect right, above its limit": "singles",
-    "both of a pair": "pairs",
-    "outside: unexplained or partly explained": "outside",
+    "visible effects named": "visible named",
+    "verdict right": "verdicts",
+    "null: false alarm": "false alarms",
     "outside: description right": "described",
-    "null: an effect named": "false alarms",
     "parameter in its 95 % interval": "parameters",
+    "false names a case": "false names",
 }
 """The rates of the table, with its headings."""
 
@@ -37,6 +37,6 @@ def table_of(boards: Mapping[str, Score]) -> Table:
     for heading in COLUMNS.values():
         table.add_column(heading, justify="right")
     for name, board in boards.items():
-        rates = {rate.name: rate for rate in board.rates}
+        rates = {rate.name: rate for rate in (*board.rates, board.false_names)}
         table.add_row(name.replace("_", " "), *(f"{rates[c].count} of {rates[c].of}" for c in COLUMNS))
     return table

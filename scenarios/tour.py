@@ -11,7 +11,8 @@ import numpy as np
 import typer
 
 from identify.contacts import identify_contact
-from identify.gaps.decision.answer import Simulator, diagnose
+from identify.gaps.decision.answer import diagnose
+from identify.gaps.decision.prepare import simulator_named
 from identify.pages.wording import interval
 from rig.commands.command_line import progress_bar, run
 from rig.effects.added_mass import AddedMass
@@ -23,7 +24,6 @@ from rig.recording import Recording, read
 from rig.simulation.excitation import BandLimitedGaussian
 from rig.simulation.plants import modal
 from rig.simulation.record import record
-from rig.simulation.replay import modal as simulate
 
 app = typer.Typer(pretty_exceptions_enable=False)
 
@@ -89,7 +89,7 @@ def tour(
     #    Tuesday's, at another level of force, decides between the explanations. What is normal is simulated first,
     #    and kept in a file.
     with progress_bar("diagnosing") as progress:
-        simulator = Simulator("modal", simulate)
+        simulator = simulator_named("modal")
         found, corrected = diagnose(
             monday, tuesday, simulator, out / "null_reference.json", lambda _, done: progress(done)
         )

@@ -1,13 +1,18 @@
-"""What the true effects of a blind case achieve at their true parameters: what nobody can better, and their limits."""
+"""What the true effects of a blind case achieve at their true parameters, and so their detection limits.
+
+The limits are laid once, when the cases are made, and sealed: they do not move with the program that is scored. So the
+temperature and the priors that they ask for are those of the release that set them, not those in use.
+"""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from math import comb
 from pathlib import Path
 
 import msgspec
 import numpy as np
 
-from identify.gaps.decision.comparison import TEMPERATURE, closed, left_without, log_prior, size
+from identify.gaps.decision.comparison import left_without, size
 from identify.gaps.decision.recordings import sound
 from identify.gaps.residual.likelihood import Misfit, Reference, misfit, reference_of
 from identify.gaps.residual.residual import linearized
@@ -16,14 +21,17 @@ from identify.gaps.results import Matters
 from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.nominal import fit_nuisance
 from rig.effects import effect_named
+from rig.errors import RigError
 from rig.model.description import Rig
-from rig.model.tolerances import LABORATORY, Tolerances
+from rig.model.tolerances import LABORATORY
 from rig.recording import read
 from scenarios.tasks import run_tasks
-from scenarios.worlds.truth import Case, EffectTruth
+from scenarios.worlds.truth import Case
 
-OLD_NAMES = {"actuator_lag": ("force_shift", {"lag_s": "shift_s"})}
-"""Names that sealed answers may bear, with what the library calls them and their parameters."""
+TEMPERATURE = 6.0
+PRIOR_NOTHING, PRIOR_ONE, PRIOR_TWO = 0.3, 0.35, 0.15
+FURTHER = PRIOR_TWO / PRIOR_ONE
+"""Each further effect is so much less likely."""
 
 
 class ToLay(msgspec.Struct, frozen=True):
@@ -32,11 +40,10 @@ class ToLay(msgspec.Struct, frozen=True):
     fit: str
     validate: str
     effects: tuple[str, ...]
-    tolerances: Tolerances | None
 
 
 class TrueEffect(msgspec.Struct, frozen=True):
-    """What one true effect achieves on the validation record, beside the other of a pair.
+    """What one true effect achieves on the validation record, beside the others.
 
     made is what it changes, in units of what matters; gain by how much it lowers -2 ln p, and needed by how much it
     must to be likelier than without it.
@@ -60,67 +67,72 @@ class TrueEffect(msgspec.Struct, frozen=True):
 
 
 class Best(msgspec.Struct, frozen=True):
-    """before is the size of the gap, in units of what matters, closes the share of it that all true effects close."""
+    """before is the size of the gap, in units of what matters.
+
+    refusal says why the records allow no limits, which then lie above every effect.
+    """
 
     before: float
-    closes: float
-    effects: tuple[TrueEffect, ...]
-
-    @property
-    def above(self) -> bool:
-        """Whether every effect is above its limit; never without effects of the library."""
-        return bool(self.effects) and all(e.above for e in self.effects)
+    effects: tuple[TrueEffect, ...] = ()
+    refusal: str = ""
 
 
-def named_now(effect: EffectTruth) -> EffectTruth:
-    """An effect of sealed answers as the library calls it."""
-    if effect.name not in OLD_NAMES:
-        return effect
-    name, fields = OLD_NAMES[effect.name]
-    return msgspec.structs.replace(
-        effect, name=name, parameters={fields.get(k, k): v for k, v in effect.parameters.items()}
-    )
-
-
-def best_of(cases: Sequence[Case], recordings: Path, kept: Path, tolerances: Tolerances | None = None) -> list[Best]:
+def best_of(cases: Sequence[Case], recordings: Path, kept: Path, dask: str | None = None) -> list[Best]:
     """Of every case; of nulls and of effects outside the library it is the gap alone."""
     tasks = []
     for case in cases:
         fit, validate = (str(recordings / f"{case.case}{end}.mcap") for end in ("", "_validate"))
-        inside = [named_now(e) for e in case.effects] if case.kind != "outside" else []
-        tasks.append(ToLay(fit, validate, tuple(e.text for e in inside), tolerances))
-    return run_tasks(achieved, tasks, Best, kept)
+        inside = case.effects if case.kind != "outside" else ()
+        tasks.append(ToLay(fit, validate, tuple(e.text for e in inside)))
+    return run_tasks(achieved, tasks, Best, kept, dask)
 
 
 def achieved(task: ToLay) -> Best:
     """What the diagnosis would have found, had it been told."""
+    try:
+        return _achieved(task)
+    except RigError as error:
+        return Best(0.0, refusal=str(error))
+
+
+def _achieved(task: ToLay) -> Best:
     (_, validation), _ = sound(read(Path(task.fit)), read(Path(task.validate)))
-    record = record_of(validation, tolerances=task.tolerances or validation.rig.tolerances or LABORATORY)
+    record = record_of(validation, tolerances=validation.rig.tolerances or LABORATORY)
     reference, matters = reference_of(linearized(record, record.rig)), Matters()
     alone = misfit(record, reference, fit_nuisance(record, record.rig, rounds=1)[1])
     before = size(alone, matters)
     if not task.effects:
-        return Best(before, 0.0, ())
+        return Best(before)
     left, without = _laid(record, reference, task.effects, alone)
     known = candidates(scale_of(record, record.rig), [s.name for s in record.sensors], record.zero_known)
     placed = Counter(c.kind.name for c in known)
     found = []
-    for k in range(len(task.effects)):
+    for k, effect in enumerate(task.effects):
         others = task.effects[:k] + task.effects[k + 1 :]
         rest = _laid(record, reference, others, alone)[0] if others else alone
         # of a single effect, what the believed rig leaves with its nuisance parameters, as the verdict has it
         behind = size(rest if others else without, matters)
         made = float(np.sqrt(max(behind**2 - size(left, matters) ** 2, 0.0)))
-        found.append(TrueEffect(made, rest.minus_two_log - left.minus_two_log, _needed(task.effects, others, placed)))
-    return Best(before, closed(without, left, matters), tuple(found))
+        found.append(TrueEffect(made, rest.minus_two_log - left.minus_two_log, needed(effect, others, placed)))
+    return Best(before, tuple(found))
 
 
-def _needed(effects: Sequence[str], others: Sequence[str], placed: Mapping[str, int]) -> float | None:
-    """2 TEMPERATURE (ln prior without the effect - ln prior with it)."""
-    names, fewer = ([text.partition(":")[0] for text in texts] for texts in (effects, others))
-    if not all(placed.get(name) for name in names):
+def needed(effect: str, others: Sequence[str], placed: Mapping[str, int]) -> float | None:
+    """2 TEMPERATURE (ln prior without the effect - ln prior with it), of those that the library offers."""
+    name, *fewer = (text.partition(":")[0] for text in (effect, *others))
+    if not placed.get(name):
         return None
-    return 2 * TEMPERATURE * (log_prior(fewer, placed) - log_prior(names, placed))
+    fewer = [one for one in fewer if placed.get(one)]
+    return 2 * TEMPERATURE * (log_prior(fewer, placed) - log_prior([name, *fewer], placed))
+
+
+def log_prior(effects: Sequence[str], placed: Mapping[str, int]) -> float:
+    """Of effects at one place each; `placed` counts the places of every effect of the library."""
+    count = len(effects)
+    if not count:
+        return float(np.log(PRIOR_NOTHING))
+    among = PRIOR_ONE * FURTHER ** (count - 1) / max(1, comb(len(placed), count))
+    return float(np.log(among) - sum(np.log(placed[name]) for name in effects))
 
 
 def _laid(record: Record, reference: Reference, effects: Sequence[str], alone: Misfit) -> tuple[Misfit, Misfit]:
