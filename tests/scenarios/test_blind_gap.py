@@ -6,14 +6,16 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from typer.testing import CliRunner
 
 from rig.errors import RigError
 from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import read as read_recording
-from scenarios import blind_comparison, blind_diagnosis
-from scenarios.blind_comparison import opened, pairs_of, refused_in
-from scenarios.blind_diagnosis import Found, NullReferenceMade, NullReferenceToMake, without_curves
+from rig.simulation import prediction
+from scenarios import blind_diagnosis, blind_gap
+from scenarios.blind_comparison import limits_of, opened, pairs_of, refused_in
+from scenarios.blind_diagnosis import Found, NullReferenceMade, NullReferenceToMake, null_reference_made, without_curves
 from scenarios.blind_gap import app
 from scenarios.scoreboard import Score
 from scenarios.tolerance_sensitivity import settings
@@ -25,8 +27,15 @@ CASES = ["case_000", "case_001", "case_002"]
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
+    """Of every case its effects are above their limits, which are not computed."""
     folder = tmp_path_factory.mktemp("blind")
-    ran("make", "--out", folder, "--world", "wide", "--cases", 3, "--duration", 1.5, "--seed", 2)
+
+    def best(answers, *_):
+        return [Best(0.0 if a.kind == "null" else 2.0, (ABOVE,) * len(a.effects)) for a in answers]
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(blind_gap, "best_of", best)
+        ran("make", "--out", folder, "--world", "wide", "--cases", 3, "--duration", 1.5, "--seed", 2)
     return folder
 
 
@@ -50,20 +59,16 @@ def run_here(function, parameters, _result_type, folder, _dask=None):
 
 @pytest.fixture
 def quick(monkeypatch):
-    """Diagnoses at once, and lets every effect be above its limit; the calls of either."""
+    """Diagnoses at once; the calls."""
     calls = []
 
     def diagnosed(fit, _validate, null_reference, tolerances):
         calls.append((fit.samples, null_reference, tolerances))
         return gap("consistent", nothing=0.9)
 
-    def best(answers, *_):
-        return [Best(0.0 if a.kind == "null" else 2.0, 0.9, (ABOVE,) * len(a.effects)) for a in answers]
-
     monkeypatch.setattr(blind_diagnosis, "run_tasks", run_here)
     monkeypatch.setattr(blind_diagnosis, "gap_of", diagnosed)
     monkeypatch.setattr(blind_diagnosis, "null_reference_made", lambda task: NullReferenceMade(task.key, 30.0, 400.0))
-    monkeypatch.setattr(blind_comparison, "best_of", best)
     return calls
 
 
@@ -87,9 +92,10 @@ def test_what_is_made_is_sealed_and_scored(cases, tmp_path):
     told = msgspec.json.decode((tmp_path / "score" / "score.json").read_bytes())
     board = msgspec.convert(told["worlds"]["wide"], Score)
     rates = {r.name: (r.count, r.of) for r in board.rates}
-    assert rates["null: a difference claimed"] == (0, sum(c.kind == "null" for c in key.cases))
     below = sum(c.kind == "null" for c in key.cases)
-    assert told["calibration"]["wide"]["brier"] == pytest.approx((below * 0.1**2 + (3 - below) * 0.9**2) / 3)
+    assert rates["null: false alarm"] == (0, below)
+    assert rates["verdict right"] == (below, 3)
+    assert told["calibration"]["wide"]["sets"]["brier"] == pytest.approx((below * 0.1**2 + (3 - below) * 0.9**2) / 3)
     assert "temperature" in ran("calibrate", "--cases", cases, "--found", folder)
 
 
@@ -110,8 +116,9 @@ def test_diagnosing_needs_no_answers(cases):
 
 def test_cases_of_one_level_share_a_null_reference(cases, quick):
     some = read(diagnosed(cases))
-    assert {f.null_reference_cpu_s for f in some} == {30.0}
-    assert len({f.key for f in some}) < 3
+    assert {cpu_s for f in some for cpu_s in f.null_references_cpu_s.values()} == {30.0}
+    assert all(len(f.null_references_cpu_s) == 2 for f in some)  # the records' levels differ
+    assert len({key for f in some for key in f.null_references_cpu_s}) < 6
     assert {(null_reference, tolerances) for _, null_reference, tolerances in quick} == {
         (cases.parent / "found" / "null_references", None)
     }
@@ -131,20 +138,47 @@ def test_tolerances_and_null_references_of_others(cases, quick, tmp_path):
     )
     assert all((null_reference, tolerances) == (tmp_path / "kept", EXACT) for _, null_reference, tolerances in quick)
     ran("diagnose", "--cases", cases, "--out", tmp_path / "b")
-    assert {f.key for f in read(tmp_path / "a")}.isdisjoint(f.key for f in read(tmp_path / "b"))
+    keys = [{key for f in read(tmp_path / name) for key in f.null_references_cpu_s} for name in "ab"]
+    assert keys[0].isdisjoint(keys[1])
+
+
+def to_make(cases, folder, which=1):
+    fit, other = (str(cases / "recordings" / f"case_000{end}.mcap") for end in ("", "_validate"))
+    return NullReferenceToMake(
+        key="0123456789abcdefgh", fit=fit, validate=other, which=which, null_reference=str(folder), tolerances=None
+    )
 
 
 def test_a_null_reference_that_is_there_costs_nothing(cases, monkeypatch, tmp_path):
     asked = []
-    monkeypatch.setattr(blind_diagnosis, "null_reference_of", lambda *_, kept: asked.append(kept))
-    fit, other = (str(cases / "recordings" / f"case_000{end}.mcap") for end in ("", "_validate"))
-    task = NullReferenceToMake(
-        key="0123456789abcdefgh", fit=fit, validate=other, null_reference=str(tmp_path), tolerances=None
-    )
-    assert blind_diagnosis.null_reference_made(task).cpu_s > 0
+    monkeypatch.setattr(blind_diagnosis, "null_reference_of", lambda *_, kept, predict: asked.append((kept, predict)))
+    assert null_reference_made(to_make(cases, tmp_path)).cpu_s > 0
     (tmp_path / "0123456789abcdef.json").touch()
-    assert blind_diagnosis.null_reference_made(task).cpu_s == 0
-    assert asked == [Path(tmp_path)] * 2
+    assert null_reference_made(to_make(cases, tmp_path)).cpu_s == 0
+    assert asked == [(Path(tmp_path), prediction.modal)] * 2
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_each_record_has_a_null_reference_of_its_own(cases, monkeypatch, tmp_path, which):
+    asked = []
+    monkeypatch.setattr(blind_diagnosis, "null_reference_of", lambda record, *_, **__: asked.append(record.forces_n))
+    null_reference_made(to_make(cases, tmp_path, which))
+    name = ("case_000", "case_000_validate")[which]
+    np.testing.assert_array_equal(asked[0], read_recording(cases / "recordings" / f"{name}.mcap").forces_n)
+
+
+@pytest.mark.parametrize(("error", "crashed"), [(RigError("too stiff"), False), (ValueError("too stiff"), True)])
+def test_a_null_reference_that_fails_loses_its_cases_alone(cases, quick, tmp_path, monkeypatch, error, crashed):
+    def fails(*_, **__):
+        raise error
+
+    monkeypatch.setattr(blind_diagnosis, "null_reference_of", fails)
+    failed = null_reference_made(to_make(cases, tmp_path))
+    assert (failed.refusal.endswith("too stiff"), failed.crashed) == (True, crashed)
+    monkeypatch.setattr(blind_diagnosis, "null_reference_made", lambda task: replace(failed, key=task.key))
+    ran("diagnose", "--cases", cases, "--out", tmp_path / "found")
+    assert not quick
+    assert [(r.case, r.crashed) for r in refused_in(tmp_path / "found")] == [(case, crashed) for case in CASES]
 
 
 def test_what_is_large_is_not_stored():
@@ -171,7 +205,7 @@ def test_each_tolerance_is_doubled_and_halved(cases, quick, tmp_path):
 
 
 @pytest.mark.usefixtures("quick")
-@pytest.mark.parametrize("changed", ["sealed/key.json", "recordings/case_001_validate.mcap"])
+@pytest.mark.parametrize("changed", ["sealed/key.json", "sealed/limits.json", "recordings/case_001_validate.mcap"])
 def test_a_changed_byte_is_refused(cases, tmp_path, changed):
     folder = diagnosed(cases)
     path = cases / changed
@@ -208,7 +242,7 @@ def test_sealed_cases_are_not_overwritten(cases):
 
 
 def test_a_refused_diagnosis_is_counted_and_told(cases, quick, tmp_path, monkeypatch):
-    """One of three is refused: it stands beside what was found, and the others are scored without it."""
+    """One of three is refused: it stands beside what was found, and its verdict is wrong."""
     del quick
     of_one = read_recording(cases / "recordings" / "case_001.mcap").force_n
 
@@ -225,7 +259,8 @@ def test_a_refused_diagnosis_is_counted_and_told(cases, quick, tmp_path, monkeyp
     assert [f.case for f in read(folder)] == ["case_000", "case_002"]
     assert [r.case for r in refused_in(folder)] == ["case_001"]
     text = ran("score", "--cases", cases, "--found", folder, "--out", tmp_path / "score")
-    assert "wide, 2 cases" in text
+    assert "wide, 3 cases" in text
+    assert [line.split()[2:5] for line in text.splitlines() if "│ refused" in line] == [["│", "1", "of"]]
     assert "case_001 was refused: velocity sensors are not read" in text
 
 
@@ -252,11 +287,28 @@ def test_a_crash_is_counted_and_does_not_lose_the_others(cases, quick, tmp_path,
     assert all(r.crashed for r in refused_in(tmp_path / "f"))
 
 
+def test_limits_are_sealed_once_before_anything_is_scored(cases, quick, tmp_path, monkeypatch):
+    del quick
+    sealed = (cases / "limits.sha256").read_text().strip()
+    folder = diagnosed(cases)
+    words = ("score", "--cases", cases, "--found", folder, "--out", tmp_path / "score")
+    assert f"sha256 of the detection limits: {sealed}" in ran(*words)
+    with pytest.raises(RigError, match=r"limits\.sha256: exists already"):
+        ran("limits", "--cases", cases)
+    (cases / "limits.sha256").unlink()
+    with pytest.raises(RigError, match=r"limits\.sha256: is missing; lay the limits first"):
+        ran(*words)
+    monkeypatch.setattr(blind_gap, "best_of", lambda answers, *_: [Best(7.0)] * len(answers))
+    assert sealed not in ran("limits", "--cases", cases)
+    assert limits_of(cases, opened(cases).cases) == [Best(7.0)] * 3
+
+
 @pytest.mark.parametrize("world", ["counted", "bench"])
 def test_every_world_is_sealed_by_its_hash(world, tmp_path):
     ran("make", "--out", tmp_path / world, "--world", world, "--cases", 2, "--duration", 1.5, "--seed", 3)
     key = opened(tmp_path / world)
     assert (key.world, len(key.cases)) == (world, 2)
+    assert all(best.refusal for best in limits_of(tmp_path / world, key.cases))  # 1.5 s are too short
     sealed = tmp_path / world / "sealed" / "key.json"
     sealed.write_bytes(sealed.read_bytes().replace(b'"whole"', b'"whule"', 1))
     with pytest.raises(RigError, match="is not what was sealed"):

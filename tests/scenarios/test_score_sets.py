@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from scenarios.score_sets import Estimate, Named, TrueOne, score_set, true_ones, verdict_right
+from scenarios.score_sets import Estimate, Named, TrueOne, not_answered, score_set, true_ones, verdict_right
 from tests.scenarios.blind_cases import case, effect
 
 VERDICTS = ("consistent", "cannot_tell", "small", "explained", "partly_explained", "unexplained")
@@ -143,10 +143,25 @@ def test_the_verdict_is_right_by_the_decision_table(truths, recalled, names, fal
 def test_the_order_of_names_and_truths_does_not_matter():
     truths = [mass(9.3, 0.3), mass(11.9, 0.9), CLEARANCE, mass(5.0, 0.34, above=False)]
     names = [a_mass(12.0, 0.89), a_mass(14.3, 0.31), FOUND]
-    scores = {
-        str(score_set(t, n, "explained")) for t in itertools.permutations(truths) for n in itertools.permutations(names)
-    }
+    scores = set()
+    for t, n in itertools.product(itertools.permutations(truths), itertools.permutations(names)):
+        score = score_set(t, n, "explained")
+        found = {true.whole.get("mass_kg"): named for true, named in zip(t, score.found, strict=True)}
+        scores.add((tuple(sorted(found.items(), key=str)), score.false_names, score.parameters, score.covered))
     assert len(scores) == 1
+
+
+def test_of_masses_that_look_alike_the_one_on_the_right_body_is_meant():
+    either = (*a_mass(10.1, 0.5, body="cradle"), *a_mass(10.1, 0.5))
+    score = score_set([mass(10.0, 0.5)], [either], "explained")
+    assert (score.recalled, score.false_names) == (1, 0)
+    assert dict(score.errors) == pytest.approx({"added_mass.mass_kg": 1.0, "added_mass.relative_position": 0.0})
+
+
+def test_what_was_refused_names_nothing():
+    score = not_answered([CLEARANCE, DRAG])
+    assert (score.visible, score.recalled, score.false_names, score.verdict_right) == (1, 0, 0, False)
+    assert not score.true_alone
 
 
 def test_what_is_true_of_a_case_is_the_whole_deviation():
