@@ -32,6 +32,7 @@ from rig.lab.starting.measured import MeasuredRig
 from rig.model.description import Rig
 from rig.model.modes import modes_of
 from rig.recording import Recording, read
+from rig.simulation import prediction
 from rig.simulation.plants.modal import simulate as modal
 from rig.simulation.replay import replayed
 from scenarios.f16_figures import drawn
@@ -140,7 +141,7 @@ def judge(
     first, second = (part_of(records[level], DIAGNOSED) for level in (fitted, validating))
     assert believed.tolerances is not None
     matters = Matters(motion=believed.tolerances.unmodelled)
-    gap, corrected = diagnose(first, second, Simulator("f16", simulated), None, progress, None, matters)
+    gap, corrected = diagnose(first, second, SIMULATOR, None, progress, None, matters)
     write_all(gap, corrected, f"F-16, level {fitted}", out / f"level{fitted}")
     linear = equivalent_linear(believed, records[fitted])
     runs = tuple(
@@ -191,6 +192,9 @@ def free_run(rig: Rig, force_n: Float[np.ndarray, " samples"]) -> Recording:
 
 def simulated(believed: Rig, actual: Rig, force_n: Float[np.ndarray, " samples"], seed: int) -> Recording:
     return replayed(believed, actual, force_n, modal, 1 / (OVERSAMPLED * RATE_HZ), seed)
+
+
+SIMULATOR = Simulator("f16", simulated, prediction.modal)
 
 
 def errors_percent(rig: Rig, recording: Recording) -> tuple[float, ...]:

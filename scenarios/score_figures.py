@@ -42,7 +42,7 @@ def drawn(compared: Sequence[ScoredCase], folder: Path) -> list[Path]:
 def _verdicts(compared: Sequence[ScoredCase]) -> Figure:
     """How often each verdict was given, by what is true, with how many of them are right where not all are."""
     verdicts = list(Verdict)
-    figure = Figure(figsize=(8.2, 3.6), layout="constrained")
+    figure = Figure(figsize=(9.5, 3.6), layout="constrained")
     axes = figure.subplots()
     shares = np.zeros((len(ROWS), len(verdicts)))
     labels = []
@@ -59,7 +59,7 @@ def _verdicts(compared: Sequence[ScoredCase]) -> Figure:
     axes.imshow(shares, cmap="Blues", vmin=0, vmax=1, aspect="auto")
     axes.set_xticks(range(len(verdicts)), [v.replace("_", " ") for v in verdicts])
     axes.set_yticks(range(len(ROWS)), labels)
-    axes.set(xlabel="verdict", ylabel="true, above its limit")
+    axes.set(xlabel="verdict", ylabel="true (cases)")
     axes.spines[:].set_visible(False)
     return figure
 
@@ -144,7 +144,7 @@ def _reliability(axes: Axes, told: Reliability) -> None:
     axes.plot(at, said, "_", color=RED, ms=28, mew=2, label="probability that was given, mean")
     bars = np.maximum(np.abs(ends - share[:, None]).T, 0.0)
     axes.errorbar(at, share, yerr=bars, fmt="o", color=BLUE, capsize=3, clip_on=False, label="share that was right")
-    axes.set_xticks(at, [f"{b.low:g} to {b.high:g}\n{b.right} of {b.of}" for b in told.bins])
+    axes.set_xticks(at, [f"{b.low:g} to\n{b.high:g}\n{b.right} of {b.of}" for b in told.bins])
     axes.set_xlim(-0.6, len(at) - 0.4)
 
 

@@ -29,6 +29,7 @@ from rig.model.description import Rig, Sensor, Station
 from rig.model.modes import modes_of
 from rig.model.oscillator import Oscillator
 from rig.recording import Recording
+from rig.simulation import prediction
 from rig.simulation.plants.modal import simulate as modal
 from rig.simulation.replay import replayed
 from scenarios.silverbox_data import (
@@ -82,7 +83,7 @@ def silverbox(
     out.mkdir(parents=True, exist_ok=True)
     fit, validation, arrow = (written(recording, out / f"{name}.mcap") for name, recording in parts)
     with progress_bar("diagnosing") as progress:
-        gap, diagnosed = diagnose(fit, validation, Simulator("silverbox", simulated), None, lambda _, x: progress(x))
+        gap, diagnosed = diagnose(fit, validation, SIMULATOR, None, lambda _, x: progress(x))
     corrected = identified(diagnosed, fit)
     errors = {name: errors_mv(rig, arrow) for name, rig in (("linear", fit.rig), ("corrected", corrected))}
     judged = JudgedRig(
@@ -151,6 +152,9 @@ def free_run(rig: Rig, force_n: Float[np.ndarray, " samples"]) -> Recording:
 
 def simulated(believed: Rig, actual: Rig, force_n: Float[np.ndarray, " samples"], seed: int) -> Recording:
     return replayed(believed, actual, force_n, modal, 1 / (OVERSAMPLED * SAMPLE_RATE_HZ), seed)
+
+
+SIMULATOR = Simulator("silverbox", simulated, prediction.modal)
 
 
 def identified(rig: Rig, recording: Recording) -> Rig:

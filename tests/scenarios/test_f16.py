@@ -9,14 +9,25 @@ import pytest
 from msgspec.structs import replace
 from typer.testing import CliRunner
 
-from identify.gaps.decision.answer import Simulator, diagnose
+from identify.gaps.decision.answer import diagnose
 from rig.effects import effect_named
 from rig.errors import RigError
 from rig.lab.modal.record import MeasuredResponse, fit_record
 from rig.model.description import Rig, Sensor, Station
 from rig.model.structure import structure_of
 from rig.model.tolerances import Tolerances
-from scenarios.f16 import FILE, PERIOD, PLACES_M, RATE_HZ, Judged, accelerations, app, errors_percent, simulated
+from scenarios.f16 import (
+    FILE,
+    PERIOD,
+    PLACES_M,
+    RATE_HZ,
+    SIMULATOR,
+    Judged,
+    accelerations,
+    app,
+    errors_percent,
+    simulated,
+)
 
 DATA = Path(os.environ.get("F16", "f16"))
 SHAPES = np.array([[0.09, 0.03, 0.04, 0.05], [0.02, 0.05, 0.08, -0.04], [0.02, 0.05, 0.07, -0.01]])
@@ -91,7 +102,7 @@ def test_a_low_level_gives_the_rig(soft):
 
 def test_a_support_that_lost_stiffness_is_found_under_a_multisine(soft):
     _, believed, high = soft
-    gap, corrected = diagnose(*high, Simulator("f16", simulated))
+    gap, corrected = diagnose(*high, SIMULATOR)
     assert gap.verdict in ("explained", "partly_explained")
     assert "linear_spring" in gap.causes[0].effects
     assert "tone" not in gap.causes[0].effects

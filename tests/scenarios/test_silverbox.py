@@ -12,11 +12,11 @@ import pytest
 from msgspec.structs import replace
 from typer.testing import CliRunner
 
-from identify.gaps.decision.answer import Simulator, diagnose
+from identify.gaps.decision.answer import diagnose
 from rig.errors import RigError
 from rig.model.description import PointSpring
 from rig.simulation.excitation import BandLimitedGaussian, force_history
-from scenarios.silverbox import JudgedRig, app, free_run, identified, one_mass, rms, simulated
+from scenarios.silverbox import SIMULATOR, JudgedRig, app, free_run, identified, one_mass, rms, simulated
 from scenarios.silverbox_data import FILE, SAMPLES, measured
 
 DATA = Path(os.environ.get("SILVERBOX", "silverbox"))
@@ -61,7 +61,7 @@ def duffing():
 
 def test_a_simulated_cubic_spring_is_named_and_measured(duffing):
     _, actual, (fit, validation) = duffing
-    gap, corrected = diagnose(fit, validation, Simulator("silverbox", simulated))
+    gap, corrected = diagnose(fit, validation, SIMULATOR)
     assert gap.verdict == "explained"
     assert gap.causes[0].effects == ("hardening_spring",)
     found = gap.causes[0].parameters["hardening_spring.cubic_n_per_m3"]
