@@ -62,7 +62,7 @@ def by_place() -> list[type[Effect]]:
 
 
 def ranged_by_rig(kind: type[Effect]) -> bool:
-    return kind.parameters.__func__ is not Effect.parameters.__func__  # type: ignore[attr-defined]
+    return kind.parameters.__func__ is not Effect.parameters.__func__
 
 
 def effect_rows() -> Iterator[str]:
@@ -91,7 +91,7 @@ def field_text(field: msgspec.structs.FieldInfo) -> str:
     """Its name, with its default where it has one."""
     if field.required:
         return f"`{field.encode_name}`"
-    default = field.default if field.default is not msgspec.NODEFAULT else field.default_factory()  # type: ignore[operator]
+    default = field.default if field.default is not msgspec.NODEFAULT else field.default_factory()
     text = "none" if default in (None, ()) else "as below" if isinstance(default, msgspec.Struct) else f"{default:g}"
     return f"`{field.encode_name}` ({text})"
 

@@ -90,6 +90,8 @@ class Evidence(msgspec.Struct, frozen=True, kw_only=True):
     """All that decides. `after` is what the named set leaves; without a name it is what the nominal rig leaves.
 
     removed is the share of the mismatch that the named set removes, vetoed whether the rollout forbids `explained`.
+    held_back_shows: whether the record that was not fitted shows the difference by itself; where it does not, strengths
+    are those of all records.
     """
 
     p_value: float
@@ -99,6 +101,7 @@ class Evidence(msgspec.Struct, frozen=True, kw_only=True):
     quantities_after: tuple[Bounded, ...]
     removed: float
     vetoed: bool = False
+    held_back_shows: bool = True
 
     @property
     def not_seen(self) -> tuple[Bounded, ...]:

@@ -19,12 +19,14 @@ class Left(msgspec.Struct, frozen=True, kw_only=True):
     """What a rig leaves of the validation record, beyond the sensors' noise.
 
     share is the unexplained share of the acceleration's root mean square, contact_shares that of each contact force's;
-    p_value how often tolerances and noise alone leave as much.
+    p_value how often tolerances and noise alone leave as much; largest_pull by how many of its stated standard
+    deviations a tolerance is off at most.
     """
 
     share: float
     contact_shares: dict[str, float]
     p_value: float
+    largest_pull: float = 0.0
 
 
 class Cause(msgspec.Struct, frozen=True, kw_only=True):

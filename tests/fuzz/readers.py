@@ -35,7 +35,7 @@ from rig.viewer.viewing import write_rrd
 from tests.fuzz.judging import refused_or_right
 from tests.fuzz.mutate import bytes_changed, text_changed
 from tests.fuzz.records import rewritten
-from tests.identify.gaps.conftest import GAPS, RIGS
+from tests.identify.gaps.diagnoses import GAPS, RIGS
 
 MASS = Sdof(frequency_hz=2.0, high_hz=6.0, duration_s=25.0)
 ABSURD = (0.0, 1e-300, 1e-12, -1.0, 1e6, 1e150, 1e300)

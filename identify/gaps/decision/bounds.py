@@ -1,4 +1,4 @@
-"""What the nominal rig leaves, as quantities that matter: each with the upper end of its one-sided 97.5 % interval.
+"""Quantities that matter, of the difference between the nominal rig and the records, with 97.5 % upper bounds.
 
 Notes for maintainers
 1. Shares: with x_s what second s leaves beyond noise over the whole measured band (m^2/s^4), P the mean square of the
@@ -17,7 +17,8 @@ from jaxtyping import Float
 from scipy.stats import chi2
 from scipy.stats import t as student
 
-from identify.gaps.decision_table import DIFFERS, Bounded
+from identify.contacts.refusals import Refusal
+from identify.gaps.decision_table import Bounded
 from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.results import Matters
 from identify.gaps.search.contact_laws import LawEstimate, law_numbers, law_outcomes, pooled_estimate
@@ -46,11 +47,6 @@ class Difference:
     contact_parameters: tuple[Bounded, ...] = ()
 
     @property
-    def certain(self) -> bool:
-        """D of the decision table."""
-        return self.p_value < DIFFERS
-
-    @property
     def quantities(self) -> tuple[Bounded, ...]:
         return (self.motion, *self.contacts, *self.contact_parameters)
 
@@ -63,23 +59,20 @@ class ContactDistances:
     p_values: tuple[float, ...]
 
 
-def share_bounds(left: Misfit, contacts: Sequence[str], matters: Matters) -> tuple[Bounded, ...]:
+def share_bounds(misfit: Misfit, contacts: Sequence[str], matters: Matters) -> tuple[Bounded, ...]:
     """The unexplained share of the motion, then that of each contact force."""
-    reference = left.reference
-    whole = max(float(reference.lines @ reference.power.sum(axis=1)), 1e-300)
-    beyond = np.einsum("sbi,b->s", left.left - reference.noise, reference.lines) / whole
-    found = [Bounded("motion", "1", left.share, _at_least(left.share, _upper_share(beyond)), matters.motion)]
+    upper = _upper_share(misfit.share_by_second)
+    quantities = [Bounded("motion", "1", misfit.share, _at_least(misfit.share, upper), matters.motion)]
     for j, name in enumerate(contacts):
-        force = float(np.mean(left.force_n2[:, j]))
-        upper = _upper_share(left.contact_n2[:, j] / max(force, 1e-300))
-        value, weights = float(left.contact_shares[j]), reference.seen[j].weights
-        moving = weights > 0
-        noise = float(np.sum(weights[moving] ** -2.0)) / weights.size
-        if noise > HIDDEN * force:
-            found.append(Bounded(name, "1", value, None, matters.contact, "noise hides it", LOUDER))
+        force_n2 = float(np.mean(misfit.force_n2[:, j]))
+        weights, share = misfit.reference.seen[j].weights, float(misfit.contact_shares[j])
+        noise_n2 = float(np.sum(weights[weights > 0] ** -2.0)) / weights.size
+        if noise_n2 > HIDDEN * force_n2:
+            quantities.append(Bounded(name, "1", share, None, matters.contact, "noise hides it", LOUDER))
         else:
-            found.append(Bounded(name, "1", value, _at_least(value, upper), matters.contact))
-    return tuple(found)
+            upper = _at_least(share, _upper_share(misfit.contact_n2[:, j] / max(force_n2, 1e-300)))
+            quantities.append(Bounded(name, "1", share, upper, matters.contact))
+    return tuple(quantities)
 
 
 def _at_least(value: float, upper: float | None) -> float | None:
@@ -97,37 +90,46 @@ def _upper_share(squares: Float[np.ndarray, " seconds"]) -> float | None:
 def contact_distances(recordings: Sequence[Recording], rig: Rig, tolerances: Tolerances) -> ContactDistances:
     """Distances of every contact's parameters from `rig`, by the contact fit of all records together."""
     outcomes = [law_outcomes(recording, rig, tolerances) for recording in recordings if rig.contacts]
-    found: list[Bounded] = []
+    bounds: list[Bounded] = []
     p_values: list[float] = []
     for contact in rig.contacts:
-        told = [estimate for one in outcomes for estimate in one.estimates if estimate.contact == contact.name]
-        if told and isinstance(contact.law, DeadZone):
-            estimate = pooled_estimate(told)
-            found += _bounds(contact, estimate, tolerances)
+        estimates = [estimate for one in outcomes for estimate in one.estimates if estimate.contact == contact.name]
+        if estimates and isinstance(contact.law, DeadZone):
+            estimate = pooled_estimate(estimates)
+            bounds += _bounds(contact, estimate, tolerances)
             p_values.append(_p_value(contact, estimate, tolerances))
         else:
-            refusal = next((one.refusals[contact.name] for one in outcomes if contact.name in one.refusals), None)
-            why, remedy = (refusal.cause, refusal.advice) if refusal else ("its law is no dead zone", "")
-            names = f"clearance, stiffness and damping of {contact.name}"
-            found.append(Bounded(names, "", None, None, 0.0, why, remedy))
-    return ContactDistances(tuple(found), tuple(p_values))
+            bounds.append(
+                _undetermined(contact, [one.refusals[contact.name] for one in outcomes if contact.name in one.refusals])
+            )
+    return ContactDistances(tuple(bounds), tuple(p_values))
 
 
-def _apart(contact: Contact, estimate: LawEstimate) -> Float[np.ndarray, " rows"]:
+def _undetermined(contact: Contact, refusals: Sequence[Refusal]) -> Bounded:
+    """The parameters of a contact that no record determines."""
+    names = f"clearance, stiffness and damping of {contact.name}"
+    if not isinstance(contact.law, DeadZone):
+        return Bounded(names, "", None, None, 0.0, "its law is no dead zone")
+    why, remedy = (refusals[0].cause, refusals[0].advice) if refusals else ("the contact fit does not apply", "")
+    return Bounded(names, "", None, None, 0.0, why, remedy)
+
+
+def _distance(contact: Contact, estimate: LawEstimate) -> Float[np.ndarray, " rows"]:
+    """Estimated less nominal parameters: m, N/m, N s/m, m."""
     return np.asarray(estimate.values - estimate.quantities @ law_numbers(contact.law))
 
 
 def _p_value(contact: Contact, estimate: LawEstimate, tolerances: Tolerances) -> float:
-    apart = _apart(contact, estimate)
-    stated = np.diag(np.square(deviations(contact, tolerances)[: apart.size]))
-    return float(chi2.sf(apart @ np.linalg.solve(estimate.covariance + stated, apart), apart.size))
+    distance = _distance(contact, estimate)
+    stated = np.diag(np.square(deviations(contact, tolerances)[: distance.size]))
+    return float(chi2.sf(distance @ np.linalg.solve(estimate.covariance + stated, distance), distance.size))
 
 
 def _bounds(contact: Contact, estimate: LawEstimate, tolerances: Tolerances) -> list[Bounded]:
-    apart = np.abs(_apart(contact, estimate))
+    distances = np.abs(_distance(contact, estimate))
     errors = COVERED * np.sqrt(np.diag(estimate.covariance))
     names, units = ("clearance", "stiffness", "damping", "offset"), ("m", "N/m", "N s/m", "m")
-    rows = zip(names, units, apart, errors, deviations(contact, tolerances), strict=False)
+    rows = zip(names, units, distances, errors, deviations(contact, tolerances), strict=False)
     return [
         Bounded(f"{name} of {contact.name}", unit, float(value), float(value + error), DEVIATIONS * sigma)
         for name, unit, value, error, sigma in rows

@@ -27,6 +27,7 @@ def left_of(left: Misfit, rig: Rig, p_value: float) -> Left:
         share=left.share,
         contact_shares=dict(zip(names, left.contact_shares.tolist(), strict=True)),
         p_value=p_value,
+        largest_pull=float(np.max(np.abs(left.pulls), initial=0.0)),
     )
 
 

@@ -159,7 +159,7 @@ def _with_a_force(
         if companion and acts_where_they_do(companion.on_fit.candidate, record.rig, rig):
             companion = None
         cost_beside = cost_with(validation, rig, companion, named.misfit) if companion else None
-        decision = decided(ranked, difference, null_reference, matters, Rivals(cost, cost_beside), vetoed)
+        decision = decided(ranked, difference, null_reference, matters, Rivals(cost, named, cost_beside), vetoed)
         if decision.verdict == Verdict.PARTLY_EXPLAINED:
             force, residual = beside, fit_nuisance(record, rig, rounds=1)[1]
     modulation = attempted("clearance_modulation", lambda: clearance_modulation(record, residual))

@@ -96,13 +96,13 @@ class NullReference(msgspec.Struct, frozen=True):
 
 
 class _KeptReferences(msgspec.Struct, frozen=True):
-    """What a file holds."""
+    """The content of a file."""
 
     null_references: tuple[NullReference, ...]
 
 
 def p_values(records: Sequence[tuple[NullReference, Misfit]]) -> Float[np.ndarray, " parts"]:
-    """How often tolerances and noise alone leave as much of all records together as a rig does, part by part.
+    """p-values of the misfit that a rig leaves of all records together, part by part.
 
     The null simulations of several records are of the same machines, so their statistics are added machine by machine.
     With x one of the statistics of the measured records (the linear residual's part of -2 ln p, the contacts', the
@@ -129,9 +129,9 @@ def combined(each: Float[np.ndarray, " parts"]) -> float:
     return 0.5 - float(np.arctan(mean)) / np.pi if mean < 1e12 else 1 / (np.pi * mean)
 
 
-def p_value(reference: NullReference, left: Misfit) -> float:
-    """How often tolerances and noise alone leave as much of one record."""
-    return combined(p_values([(reference, left)]))
+def p_value(reference: NullReference, misfit: Misfit) -> float:
+    """p-value of the misfit that a rig leaves of one record."""
+    return combined(p_values([(reference, misfit)]))
 
 
 def null_reference_of(
@@ -172,7 +172,7 @@ def null_reference_of(
             ]
         )
         made = simulate(measured.rig, actual, forces_n, seed)
-        rows.append(_left(_instrumented(made, densities, gain, rng), tolerances, predict))
+        rows.append(_null_simulation(_instrumented(made, densities, gain, rng), tolerances, predict))
         progress((seed + 1) / simulations)
     reference = NullReference(key, tuple(rows))
     if kept:
@@ -213,7 +213,7 @@ def _instrumented(
     return with_fields(made, signals={**made.signals, "force": with_fields(group, values=values)})
 
 
-def _left(recording: Recording, tolerances: Tolerances, predict: Predict | None) -> NullSimulation:
+def _null_simulation(recording: Recording, tolerances: Tolerances, predict: Predict | None) -> NullSimulation:
     record = record_of(recording, tolerances=tolerances)
     linearization = linearized(record, record.rig)
     reference = reference_of(linearization)

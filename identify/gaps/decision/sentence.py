@@ -3,17 +3,19 @@
 from identify.gaps.decision_table import USUAL, Bounded, Verdict
 from identify.gaps.results import Cause, Diagnosis
 from identify.gaps.wording import MOST, alternatives, between_records, capital, chance, joined, leaves, quantity
-from identify.pages.wording import percent
+from identify.pages.wording import number, percent
 
 UNSCALED = (
     "No force was measured: a common factor of mass and stiffnesses, which rest on the mass in rig.json, does not "
     "show, nor one of clearances and gains of the sensors; faults of channels are not looked for."
 )
 WORSE = {
-    "worse": "With it the rig predicts the measured motion worse than without it.",
-    "no_improvement": "With it the rig does not predict the measured motion better, though it would if that were all.",
+    "worse": "With that the rig predicts the measured motion worse than without.",
+    "no_improvement": "With that the rig predicts the measured motion no better, as it would if that were all.",
 }
 """By the code of the rollout that vetoes."""
+STRAINED = 3.0
+"""Standard deviations by which a tolerance is told to be off."""
 
 
 def sentence(diagnosis: Diagnosis) -> str:
@@ -59,14 +61,25 @@ def _small(gap: Diagnosis) -> list[str]:
 def _explained(gap: Diagnosis) -> list[str]:
     named = gap.causes[0]
     explain = "explains" if len(named.named) == 1 else "explain"
-    if leaves(gap.before) == leaves(gap.after):
-        said = f"{capital(joined(named.named))} {explain} the difference ({chance(gap.evidence.p_value)})"
-        return [f"{said}, of which the record that was not fitted shows too little."]
+    if not gap.evidence.held_back_shows:
+        return [
+            f"{capital(joined(named.named))} {explain} the difference ({chance(gap.evidence.p_value)}), by all records "
+            "together: the one that was not fitted shows too little of it."
+        ]
     rest = "" if gap.after.p_value < USUAL else f", what tolerances and noise leave ({chance(gap.after.p_value)})"
     return [
         f"{capital(joined(named.named))} {explain} the difference: with {_them(named)} rig.json leaves "
-        f"{leaves(gap.after)} unexplained{rest}; without {_them(named)} {leaves(gap.before)}."
+        f"{leaves(gap.after)} unexplained{rest}; without {_them(named)} {leaves(gap.before)}"
+        f"{_strained(gap)}."
     ]
+
+
+def _strained(gap: Diagnosis) -> str:
+    """The tolerance that is off by most without the named effects, where what is left does not tell that they lack."""
+    shares_hold = all(one.holds for one in gap.evidence.quantities if one.unit == "1")
+    if not shares_hold or gap.before.largest_pull < STRAINED:
+        return ""
+    return f", with a tolerance off by {number(gap.before.largest_pull, 2)} of its standard deviations"
 
 
 def _partly_explained(gap: Diagnosis) -> list[str]:

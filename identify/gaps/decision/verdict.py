@@ -1,4 +1,4 @@
-"""What hypotheses, judged on the validation record, say together: probabilities, names, what is left, the verdict."""
+"""Probabilities of hypotheses judged on the validation record, the names that follow, what they leave, the verdict."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ import numpy as np
 from identify.gaps.decision.bounds import Difference, share_bounds
 from identify.gaps.decision.comparison import PRIOR_UNKNOWN, TEMPERATURE, Judged, closed, probabilities
 from identify.gaps.decision.null_reference import NullReference, p_value
-from identify.gaps.decision_table import USUAL, Evidence, Strength, Verdict
+from identify.gaps.decision_table import DIFFERS, USUAL, Evidence, Strength, Verdict
 from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.results import Matters
 from identify.gaps.search.attached import ATTACHED
@@ -38,11 +38,12 @@ class Weighed:
 
 @dataclass(frozen=True)
 class Rivals:
-    """-2 ln p of the validation record with something unmeasured: the force that explains it best (`alone`), and the
-    one that explains best what the likeliest effects leave (`beside`); None where none was looked for."""
+    """-2 ln p of the validation record with the unmeasured force that explains it best in the nominal rig; of the
+    hypothesis `accompanied`, with the one that explains best what it leaves. None where none was looked for."""
 
-    alone: float | None = None
-    beside: float | None = None
+    in_nominal: float | None = None
+    accompanied: Judged | None = None
+    in_accompanied: float | None = None
 
 
 def nominal_of(ranked: Sequence[Judged]) -> Judged:
@@ -114,63 +115,64 @@ def decided(
     it. Where the records differ from the nominal rig and the one that validates alone does not show it, it tells too
     little to judge by: then the record that was fitted counts too.
     """
-    rivals = rivals or Rivals()
-    best = next((j for j in ranked if j.hypothesis.parts), None)
-    blind = difference.certain and p_value(null_reference, nominal_of(ranked).misfit) >= USUAL
-    scores = [j.log_posterior_of_both if blind else j.log_posterior for j in ranked]
-    if best:
-        beside = _log_posterior(best.log_prior, rivals.beside)
-        scores[ranked.index(best)] = float(np.logaddexp(scores[ranked.index(best)], beside))
-    scores.append(_log_posterior(0.0, rivals.alone))
-    *likely, unknown = (float(p) for p in probabilities(np.array(scores)))
-    weighed = tuple(Weighed(*pair) for pair in sorted(zip(ranked, likely, strict=True), key=lambda pair: -pair[1]))
+    rivals, nominal = rivals or Rivals(), nominal_of(ranked)
+    held_back_shows = difference.p_value >= DIFFERS or p_value(null_reference, nominal.misfit) < USUAL
+    scores = [j.log_posterior if held_back_shows else j.log_posterior_of_both for j in ranked]
+    for k, judged in enumerate(ranked):
+        if judged is rivals.accompanied:
+            with_force = _log_posterior(judged.log_prior, rivals.in_accompanied)
+            scores[k] = float(np.logaddexp(scores[k], with_force))
+    scores.append(_log_posterior(0.0, rivals.in_nominal))
+    *shares, unknown = (float(p) for p in probabilities(np.array(scores)))
+    weighed = tuple(Weighed(*pair) for pair in sorted(zip(ranked, shares, strict=True), key=lambda pair: -pair[1]))
     likeliest = next((w.judged for w in weighed if w.judged.hypothesis.parts), None)
     strengths = strengths_of(likeliest.hypothesis, weighed) if likeliest else ()
     named = _named(likeliest, strengths, ranked) if likeliest else None
-    left = named or nominal_of(ranked)
+    after = named or nominal
     contacts = [quantity.name for quantity in difference.contacts]
     evidence = Evidence(
         p_value=difference.p_value,
         quantities=difference.quantities,
         strengths=strengths,
-        p_value_after=p_value(null_reference, left.misfit),
-        quantities_after=share_bounds(left.misfit, contacts, matters),
-        removed=closed(left.without, left.misfit, matters),
+        p_value_after=p_value(null_reference, after.misfit),
+        quantities_after=share_bounds(after.misfit, contacts, matters),
+        removed=closed(after.without, after.misfit, matters),
         vetoed=vetoed,
+        held_back_shows=held_back_shows,
     )
     return Decision(evidence, weighed, unknown, named)
 
 
-def strengths_of(likeliest: Hypothesis, weighed: Sequence[Weighed]) -> tuple[Strength, ...]:
-    """Of every effect of the likeliest hypothesis: how probably it, or one that is in its place elsewhere, is there."""
-    found, first = [], 0
-    errors = np.sqrt(np.maximum(np.diag(likeliest.covariance), 0.0))
-    for part in likeliest.parts:
-        own = range(first, first := first + len(part.parameters))
-        instead = _look_alikes(likeliest, part, weighed)
-        among = {part.name, *instead}
-        told = [
-            ((likeliest.values[k] - p.neutral) / max(errors[k], 1e-300), k, p.neutral)
-            for k, p in zip(own, part.parameters, strict=True)
-            if p.neutral is not None
-        ]
-        _, k, neutral = max(told, key=lambda row: abs(row[0]))
-        half = COVERED * errors[k]
-        probability = sum(w.probability for w in weighed if among & set(w.judged.hypothesis.key))
-        interval = (float(likeliest.values[k] - half), float(likeliest.values[k] + half))
-        found.append(Strength(part.name, float(probability), interval, float(neutral), instead))
-    return tuple(found)
+def strengths_of(hypothesis: Hypothesis, weighed: Sequence[Weighed]) -> tuple[Strength, ...]:
+    """The strength of every effect of a hypothesis, and how probably it, or a look-alike in its place, is there.
+
+    Of several strengths the one that is off its neutral value by most standard errors.
+    """
+    strengths, first = [], 0
+    errors = np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))
+    for part in hypothesis.parts:
+        columns = range(first, first := first + len(part.parameters))
+        look_alikes = _look_alikes(hypothesis, part, weighed)
+        neutral_values = {k: p.neutral for k, p in zip(columns, part.parameters, strict=True) if p.neutral is not None}
+        significance = {k: abs(hypothesis.values[k] - x) / max(errors[k], 1e-300) for k, x in neutral_values.items()}
+        k = max(significance, key=lambda column: float(significance[column]))
+        value, half = float(hypothesis.values[k]), float(COVERED * errors[k])
+        names = {part.name, *look_alikes}
+        probability = sum(w.probability for w in weighed if names & set(w.judged.hypothesis.key))
+        interval = (value - half, value + half)
+        strengths.append(Strength(part.name, probability, interval, float(neutral_values[k]), look_alikes))
+    return tuple(strengths)
 
 
-def _look_alikes(likeliest: Hypothesis, part: Candidate, weighed: Sequence[Weighed]) -> tuple[str, ...]:
-    """What stands in an effect's place in other hypotheses that are likely too."""
-    whole = Counter(likeliest.key)
-    instead: list[str] = []
+def _look_alikes(hypothesis: Hypothesis, part: Candidate, weighed: Sequence[Weighed]) -> tuple[str, ...]:
+    """Candidates that stand in an effect's place in other hypotheses that are likely too, by their names."""
+    key = Counter(hypothesis.key)
+    look_alikes: list[str] = []
     for other in (w.judged.hypothesis for w in weighed if w.probability > ALIKE):
-        more, less = Counter(other.key) - whole, whole - Counter(other.key)
+        more, less = Counter(other.key) - key, key - Counter(other.key)
         if less == Counter([part.name]) and more.total() == 1:
-            instead += more
-    return tuple(dict.fromkeys(instead))
+            look_alikes += more
+    return tuple(dict.fromkeys(look_alikes))
 
 
 def _named(likeliest: Judged, strengths: Sequence[Strength], ranked: Sequence[Judged]) -> Judged:

@@ -65,7 +65,7 @@ def _table(gap: Gap) -> Table:
         table.add_row(*(Text(cell) for cell in row))
     if further := gap.causes[MOST:]:
         table.add_row(f"{len(further)} further", probability(sum(c.probability for c in further)), "", "", "")
-    for name, likely in others(gap):
-        left = leaves(gap.before) if name == others(gap)[0][0] else ""
-        table.add_row(name, probability(likely), "", Text(left), "")
+    (nominal, likely), unmeasured = others(gap)
+    table.add_row(nominal, probability(likely), "", Text(leaves(gap.before)), "")
+    table.add_row(unmeasured[0], probability(unmeasured[1]), "", "", "")
     return table

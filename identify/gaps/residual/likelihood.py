@@ -137,6 +137,12 @@ class Misfit:
         return float(np.sqrt(self.reference.lines @ beyond / whole))
 
     @property
+    def share_by_second(self) -> Float[np.ndarray, " seconds"]:
+        """Its square as each second alone has it, beyond noise; below zero where a second is quieter than noise."""
+        whole = max(float(self.reference.lines @ self.reference.power.sum(axis=1)), 1e-300)
+        return np.einsum("sbi,b->s", self.left * self.measured - self.reference.noise, self.reference.lines) / whole
+
+    @property
     def contact_shares(self) -> Float[np.ndarray, " contacts"]:
         """Unexplained share of each contact force's root mean square, beyond noise."""
         left = np.maximum(self.contact_n2.mean(axis=0), 0.0)

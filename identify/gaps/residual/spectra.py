@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import periodogram
 
 from identify.contacts.separation import drift_of, driven_to_hz, is_unforced
+from identify.gaps.residual.channel_noise import force_noise_n, sensor_densities
 from identify.linear.joined import joined
 from identify.signals.beginning import QUIET_S
 from identify.signals.drift import Drift
@@ -20,7 +20,7 @@ from identify.signals.kinematics import (
     kinematics,
     taper,
 )
-from identify.signals.noise import acceleration_noise, heard_density, least_density
+from identify.signals.noise import acceleration_noise
 from identify.signals.scores import COUNTED_HZ
 from identify.signals.spectra import force_band
 from rig.errors import RigError
@@ -218,8 +218,8 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         delivered=delivered,
         displaced=measured * twice_less,
         faded=faded,
-        force_noise=samples * _force_noise_n(motion, tolerances) ** 2,
-        noise=samples * (_densities(recording, sensors, motion)[:, None] * size) ** 2 * rate / 2,
+        force_noise=samples * force_noise_n(motion, tolerances) ** 2,
+        noise=samples * (sensor_densities(recording, sensors, motion)[:, None] * size) ** 2 * rate / 2,
         power=_smoothed(delivered, np.stack([_by_force(rig, s, omega) for s in sensors]), transform),
         eta_beyond=eta_beyond,
         drifts=tuple(drift_of(joint, motion, j, noise, tolerances, samples) for j in range(len(joint.contacts))),
@@ -395,35 +395,3 @@ def _add_beyond(
             if sensor.station == station:
                 heard = omega <= 2 * np.pi * PASSBAND * rig.sample_rate_hz
                 eta_beyond[j] += sign * heard * measured * integrated(omega, -sensor.measures.order, CORNER_HZ)
-
-
-def _force_noise_n(motion: Kinematics, tolerances: Tolerances) -> Float[np.ndarray, " forces"]:
-    """Standard deviation of each force channel's noise: heard in the quiet start, else as the tolerances state it.
-
-    None of a free decay, in which no force acts.
-    """
-    if motion.quiet_samples and not is_unforced(motion):
-        return np.asarray(np.std(motion.forces_n[:, : motion.quiet_samples], axis=1))
-    stated_n = tolerances.force_noise_density * np.sqrt(motion.sample_rate_hz / 2)
-    return np.full(len(motion.forces_n), 0.0 if is_unforced(motion) else stated_n)
-
-
-def _densities(recording: Recording, sensors: tuple[Sensor, ...], motion: Kinematics) -> Float[np.ndarray, " sensors"]:
-    """One-sided noise of each sensor in its own unit per sqrt(Hz): heard in the quiet start, else in the record.
-
-    In a quiet start the median over the frequencies tells it: a motor that runs, or a floor that shakes, raises some of
-    them only. That of powers which are distributed exponentially is ln 2 of their mean. Of what the record tells
-    without one, the description is believed where it says less and the record does not surely show noise.
-    """
-    rate, found = motion.sample_rate_hz, []
-    for sensor in sensors:
-        row = recording.values_of(sensor)
-        if motion.quiet_samples:
-            hz, power = periodogram(row[: motion.quiet_samples], rate, "hann")
-            inner = (hz > 0) & (hz < PASSBAND * rate)
-            density = float(np.sqrt(np.median(power[inner]) / np.log(2)))
-        else:
-            density, surely = heard_density(row, rate)
-            density = density if surely else min(density, sensor.noise_density)
-        found.append(max(density, least_density(row, rate)))
-    return np.array(found)

@@ -25,7 +25,7 @@ from identify.contacts.acceptance import accept
 from identify.contacts.contact_record import DAMPING, LAW, OFFSET, STIFFNESS
 from identify.contacts.determination import determine
 from identify.contacts.joint_fit import JointEstimate
-from identify.contacts.refusals import ContactRefusedError, Refusal
+from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode, refused
 from identify.contacts.separation import separate
 from identify.gaps.search.hypothesis import Hypothesis, steps_of
 from rig.errors import RigError
@@ -67,8 +67,9 @@ def law_outcomes(recording: Recording, rig: Rig, tolerances: Tolerances) -> LawO
 
     What acts unmeasured (a base motion, a tone) is left to the scatter.
     """
-    if rig.loads or rig.dampers or any(s.cubic_n_per_m3 for s in rig.springs) or rig.force_sensor.lag_s:
-        return LawOutcomes()
+    if attached := _not_modelled(rig):
+        refusal = refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=attached).refusal
+        return LawOutcomes((), dict.fromkeys((contact.name for contact in rig.contacts), refusal))
     force = recording.signals["force"]
     signals = {**recording.signals, "force": replace(force, values=force.values / rig.force_sensor.gain)}
     modelled = msgspec.structs.replace(rig, base_motion=None, tones=(), force_sensor=ForceSensor())
@@ -82,6 +83,17 @@ def law_outcomes(recording: Recording, rig: Rig, tolerances: Tolerances) -> LawO
     return LawOutcomes(
         tuple(_estimate(contact, estimate) for contact, estimate in outcomes.estimates.items()), outcomes.refusals
     )
+
+
+def _not_modelled(rig: Rig) -> str:
+    """What the contact fit does not know of a rig; nothing where it knows all."""
+    if rig.loads:
+        return "a constant force"
+    if rig.dampers:
+        return "a damper or friction to the ground"
+    if any(spring.cubic_n_per_m3 for spring in rig.springs):
+        return "a spring in the cube of the displacement"
+    return "a lag of the force sensor" if rig.force_sensor.lag_s else ""
 
 
 def pooled_estimate(estimates: Sequence[LawEstimate]) -> LawEstimate:

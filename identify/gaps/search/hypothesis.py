@@ -30,6 +30,8 @@ FAR = 200.0
 """Hypotheses whose -2 ln p is larger by so much than the best one's are not fitted to the end, nor compared on another
 record, where the odds of a single one are e^(200 / (2 * 6)) = 2e7."""
 AT_LIMIT = 0.99
+PULLED = 3.0
+"""Stated standard deviations by which no tolerance is off by chance: what pulls one so far may be an effect."""
 
 Build = Callable[[Values], Rig]
 """The rig of some values of the parameters."""
@@ -60,9 +62,9 @@ class Hypothesis:
 
     @property
     def leaves_something(self) -> bool:
-        """Whether more is left above noise and tolerated shares than an effect must gain, or a tolerance is at its
-        limit, where it hides what is left."""
-        return self.misfit.excess > WORTH or self.at_limit
+        """Whether more is left above noise and tolerated shares than an effect must gain, or a tolerance is pulled
+        far off, where it hides what is left."""
+        return self.misfit.excess > WORTH or float(np.max(np.abs(self.misfit.pulls), initial=0.0)) > PULLED
 
     @property
     def at_limit(self) -> bool:
@@ -119,18 +121,18 @@ class Search:
 
 
 def fit_effects(
-    begun: Search,
+    context: Search,
     parts: tuple[Candidate, ...],
     values: Float[np.ndarray, " parameters"],
     start: Residual,
     least: float = np.inf,
 ) -> Tried:
     """Effects fitted to the end from some values, and from the nuisance parameters and drifts of a residual."""
-    return refined(begun, fit_briefly(begun, parts, values, straightened(start)), least)
+    return refined(context, fit_briefly(context, parts, values, straightened(start)), least)
 
 
 def fit_briefly(
-    begun: Search,
+    context: Search,
     parts: tuple[Candidate, ...],
     values: Float[np.ndarray, " parameters"],
     start: Residual | None,
@@ -140,47 +142,47 @@ def fit_briefly(
 
     Without a start, nothing was bent to do without the effects: then the linearisation is about their values.
     """
-    linearization, build = linearization or begun.linearization, partial(applied, begun.linearization.rig, parts)
+    linearization, build = linearization or context.linearization, partial(applied, context.linearization.rig, parts)
     if start is None:
         linearization = linearization.about(build(values), None, linearization.scales, linearization.seen)
     done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds, start, SHORT)
-    return _tried(begun, parts, done.values, done.covariance, linearization, done.residual)
+    return _tried(context, parts, done.values, done.covariance, linearization, done.residual)
 
 
-def fit_afresh(begun: Search, parts: tuple[Candidate, ...], values: Float[np.ndarray, " parameters"]) -> Tried:
+def fit_afresh(context: Search, parts: tuple[Candidate, ...], values: Float[np.ndarray, " parameters"]) -> Tried:
     """Gauss-Newton from the contact scales that the tolerances state, and a slow motion that followed no other law.
 
     A decay counts for few seconds: scales that the believed law made would not come down with the rounds of `refined`.
     """
-    record, rig = begun.linearization.record, begun.linearization.rig
+    record, rig = context.linearization.record, context.linearization.rig
     build = partial(applied, rig, parts)
-    scales = replace(begun.linearization.scales, contacts=prior_scales(record).contacts)
-    linearization = begun.linearization.about(build(values), None, scales)
+    scales = replace(context.linearization.scales, contacts=prior_scales(record).contacts)
+    linearization = context.linearization.about(build(values), None, scales)
     done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds)
-    return _tried(begun, parts, done.values, done.covariance, linearization, done.residual)
+    return _tried(context, parts, done.values, done.covariance, linearization, done.residual)
 
 
-def refined(begun: Search, one: Tried, least: float = np.inf) -> Tried:
+def refined(context: Search, one: Tried, least: float = np.inf) -> Tried:
     """Fitted to the end, with scales and linearisation renewed about where the parameters have come to.
 
     What is known by its spectrum alone keeps its values. It ends where the cost stays `FAR` above the least of others.
     """
-    parts, rig = one.hypothesis.parts, begun.linearization.rig
+    parts, rig = one.hypothesis.parts, context.linearization.rig
     if any(p.kind.stochastic for p in parts):
         return one
-    return relinearised(begun, partial(applied, rig, parts), one, ROUNDS + singly_bent(rig), least)
+    return relinearised(context, partial(applied, rig, parts), one, ROUNDS + singly_bent(rig), least)
 
 
-def fit_from(begun: Search, build: Build, parts: tuple[Candidate, ...], values: Values, rounds: int) -> Tried:
+def fit_from(context: Search, build: Build, parts: tuple[Candidate, ...], values: Values, rounds: int) -> Tried:
     """Effects fitted to the end in rigs that `build` makes of values, from where a fit of another rig has come to."""
-    linearization = begun.linearization.about(build(values), None, begun.linearization.scales)
-    done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds, straightened(begun.at))
+    linearization = context.linearization.about(build(values), None, context.linearization.scales)
+    done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds, straightened(context.at))
     return relinearised(
-        begun, build, _tried(begun, parts, done.values, done.covariance, linearization, done.residual), rounds
+        context, build, _tried(context, parts, done.values, done.covariance, linearization, done.residual), rounds
     )
 
 
-def relinearised(begun: Search, build: Build, first: Tried, rounds: int, least: float = np.inf) -> Tried:
+def relinearised(context: Search, build: Build, first: Tried, rounds: int, least: float = np.inf) -> Tried:
     """Refits, each linearised at the parameters and with the scales of the one before, while the cost falls."""
     parts = first.hypothesis.parts
 
@@ -189,7 +191,7 @@ def relinearised(begun: Search, build: Build, first: Tried, rounds: int, least: 
         values = before.hypothesis.values
         linearization = before.linearization.about(build(values), before.residual, scales)
         done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds, before.residual)
-        after = _tried(begun, parts, done.values, done.covariance, linearization, done.residual)
+        after = _tried(context, parts, done.values, done.covariance, linearization, done.residual)
         return after if after.cost < before.cost else before
 
     def settled(before: Tried, after: Tried) -> bool:
@@ -208,18 +210,18 @@ def parameters_of(parts: Sequence[Candidate]) -> ParameterSet:
 
 
 def _tried(
-    begun: Search,
+    context: Search,
     parts: tuple[Candidate, ...],
     values: Float[np.ndarray, " parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
     linearization: Linearization,
     at: Residual,
 ) -> Tried:
-    left = misfit(linearization.record, begun.reference, at)
+    left = misfit(linearization.record, context.reference, at)
     return Tried(Hypothesis(parts, values, covariance, left), linearization, at)
 
 
-def fit_spectrum(begun: Search, nothing: Tried, candidate: Candidate) -> Tried | None:
+def fit_spectrum(context: Search, nothing: Tried, candidate: Candidate) -> Tried | None:
     """An effect of which only the spectrum is known: its values are not fitted over time."""
     if not nothing.hypothesis.leaves_something:
         return None
@@ -228,13 +230,13 @@ def fit_spectrum(begun: Search, nothing: Tried, candidate: Candidate) -> Tried |
         return None
     values, deviations = found
     try:
-        rig = candidate.applied(begun.linearization.rig, values)
+        rig = candidate.applied(context.linearization.rig, values)
     except RigError:
         return None
-    linearization = begun.linearization.about(rig, nothing.residual, nothing.linearization.scales)
+    linearization = context.linearization.about(rig, nothing.residual, nothing.linearization.scales)
     linearization = rescaled(linearization, fitted(linearization, nothing.residual).residual)
     at = fitted(linearization, nothing.residual).residual
-    return _tried(begun, (candidate,), values, np.diag(deviations**2), linearization, at)
+    return _tried(context, (candidate,), values, np.diag(deviations**2), linearization, at)
 
 
 def straightened(at: Residual) -> Residual:

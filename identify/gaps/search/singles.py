@@ -28,8 +28,8 @@ KEPT, RIVAL = 3, 0.5
 """So many of those are fitted to the end, if they gained this share of what the best one did."""
 
 
-def _cost(one: Tried) -> float:
-    return one.cost
+def _cost(tried: Tried) -> float:
+    return tried.cost
 
 
 class _Kept:
@@ -46,73 +46,73 @@ class _Kept:
             del self.by_name[worse]
 
 
-def single_effects(begun: Search, nothing: Tried) -> list[Tried]:
+def single_effects(context: Search, nothing: Tried) -> list[Tried]:
     """Single effects fitted to the end, the likeliest first."""
-    linearization, at = begun.linearization, straightened(begun.at)
-    fresh = residual_of(linearization, linearization.rig, at.nuisance)
-    steady = [c for c in begun.known if not c.kind.stochastic]
+    linearization, residual = context.linearization, straightened(context.at)
+    fresh = residual_of(linearization, linearization.rig, residual.nuisance)
+    steady = [c for c in context.known if not c.kind.stochastic]
     laws = of_laws(linearization.rig, steady)
     kept = _Kept()
     for tried in chain(
-        _screened_fits(begun, nothing, at, fresh, steady, laws),
-        _law_fits(begun, fresh, laws),
-        _spectrum_fits(begun, nothing),
+        _screened_fits(context, nothing, residual, fresh, steady, laws),
+        _law_fits(context, fresh, laws),
+        _spectrum_fits(context, nothing),
     ):
         kept.take(tried)
-    refined = _refined_all(begun, _rivals(kept.by_name.values(), nothing))
+    refined = _refined_all(context, _rivals(kept.by_name.values(), nothing))
     if not min(refined, key=_cost, default=nothing).hypothesis.at_limit:
         return refined
     kept.by_name = {one.hypothesis.parts[0].name: one for one in refined}
-    for tried in _typical_fits(begun, fresh, steady, laws):
+    for tried in _typical_fits(context, fresh, steady, laws):
         kept.take(tried)
     return sorted(kept.by_name.values(), key=_cost)
 
 
 def _screened_fits(
-    begun: Search,
+    context: Search,
     nothing: Tried,
-    at: Residual,
+    residual: Residual,
     fresh: Residual,
     steady: Sequence[Candidate],
     laws: Sequence[Candidate],
 ) -> Iterator[Tried]:
-    """What the screenings promise most of, fitted for a few steps."""
-    linearization = begun.linearization
+    """Fits of a few steps of the candidates that the screenings promise most of."""
+    linearization = context.linearization
     screened: Iterator[tuple[Screened, Residual | None]] = chain(
-        ((s, at) for s in _by_score(linearization, at, steady, nothing, BY_SCORE)),
+        ((s, residual) for s in _by_score(linearization, residual, steady, nothing, BY_SCORE)),
         ((s, fresh) for s in _worth(linearization, score_screening(linearization, fresh, laws), FRESH)),
         ((s, None) for s in _worth(linearization, grid_screening(linearization, steady), BY_GRID)),
     )
     for one, start in screened:
         with suppress(RigError):
-            yield fit_briefly(begun, (one.candidate,), one.values, start)
+            yield fit_briefly(context, (one.candidate,), one.values, start)
 
 
-def _law_fits(begun: Search, fresh: Residual, laws: Sequence[Candidate]) -> Iterator[Tried]:
+def _law_fits(context: Search, fresh: Residual, laws: Sequence[Candidate]) -> Iterator[Tried]:
     """Contact laws that the contact residual promises, far from where the believed law's scales hold."""
-    linearization = begun.linearization
+    linearization = context.linearization
     for one in _worth(linearization, law_screening(linearization, fresh, laws), BY_LAW):
         with suppress(RigError):
-            yield fit_effects(begun, (one.candidate,), one.values, fresh)
+            yield fit_effects(context, (one.candidate,), one.values, fresh)
             if not linearization.record.forced:
-                yield fit_afresh(begun, (one.candidate,), one.values)
+                yield fit_afresh(context, (one.candidate,), one.values)
 
 
-def _spectrum_fits(begun: Search, nothing: Tried) -> Iterator[Tried]:
+def _spectrum_fits(context: Search, nothing: Tried) -> Iterator[Tried]:
     """Effects of which only the spectrum is known."""
-    for candidate in begun.known:
-        if candidate.kind.stochastic and (shaken := fit_spectrum(begun, nothing, candidate)):
+    for candidate in context.known:
+        if candidate.kind.stochastic and (shaken := fit_spectrum(context, nothing, candidate)):
             yield shaken
 
 
 def _typical_fits(
-    begun: Search, fresh: Residual, steady: Sequence[Candidate], laws: Sequence[Candidate]
+    context: Search, fresh: Residual, steady: Sequence[Candidate], laws: Sequence[Candidate]
 ) -> Iterator[Tried]:
     """Ratios and linear effects from their typical size, whatever they promise; those of single sensors left out."""
     placed = [c for c in steady if "sensor" not in c.place]
     for candidate in (c for c in placed if c.neutral == 1 or (c not in laws and len(c.starts()) == 1)):
         with suppress(RigError):
-            yield fit_effects(begun, (candidate,), candidate.default, fresh)
+            yield fit_effects(context, (candidate,), candidate.default, fresh)
 
 
 def _worth(linearization: Linearization, screened: Sequence[Screened], most: int) -> list[Screened]:
@@ -121,17 +121,17 @@ def _worth(linearization: Linearization, screened: Sequence[Screened], most: int
 
 
 def _by_score(
-    linearization: Linearization, at: Residual, candidates: Sequence[Candidate], left: Tried, most: int
+    linearization: Linearization, residual: Residual, candidates: Sequence[Candidate], nominal: Tried, most: int
 ) -> list[Screened]:
     """The best by score; and where lines stand out of what is left, a tone on each body, which raises one line only.
 
     Where much is left the best is worth a fit whatever it promises: scales that what is left made itself hide its gain.
     """
-    found = score_screening(linearization, at, candidates)
+    found = score_screening(linearization, residual, candidates)
     tones = [one for one in found if one.candidate.kind.grid_screened]
     others = [one for one in found if not one.candidate.kind.grid_screened]
-    promising = _worth(linearization, others, most) or (others[:1] if left.hypothesis.leaves_something else [])
-    return promising + (tones if left.hypothesis.misfit.sharp > WORTH else [])
+    promising = _worth(linearization, others, most) or (others[:1] if nominal.hypothesis.leaves_something else [])
+    return promising + (tones if nominal.hypothesis.misfit.sharp > WORTH else [])
 
 
 def _rivals(found: Iterable[Tried], before: Tried) -> list[Tried]:
@@ -141,10 +141,10 @@ def _rivals(found: Iterable[Tried], before: Tried) -> list[Tried]:
     return [one for gain, one in gains if gain > least]
 
 
-def _refined_all(begun: Search, rivals: Iterable[Tried], least: float = np.inf) -> list[Tried]:
+def _refined_all(context: Search, rivals: Iterable[Tried], least: float = np.inf) -> list[Tried]:
     """The best to the end, the others as far as they stay near it."""
     found = []
     for one in sorted(rivals, key=_cost):
-        found.append(refined(begun, one, least))
+        found.append(refined(context, one, least))
         least = min(least, found[-1].cost)
     return sorted(found, key=_cost)

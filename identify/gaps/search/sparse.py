@@ -85,67 +85,67 @@ class FittedSet:
         return self.tried.hypothesis
 
 
-def search(begun: Search, progress: Progress = lambda _: None) -> list[Hypothesis]:
+def search(context: Search, progress: Progress = lambda _: None) -> list[Hypothesis]:
     """The nominal rig, the best set of effects, that set without each of its members, and its look-alikes.
 
     The one of least -2 ln p on this record first.
     """
-    nothing = FittedSet(begun.nothing(), {})
-    best = _refined_from(begun, nothing)
+    nothing = FittedSet(context.nothing(), {})
+    best = _refined_from(context, nothing)
     progress(0.4)
-    best = _begun_by_single(begun, nothing, best)
+    best = _begun_by_single(context, nothing, best)
     progress(0.6)
-    best, without = without_each(begun, _with_base_motion(begun, best))
+    best, without = without_each(context, _with_base_motion(context, best))
     progress(0.8)
-    found = (nothing.hypothesis, best.hypothesis, *without, *look_alikes(begun, best))
+    found = (nothing.hypothesis, best.hypothesis, *without, *look_alikes(context, best))
     progress(1.0)
     return sorted({h.key: h for h in reversed(found)}.values(), key=lambda hypothesis: hypothesis.cost)
 
 
-def _refined_from(begun: Search, start: FittedSet) -> FittedSet:
+def _refined_from(context: Search, start: FittedSet) -> FittedSet:
     """The set that rounds of selection and refinement end at."""
     return refit_until_settled(
-        start, lambda best: refined_set(begun, best), lambda before, after: before is after, rounds=ROUNDS
+        start, lambda best: refined_set(context, best), lambda before, after: before is after, rounds=ROUNDS
     )
 
 
-def _begun_by_single(begun: Search, nothing: FittedSet, best: FittedSet) -> FittedSet:
+def _begun_by_single(context: Search, nothing: FittedSet, best: FittedSet) -> FittedSet:
     """The better of a set and one that begins with the best single effect, where the set leaves most of the misfit."""
     before, after = nothing.hypothesis.misfit, best.hypothesis.misfit
     if after.sharp <= WORTH and (after.excess < FAR or after.excess < DOMINANT * before.excess):
         return best
-    singles = single_effects(begun, nothing.tried)
+    singles = single_effects(context, nothing.tried)
     least = min(singles, key=lambda tried: tried.cost, default=best.tried)
-    return _refined_from(begun, FittedSet(least, {})) if least.cost < best.tried.cost else best
+    return _refined_from(context, FittedSet(least, {})) if least.cost < best.tried.cost else best
 
 
-def refined_set(begun: Search, best: FittedSet) -> FittedSet:
+def refined_set(context: Search, best: FittedSet) -> FittedSet:
     """The set with what the local model selects beside it, fitted together; itself where nothing more is worth it."""
-    tried, rig = best.tried, best.hypothesis.applied_to(begun.linearization.rig)
+    tried, rig = best.tried, best.hypothesis.applied_to(context.linearization.rig)
     if not best.hypothesis.leaves_something:
         return best
     linearization, at = _about(tried, rig)
-    steady = [c for c in begun.known if not (c.kind.stochastic or c.kind.grid_screened) and joins(c, rig)]
-    selection = selected(local_model(linearization, at, begun.reference, best.hypothesis, steady), best.hypothesis)
+    steady = [c for c in context.known if not (c.kind.stochastic or c.kind.grid_screened) and joins(c, rig)]
+    selection = selected(local_model(linearization, at, context.reference, best.hypothesis, steady), best.hypothesis)
     more = [(selection.parts, selection.values)] if selection.parts else [((c,), (v,)) for c, v in selection.hints]
     brief = [
         one
         for parts, values in more
-        if (one := _fitted_beside(begun, best.hypothesis, parts, values, at, linearization)) is not None
+        if (one := _fitted_beside(context, best.hypothesis, parts, values, at, linearization)) is not None
     ]
     if not brief:
         return best
     better, asked = min(brief, key=lambda one: one.cost), GAINED if selection.parts else WORTH
     if not selection.parts and tried.cost - better.cost <= asked:
         return best
-    better = refined(begun, better)
+    better = refined(context, better)
     if tried.cost - better.cost <= asked:
         return best
     return FittedSet(better, best.exchanges | selection.exchanges)
 
 
 def _fitted_beside(
-    begun: Search,
+    context: Search,
     present: Hypothesis,
     parts: tuple[Candidate, ...],
     values: tuple[Values, ...],
@@ -155,7 +155,7 @@ def _fitted_beside(
     """A set with more members, fitted for a few steps; None where no rig has them all."""
     together = np.concatenate([present.values, *values])
     try:
-        return fit_briefly(begun, (*present.parts, *parts), together, straightened(at), linearization)
+        return fit_briefly(context, (*present.parts, *parts), together, straightened(at), linearization)
     except RigError:
         return None
 
@@ -249,7 +249,7 @@ def _pruned(model: LocalModel, chosen: list[CandidateTerm], solution: Solution) 
     return chosen, solution
 
 
-def without_each(begun: Search, best: FittedSet) -> tuple[FittedSet, list[Hypothesis]]:
+def without_each(context: Search, best: FittedSet) -> tuple[FittedSet, list[Hypothesis]]:
     """The set, less members that are not worth it; and it fitted again without each of those that stay, and without the
     least two, three and so on."""
     parts = best.hypothesis.parts
@@ -259,28 +259,28 @@ def without_each(begun: Search, best: FittedSet) -> tuple[FittedSet, list[Hypoth
     costs: list[float] = []
     fitted_without: list[Hypothesis] = []
     for k in every:
-        without = _with_members(begun, best.tried, [i for i in every if i != k])
+        without = _with_members(context, best.tried, [i for i in every if i != k])
         if without.cost - best.tried.cost < WORTH:
-            return without_each(begun, FittedSet(without, best.exchanges))
+            return without_each(context, FittedSet(without, best.exchanges))
         costs.append(without.cost)
         fitted_without.append(without.hypothesis)
     order = np.argsort(costs)  # the least important first
     for leaving in range(2, len(parts)):
         rest = sorted(order[leaving:].tolist())
-        fitted_without.append(_with_members(begun, best.tried, rest).hypothesis)
+        fitted_without.append(_with_members(context, best.tried, rest).hypothesis)
     return best, fitted_without
 
 
-def _with_members(begun: Search, best: Tried, members: Sequence[int]) -> Tried:
+def _with_members(context: Search, best: Tried, members: Sequence[int]) -> Tried:
     """Some members of the set, fitted again without the others."""
     parts, values = best.hypothesis.parts, best.hypothesis.split()
     rest = tuple(parts[k] for k in members)
     start = straightened(best.residual)
-    brief = fit_briefly(begun, rest, np.concatenate([values[k] for k in members]), start, best.linearization)
-    return refined(begun, brief, best.cost)
+    brief = fit_briefly(context, rest, np.concatenate([values[k] for k in members]), start, best.linearization)
+    return refined(context, brief, best.cost)
 
 
-def look_alikes(begun: Search, best: FittedSet) -> list[Hypothesis]:
+def look_alikes(context: Search, best: FittedSet) -> list[Hypothesis]:
     """The set with a member exchanged for what the local model holds nearly as good, fitted."""
     parts, values = best.hypothesis.parts, best.hypothesis.split()
     if any(part.kind.stochastic for part in parts):
@@ -292,18 +292,18 @@ def look_alikes(begun: Search, best: FittedSet) -> list[Hypothesis]:
         exchanged = (*parts[:k], other[0], *parts[k + 1 :])
         start = np.concatenate([*values[:k], other[1], *values[k + 1 :]])
         with suppress(RigError):
-            tried = fit_briefly(begun, exchanged, start, straightened(best.tried.residual), best.tried.linearization)
+            tried = fit_briefly(context, exchanged, start, straightened(best.tried.residual), best.tried.linearization)
             if tried.cost < best.tried.cost + FAR:
-                found.append(refined(begun, tried, best.tried.cost).hypothesis)
+                found.append(refined(context, tried, best.tried.cost).hypothesis)
     return found
 
 
-def _with_base_motion(begun: Search, best: FittedSet) -> FittedSet:
+def _with_base_motion(context: Search, best: FittedSet) -> FittedSet:
     """A base motion beside the settled set, where its own likelihood is strong."""
-    stochastic = [c for c in begun.known if c.kind.stochastic]
+    stochastic = [c for c in context.known if c.kind.stochastic]
     if not stochastic or not best.hypothesis.leaves_something:
         return best
-    inner = Search(begun.reference, *_about(best.tried, best.hypothesis.applied_to(begun.linearization.rig)), ())
+    inner = Search(context.reference, *_about(best.tried, best.hypothesis.applied_to(context.linearization.rig)), ())
     for candidate in stochastic:
         shaken = fit_spectrum(inner, inner.nothing(), candidate)
         if shaken and best.tried.cost - shaken.cost > WORTH:

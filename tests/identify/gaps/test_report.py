@@ -185,7 +185,7 @@ def test_the_sentence_begins_with_effect_value_and_place(gaps):
 
 def test_a_veto_is_said(gaps):
     assert gaps["vetoed"].verdict == "unexplained"
-    assert "predicts the measured motion worse than without it" in gaps["vetoed"].sentence
+    assert "predicts the measured motion worse than without" in gaps["vetoed"].sentence
     assert "corrected rig.json" not in " ".join(next_steps(gaps["vetoed"]))
 
 

@@ -15,7 +15,7 @@ from rig.simulation.record import record
 from rig.simulation.reference import Sdof
 from rig.viewer.gap import Mark, ShownGap, read_gap
 from rig.viewer.viewing import write_rrd
-from tests.identify.gaps.conftest import GAPS, ONE_MASS, RIGS
+from tests.identify.gaps.diagnoses import GAPS, ONE_MASS, RIGS
 from tests.rig.viewer.test_viewing import column, series, static
 
 MASS = (Station("barrel", 0.9899), "an added mass of 0.141 kg on the barrel at 0.99 m")
