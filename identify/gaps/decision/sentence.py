@@ -66,7 +66,7 @@ def _explained(gap: Diagnosis) -> list[str]:
             f"{capital(joined(named.named))} {explain} the difference ({chance(gap.evidence.p_value)}), by all records "
             "together: the one that was not fitted shows too little of it."
         ]
-    rest = "" if gap.after.p_value < USUAL else f", what tolerances and noise leave ({chance(gap.after.p_value)})"
+    rest = "" if gap.after.p_value < USUAL else f", as tolerances and noise do ({chance(gap.after.p_value)})"
     return [
         f"{capital(joined(named.named))} {explain} the difference: with {_them(named)} rig.json leaves "
         f"{leaves(gap.after)} unexplained{rest}; without {_them(named)} {leaves(gap.before)}"

@@ -5,7 +5,7 @@ from html import escape
 from identify.gaps.decision_table import DIFFERS, NAMED, USUAL, Bounded
 from identify.gaps.results import Gap
 from identify.gaps.rollout.results import Rollout
-from identify.gaps.wording import VERDICTS, chance, probability
+from identify.gaps.wording import VERDICTS, capital, chance, probability
 from identify.pages import page
 from identify.pages.wording import number, percent
 
@@ -24,20 +24,22 @@ def decided(gap: Gap) -> str:
     """The four questions with their answers, and the numbers that they follow from."""
     evidence, criteria = gap.evidence, gap.criteria
     rows = [
-        ("Is there a difference?", _yes(criteria.differs), f"{chance(evidence.p_value)}, certain below {DIFFERS:g}"),
-        ("Is all that matters bounded?", _yes(criteria.bounded), "each upper bound below its limit"),
+        ("Is there a difference?", _yes(criteria.differs), f"{chance(evidence.p_value)}: yes below {DIFFERS:g}"),
+        ("Is all that matters bounded?", _yes(criteria.bounded), "yes if every upper bound lies below its limit"),
         (
             "Is an effect named?",
             _yes(bool(criteria.named)),
-            f"probability {percent(NAMED)} or more, interval without none",
+            f"yes from a probability of {percent(NAMED)} on, if the interval excludes no effect",
         ),
         (
             "Is that enough?",
             _yes(criteria.enough) if criteria.named else "",
-            f"what is left is bounded, or usual ({chance(evidence.p_value_after)}, usual from {USUAL:g})",
+            f"{chance(evidence.p_value_after)} of what is left: yes from {USUAL:g} on, or if that is bounded",
         ),
     ]
-    text = f"<p>From this follows: {escape(VERDICTS[gap.verdict])}.</p>" + page.table(("", "", ""), rows)
+    text = f"<p>Four questions decide; their answers give: {escape(VERDICTS[gap.verdict])}.</p>" + page.table(
+        ("", "", ""), rows
+    )
     text += "<h3>What matters</h3>" + page.table(
         ("quantity", "found", "at most (97.5 %)", "limit", ""), [_row(one) for one in evidence.quantities]
     )
@@ -63,12 +65,14 @@ def _row(one: Bounded) -> tuple[str, ...]:
 
 
 def _prediction(rollout: Rollout) -> str:
-    text = f"<h3>Prediction from measured states</h3><p>{escape(TOLD[rollout.code])}.</p>"
+    text = f"<h3>Prediction from measured states</h3><p>{escape(capital(TOLD[rollout.code]))}.</p>"
     whole = rollout.whole
     if whole is None:
         return text
     floor = (
-        "at the floor of what can be predicted" if whole.at_floor else f"{percent(whole.shrunk or 0.0)} of it closed"
+        "rig.json is at the floor of what can be predicted"
+        if whole.at_floor
+        else f"the corrected rig closes {percent(whole.shrunk or 0.0)} of what null simulations do not have"
     )
     rows = [
         ("rig.json", percent(whole.nominal)),
