@@ -45,7 +45,7 @@ def cause_of(
         first = own.stop
         values, errors = hypothesis.values[own], deviations[own]
         instead = untold(record.rig, part, values, hypothesis.covariance[own, own], record.highest_hz)
-        words.append(phrase(part, values, record.rig))
+        words.append(phrase(part, values, record.rig, told=not instead))
         for p, value, error in zip(part.parameters, values.tolist(), errors.tolist(), strict=True):
             margin = AT_LIMIT * (p.high - p.low)
             limited = (value < p.low + margin and p.low != p.neutral) or value > p.high - margin

@@ -12,11 +12,15 @@ from rig.model.quantities import printed_unit
 TIMES = 2.0
 """A ratio further from one than this factor is told as a multiple, a nearer one as larger or smaller by per cent."""
 DIGITS = 3
+UNTOLD = "unknown strength"
 
 
-def phrase(part: Candidate, values: Float[np.ndarray, " parameters"], rig: Rig) -> str:
-    """What an effect is, with its values in the rig that it is in."""
-    said = {p.name: _value(p, float(value)) for p, value in zip(part.parameters, values, strict=True)}
+def phrase(part: Candidate, values: Float[np.ndarray, " parameters"], rig: Rig, told: bool = True) -> str:
+    """What an effect is, with its values in the rig that it is in; without its strength where that is not told."""
+    said = {
+        p.name: _value(p, float(value)) if told or p.neutral is None else UNTOLD
+        for p, value in zip(part.parameters, values, strict=True)
+    }
     for field, place in part.place.items():
         said[field] = _placed(field, place, rig)
     for field in part.typical.__struct_fields__:

@@ -115,8 +115,17 @@ def _begun_by_single(context: Search, nothing: FittedSet, best: FittedSet) -> Fi
     if after.sharp <= WORTH and (after.excess < FAR or after.excess < DOMINANT * before.excess):
         return best
     singles = single_effects(context, nothing.tried)
-    least = min(singles, key=lambda tried: tried.cost, default=best.tried)
-    return _refined_from(context, FittedSet(least, {})) if least.cost < best.tried.cost else best
+    if not singles or singles[0].cost >= best.tried.cost:
+        return best
+    return _refined_from(context, FittedSet(singles[0], _runner_up(singles)))
+
+
+def _runner_up(ranked: Sequence[Tried]) -> dict[str, tuple[Candidate, Values]]:
+    """The last member of the second-best set as the exchange of that of the best, where it is nearly as good."""
+    if len(ranked) < 2 or ranked[1].cost - ranked[0].cost > WORTH:
+        return {}
+    best, second = (one.hypothesis for one in ranked[:2])
+    return {best.parts[-1].name: (second.parts[-1], second.split()[-1])}
 
 
 def refined_set(context: Search, best: FittedSet) -> FittedSet:
@@ -135,13 +144,15 @@ def refined_set(context: Search, best: FittedSet) -> FittedSet:
     ]
     if not brief:
         return best
-    better, asked = min(brief, key=lambda one: one.cost), GAINED if selection.parts else WORTH
-    if not selection.parts and tried.cost - better.cost <= asked:
+    ranked = sorted(brief, key=lambda one: one.cost)
+    asked = GAINED if selection.parts else WORTH
+    if not selection.parts and tried.cost - ranked[0].cost <= asked:
         return best
-    better = refined(context, better)
+    better = refined(context, ranked[0])
     if tried.cost - better.cost <= asked:
         return best
-    return FittedSet(better, best.exchanges | selection.exchanges)
+    exchanges = selection.exchanges if selection.parts else _runner_up(ranked)
+    return FittedSet(better, best.exchanges | exchanges)
 
 
 def _fitted_beside(
