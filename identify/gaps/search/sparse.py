@@ -12,12 +12,11 @@ Notes for maintainers
 4. Leave out (`without_each`): linear removal of strong effects misleads, so the set is fitted again without each of its
    members. A member without which S rises by less than `WORTH` leaves the set. Then members leave one after the other,
    the least first, so that the record that was not fitted may ask for fewer.
-5. Exchange (`look_alikes`): a member that another candidate replaces at little cost is fitted exchanged too, so that
-   both are compared on the record that was not fitted.
+5. Exchange (`_exchanged`): about the set without a member, the candidate that then lowers S most is fitted in its
+   place, so that look-alikes are compared on the record that was not fitted.
 """
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,25 +63,12 @@ Values = Float[np.ndarray, " parameters"]
 
 @dataclass(frozen=True)
 class Selection:
-    """Candidates chosen in a local model with the values of their parameters; of each the candidates that could stand
-    in its place. hints are those that gain something, though less than is asked for."""
+    """Candidates chosen in a local model with the values of their parameters. hints are those that gain something,
+    though less than is asked for."""
 
     parts: tuple[Candidate, ...]
     values: tuple[Values, ...]
-    exchanges: dict[str, tuple[Candidate, Values]]
     hints: tuple[tuple[Candidate, Values], ...] = ()
-
-
-@dataclass(frozen=True)
-class FittedSet:
-    """A set of effects fitted together; exchanges are look-alikes of its members, by the members' names."""
-
-    tried: Tried
-    exchanges: dict[str, tuple[Candidate, Values]]
-
-    @property
-    def hypothesis(self) -> Hypothesis:
-        return self.tried.hypothesis
 
 
 def search(context: Search, progress: Progress = lambda _: None) -> list[Hypothesis]:
@@ -90,69 +76,55 @@ def search(context: Search, progress: Progress = lambda _: None) -> list[Hypothe
 
     The one of least -2 ln p on this record first.
     """
-    nothing = FittedSet(context.nothing(), {})
-    best = _refined_from(context, nothing)
+    nominal = context.nothing()
+    best = _refined_from(context, nominal)
     progress(0.4)
-    best = _begun_by_single(context, nothing, best)
+    best = _begun_by_single(context, nominal, best)
     progress(0.6)
-    best, without = without_each(context, _with_base_motion(context, best))
-    progress(0.8)
-    found = (nothing.hypothesis, best.hypothesis, *without, *look_alikes(context, best))
+    best, others = without_each(context, _with_base_motion(context, best))
     progress(1.0)
-    return sorted({h.key: h for h in reversed(found)}.values(), key=lambda hypothesis: hypothesis.cost)
+    hypotheses = (nominal.hypothesis, best.hypothesis, *others)
+    return sorted({h.key: h for h in reversed(hypotheses)}.values(), key=lambda hypothesis: hypothesis.cost)
 
 
-def _refined_from(context: Search, start: FittedSet) -> FittedSet:
+def _refined_from(context: Search, start: Tried) -> Tried:
     """The set that rounds of selection and refinement end at."""
     return refit_until_settled(
         start, lambda best: refined_set(context, best), lambda before, after: before is after, rounds=ROUNDS
     )
 
 
-def _begun_by_single(context: Search, nothing: FittedSet, best: FittedSet) -> FittedSet:
+def _begun_by_single(context: Search, nominal: Tried, best: Tried) -> Tried:
     """The better of a set and one that begins with the best single effect, where the set leaves most of the misfit."""
-    before, after = nothing.hypothesis.misfit, best.hypothesis.misfit
+    before, after = nominal.hypothesis.misfit, best.hypothesis.misfit
     if after.sharp <= WORTH and (after.excess < FAR or after.excess < DOMINANT * before.excess):
         return best
-    singles = single_effects(context, nothing.tried)
-    if not singles or singles[0].cost >= best.tried.cost:
-        return best
-    return _refined_from(context, FittedSet(singles[0], _runner_up(singles)))
+    singles = single_effects(context, nominal)
+    return _refined_from(context, singles[0]) if singles and singles[0].cost < best.cost else best
 
 
-def _runner_up(ranked: Sequence[Tried]) -> dict[str, tuple[Candidate, Values]]:
-    """The last member of the second-best set as the exchange of that of the best, where it is nearly as good."""
-    if len(ranked) < 2 or ranked[1].cost - ranked[0].cost > WORTH:
-        return {}
-    best, second = (one.hypothesis for one in ranked[:2])
-    return {best.parts[-1].name: (second.parts[-1], second.split()[-1])}
-
-
-def refined_set(context: Search, best: FittedSet) -> FittedSet:
+def refined_set(context: Search, best: Tried) -> Tried:
     """The set with what the local model selects beside it, fitted together; itself where nothing more is worth it."""
-    tried, rig = best.tried, best.hypothesis.applied_to(context.linearization.rig)
     if not best.hypothesis.leaves_something:
         return best
-    linearization, at = _about(tried, rig)
-    steady = [c for c in context.known if not (c.kind.stochastic or c.kind.grid_screened) and joins(c, rig)]
-    selection = selected(local_model(linearization, at, context.reference, best.hypothesis, steady), best.hypothesis)
+    linearization, residual, model = _model_about(context, best)
+    selection = selected(model, best.hypothesis)
     more = [(selection.parts, selection.values)] if selection.parts else [((c,), (v,)) for c, v in selection.hints]
-    brief = [
-        one
-        for parts, values in more
-        if (one := _fitted_beside(context, best.hypothesis, parts, values, at, linearization)) is not None
-    ]
-    if not brief:
-        return best
-    ranked = sorted(brief, key=lambda one: one.cost)
+    fits = (_fitted_beside(context, best.hypothesis, *one, residual, linearization) for one in more)
+    brief = min((one for one in fits if one is not None), key=lambda one: one.cost, default=None)
     asked = GAINED if selection.parts else WORTH
-    if not selection.parts and tried.cost - ranked[0].cost <= asked:
+    if brief is None or (not selection.parts and best.cost - brief.cost <= asked):
         return best
-    better = refined(context, ranked[0])
-    if tried.cost - better.cost <= asked:
-        return best
-    exchanges = selection.exchanges if selection.parts else _runner_up(ranked)
-    return FittedSet(better, best.exchanges | exchanges)
+    better = refined(context, brief)
+    return better if best.cost - better.cost > asked else best
+
+
+def _model_about(context: Search, tried: Tried) -> tuple[Linearization, Residual, LocalModel]:
+    """The local model about a fitted set, of every candidate that its rig can have beside."""
+    rig = tried.hypothesis.applied_to(context.linearization.rig)
+    linearization, residual = _about(tried, rig)
+    steady = [c for c in context.known if not (c.kind.stochastic or c.kind.grid_screened) and joins(c, rig)]
+    return linearization, residual, local_model(linearization, residual, context.reference, tried.hypothesis, steady)
 
 
 def _fitted_beside(
@@ -195,15 +167,8 @@ def selected(model: LocalModel, present: Hypothesis) -> Selection:
         chosen, solution = _pruned(model, [*chosen, term], better)
         if dominates:  # so large a change bends the model: it is fitted before others are selected
             break
-    exchanges = {}
-    for term in chosen:
-        if (other := _exchange(model, [t for t in chosen if t is not term], term, present, solution)) is not None:
-            exchanges[term.candidate.name] = other
     return Selection(
-        tuple(term.candidate for term in chosen),
-        tuple(term.values(solution.theta) for term in chosen),
-        exchanges,
-        hints,
+        tuple(term.candidate for term in chosen), tuple(term.values(solution.theta) for term in chosen), hints
     )
 
 
@@ -216,20 +181,6 @@ def _hints(tried: Sequence[tuple[Solution, CandidateTerm]], before: Solution) ->
         if before.statistic - solution.statistic > HINT
     }
     return tuple(reversed(worth.values()))[:HINTS]
-
-
-def _exchange(
-    model: LocalModel, rest: list[CandidateTerm], member: CandidateTerm, present: Hypothesis, solution: Solution
-) -> tuple[Candidate, Values] | None:
-    """What stands best in a member's place, if S then rises by less than `WORTH`."""
-    without = model.solved(rest, solution.theta)
-    others = [t for t in _promising(model, rest, present, without) if t.candidate.name != member.candidate.name]
-    tried = [(model.solved([*rest, term], without.theta), term) for term in others]
-    if not tried:
-        return None
-    best, term = min(tried, key=lambda pair: pair[0].statistic)
-    close = best.statistic - solution.statistic < WORTH
-    return (term.candidate, term.values(best.theta)) if close else None
 
 
 def _promising(
@@ -260,30 +211,50 @@ def _pruned(model: LocalModel, chosen: list[CandidateTerm], solution: Solution) 
     return chosen, solution
 
 
-def without_each(context: Search, best: FittedSet) -> tuple[FittedSet, list[Hypothesis]]:
-    """The set, less members that are not worth it; and it fitted again without each of those that stay, and without the
-    least two, three and so on."""
+def without_each(context: Search, best: Tried) -> tuple[Tried, list[Hypothesis]]:
+    """The set, less members that are not worth it; and it fitted again without each of those that stay, with a
+    look-alike in the place of each, and without the least two, three and so on."""
     parts = best.hypothesis.parts
-    if len(parts) < 2 or any(part.kind.stochastic for part in parts):  # without its only member it is the nominal rig
+    if not parts or any(part.kind.stochastic for part in parts):
         return best, []
     every = range(len(parts))
     costs: list[float] = []
-    fitted_without: list[Hypothesis] = []
+    hypotheses: list[Hypothesis] = []
     for k in every:
-        without = _with_members(context, best.tried, [i for i in every if i != k])
-        if without.cost - best.tried.cost < WORTH:
-            return without_each(context, FittedSet(without, best.exchanges))
+        without = _with_members(context, best, [i for i in every if i != k])
+        if len(parts) > 1 and without.cost - best.cost < WORTH:
+            return without_each(context, without)
         costs.append(without.cost)
-        fitted_without.append(without.hypothesis)
+        hypotheses.append(without.hypothesis)
+        if (exchanged := _exchanged(context, without, parts[k], best)) is not None:
+            hypotheses.append(exchanged.hypothesis)
     order = np.argsort(costs)  # the least important first
     for leaving in range(2, len(parts)):
         rest = sorted(order[leaving:].tolist())
-        fitted_without.append(_with_members(context, best.tried, rest).hypothesis)
-    return best, fitted_without
+        hypotheses.append(_with_members(context, best, rest).hypothesis)
+    return best, hypotheses
+
+
+def _exchanged(context: Search, without: Tried, member: Candidate, best: Tried) -> Tried | None:
+    """The set with what stands best in a member's place; None where nothing comes near it."""
+    linearization, residual, model = _model_about(context, without)
+    nominal = model.solved([])
+    others = [t for t in _promising(model, [], without.hypothesis, nominal) if t.candidate.name != member.name]
+    solved = [(model.solved([term], nominal.theta), term) for term in others]
+    if not solved:
+        return None
+    solution, term = min(solved, key=lambda pair: pair[0].statistic)
+    values = (term.values(solution.theta),)
+    brief = _fitted_beside(context, without.hypothesis, (term.candidate,), values, residual, linearization)
+    if brief is None or brief.cost > best.cost + FAR:
+        return None
+    return refined(context, brief, best.cost)
 
 
 def _with_members(context: Search, best: Tried, members: Sequence[int]) -> Tried:
-    """Some members of the set, fitted again without the others."""
+    """Some members of the set, fitted again without the others; the nominal rig where there are none."""
+    if not members:
+        return context.nothing()
     parts, values = best.hypothesis.parts, best.hypothesis.split()
     rest = tuple(parts[k] for k in members)
     start = straightened(best.residual)
@@ -291,32 +262,14 @@ def _with_members(context: Search, best: Tried, members: Sequence[int]) -> Tried
     return refined(context, brief, best.cost)
 
 
-def look_alikes(context: Search, best: FittedSet) -> list[Hypothesis]:
-    """The set with a member exchanged for what the local model holds nearly as good, fitted."""
-    parts, values = best.hypothesis.parts, best.hypothesis.split()
-    if any(part.kind.stochastic for part in parts):
-        return []
-    found = []
-    for k, part in enumerate(parts):
-        if (other := best.exchanges.get(part.name)) is None or other[0] in parts:
-            continue
-        exchanged = (*parts[:k], other[0], *parts[k + 1 :])
-        start = np.concatenate([*values[:k], other[1], *values[k + 1 :]])
-        with suppress(RigError):
-            tried = fit_briefly(context, exchanged, start, straightened(best.tried.residual), best.tried.linearization)
-            if tried.cost < best.tried.cost + FAR:
-                found.append(refined(context, tried, best.tried.cost).hypothesis)
-    return found
-
-
-def _with_base_motion(context: Search, best: FittedSet) -> FittedSet:
+def _with_base_motion(context: Search, best: Tried) -> Tried:
     """A base motion beside the settled set, where its own likelihood is strong."""
     stochastic = [c for c in context.known if c.kind.stochastic]
     if not stochastic or not best.hypothesis.leaves_something:
         return best
-    inner = Search(context.reference, *_about(best.tried, best.hypothesis.applied_to(context.linearization.rig)), ())
+    inner = Search(context.reference, *_about(best, best.hypothesis.applied_to(context.linearization.rig)), ())
     for candidate in stochastic:
         shaken = fit_spectrum(inner, inner.nothing(), candidate)
-        if shaken and best.tried.cost - shaken.cost > WORTH:
-            return FittedSet(Tried(beside(best.tried, shaken), shaken.linearization, shaken.residual), best.exchanges)
+        if shaken and best.cost - shaken.cost > WORTH:
+            return Tried(beside(best, shaken), shaken.linearization, shaken.residual)
     return best
