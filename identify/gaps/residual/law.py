@@ -121,9 +121,8 @@ class ContactResidual:
     """A contact's law laid against its separated force, with its drift and the law's own tolerances as unknowns.
 
     unknowns are the drift's knots (m), then clearance, stiffness and damping in their tolerances, of every contact
-    between the same places. within is the law with the first two, damped_n what one tolerance of each damping adds to
-    it. eta_m is the relative displacement with the drift. residual is force less law, in standard deviations, above
-    the residuals of the prior.
+    between the same places. within is the law with the first two. eta_m is the relative displacement with the drift,
+    rate_m_per_s its rate. residual is force less law, in standard deviations, above the residuals of the prior.
     """
 
     seen: ContactObservation
@@ -132,7 +131,7 @@ class ContactResidual:
     within: JoinedLaw
     unknowns: Float[np.ndarray, " unknowns"]
     eta_m: Float[np.ndarray, " samples"]
-    damped_n: Float[np.ndarray, "laws times"]
+    rate_m_per_s: Float[np.ndarray, " samples"]
     residual: Float[np.ndarray, " rows"]
 
     @property
@@ -170,6 +169,20 @@ class ContactResidual:
                 for law, sign in zip(self.within.laws, self.within.signs, strict=True)
             ]
         )
+
+    @cached_property
+    def damped_n(self) -> Float[np.ndarray, "laws times"]:
+        """What one tolerance of each damping adds to the force."""
+        *_, damping_s = self.seen.trusted
+
+        def of(eta: Signal, rate: Signal, *time_s: Signal) -> Results:
+            added = [
+                sign * more_n(own, sign * eta, sign * rate, *time_s, damping_n_s_per_m=damping_s * one.stiffness_n_per_m)
+                for sign, own, one in zip(self.law.signs, self.within.laws, self.law.laws, strict=True)
+            ]
+            return np.stack(added)
+
+        return self.laid.low_passed(of, self.eta_m, self.rate_m_per_s, *_times(self.within, self.laid))
 
     @property
     def pulls(self) -> Float[np.ndarray, " pulls"]:
@@ -244,9 +257,10 @@ def contact_residual(
     rate = laid.rate_m_per_s + _between(slow_rate, laid.factor)
     pulls = unknowns[seen.tolerances]
     *_, damping_s = seen.trusted
-    laws = []
+    laws, more_damping = [], []
     for one, own in zip(law.laws, pulls.reshape(-1, len(seen.trusted)), strict=True):
         clearance, stiffness, _ = (own * seen.trusted).tolist()
+        more_damping.append(float(own[2] * damping_s * one.stiffness_n_per_m))
         laws.append(
             changed(
                 one,
@@ -257,17 +271,11 @@ def contact_residual(
         )
     within = JoinedLaw(tuple(laws), law.signs)
 
-    def forces(*at: Signal) -> Results:
-        """Of the law, then what a tolerance of each damping adds."""
-        eta, rate, *time_s = at
-        damped = [
-            sign * more_n(own, sign * eta, sign * rate, *time_s, damping_n_s_per_m=damping_s * one.stiffness_n_per_m)
-            for sign, own, one in zip(law.signs, laws, law.laws, strict=True)
-        ]
-        return np.stack([within.force_n(eta, rate, *time_s), *damped])
+    def force_n(eta: Signal, rate: Signal, *time_s: Signal) -> Signal:
+        each = zip(within.signs, within.laws, more_damping, strict=True)
+        return np.asarray(sum(sign * damped_n(one, more, sign * eta, sign * rate, *time_s) for sign, one, more in each))
 
-    force, *damped = laid.low_passed(forces, eta, rate, *_times(within, laid))
-    force = force + pulls[2::3] @ damped
+    force = laid.low_passed(force_n, eta, rate, *_times(within, laid))
     residual = laid.force_n + added_n - force - laid.spring_n_per_m * slow
     held = -seen.firm * (pulls + WALL * _beyond(pulls))
     return ContactResidual(
@@ -277,9 +285,18 @@ def contact_residual(
         within=within,
         unknowns=unknowns,
         eta_m=eta,
-        damped_n=np.array(damped),
+        rate_m_per_s=rate,
         residual=np.concatenate([seen.weights * residual, curve.target - curve.curvature @ knots, held]),
     )
+
+
+def damped_n(law: ContactLaw, more: float, eta_m: Signal, rate_m_per_s: Signal, *time_s: Signal) -> Signal:
+    """The force with more damping, N s/m, of which it is a linear function and which may so fall below zero."""
+    damping = law.damping_n_s_per_m + more
+    whole = changed(law, damping_n_s_per_m=abs(damping)).force_n(eta_m, rate_m_per_s, *time_s)
+    if damping >= 0:
+        return whole
+    return 2 * changed(law, damping_n_s_per_m=0.0).force_n(eta_m, rate_m_per_s, *time_s) - whole
 
 
 def more_n(

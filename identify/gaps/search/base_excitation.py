@@ -28,7 +28,8 @@ def fit_base_excitation(
 
     With y the residual, p the pattern of a base motion of unit density, both of unit noise, a density S lowers the
     cost of a line by 2 (|p'y|^2/s (1 - 1/(1 + S s)) - log(1 + S s)), s = |p|^2; the best interval of lines is that
-    of largest sum. The noise is what the residual holds around each line in other patterns.
+    of largest sum. Every sensor is taken in the level that its residual has around each line, as a model that errs at
+    some sensors leaves those of the rest in noise; the noise is then what other patterns hold.
     """
     record = linearization.record
     if len(record.sensors) < len(linearization.seen) + 2:
@@ -43,11 +44,13 @@ def fit_base_excitation(
     by_contacts = linearization.model.projection.of(pattern * linearization.model.deviation)[1]
     pattern = pattern - np.einsum("isl,il->sl", model.by_input[:contacts], by_contacts)
     y = _lines(linearization, at)
+    around = max(1, round(SMOOTHED_HZ * record.length / record.sample_rate_hz))
+    own = np.sqrt(np.maximum(uniform_filter1d(np.abs(y) ** 2, around, axis=1), 1e-300))
+    y, pattern = y / own, pattern / own
     size = np.sum(np.abs(pattern) ** 2, axis=0)
     seen = np.abs(np.sum(pattern.conj() * y, axis=0)) ** 2 / np.maximum(size, 1e-300)
     others = (np.sum(np.abs(y) ** 2, axis=0) - seen) / max(1, len(y) - contacts - 1)
-    level = uniform_filter1d(others, max(1, round(SMOOTHED_HZ * record.length / record.sample_rate_hz)))
-    level = np.maximum(level, 1e-300)
+    level = np.maximum(uniform_filter1d(others, around), 1e-300)
     seen, size = seen / level, size / level
     bounds = candidate.parameters
     inside = (hz >= bounds["low_hz"].low) & (hz <= bounds["high_hz"].high)

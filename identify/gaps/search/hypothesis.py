@@ -183,21 +183,25 @@ def fit_from(context: Search, build: Build, parts: tuple[Candidate, ...], values
 
 
 def relinearised(context: Search, build: Build, first: Tried, rounds: int, least: float = np.inf) -> Tried:
-    """Refits, each linearised at the parameters and with the scales of the one before, while the cost falls."""
-    parts = first.hypothesis.parts
+    """The best of refits, each linearised at the parameters and with the scales of the one before, until they settle.
+
+    Scales that an effect has made superfluous come down over some refits, of which the first may cost more.
+    """
+    parts, fits = first.hypothesis.parts, [first]
 
     def refit(before: Tried) -> Tried:
         scales = scales_at(before.linearization, before.residual)
         values = before.hypothesis.values
         linearization = before.linearization.about(build(values), before.residual, scales)
         done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds, before.residual)
-        after = _tried(context, parts, done.values, done.covariance, linearization, done.residual)
-        return after if after.cost < before.cost else before
+        fits.append(_tried(context, parts, done.values, done.covariance, linearization, done.residual))
+        return fits[-1]
 
     def settled(before: Tried, after: Tried) -> bool:
-        return before.cost - after.cost < SETTLED or after.cost > least + FAR
+        return abs(before.cost - after.cost) < SETTLED or after.cost > least + FAR
 
-    return refit_until_settled(first, refit, settled, rounds=rounds)
+    refit_until_settled(first, refit, settled, rounds=rounds)
+    return min(fits, key=lambda one: one.cost)
 
 
 def steps_of(parts: tuple[Candidate, ...]) -> Float[np.ndarray, " parameters"]:
