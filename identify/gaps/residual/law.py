@@ -51,8 +51,9 @@ class ContactSignals:
     spring_n_per_m: float
 
     def low_passed(self, law: Callable[..., Results], *signals: Signal) -> Float[np.ndarray, "*rows times"]:
-        """What a law makes of signals at the recording's rate, at the rate of the force."""
-        return evaluated(law, np.stack(signals), self.sample_rate_hz, self.factor)
+        """What a law makes of signals at the recording's rate, at the rate of the force; evaluated in single precision,
+        whose rounding is 1e-6 of the largest force."""
+        return evaluated(law, np.stack(signals, dtype=np.float32), self.sample_rate_hz, self.factor)
 
 
 def laid_out(record: Record, model: Linear) -> tuple[ContactSignals, ...]:
@@ -176,11 +177,13 @@ class ContactResidual:
         *_, damping_s = self.seen.trusted
 
         def of(eta: Signal, rate: Signal, *time_s: Signal) -> Results:
-            added = [
-                sign * more_n(own, sign * eta, sign * rate, *time_s, damping_n_s_per_m=damping_s * one.stiffness_n_per_m)
-                for sign, own, one in zip(self.law.signs, self.within.laws, self.law.laws, strict=True)
-            ]
-            return np.stack(added)
+            each = zip(self.law.signs, self.within.laws, self.law.laws, strict=True)
+            return np.stack(
+                [
+                    sign * more_n(own, sign * eta, sign * rate, *time_s, damping_n_s_per_m=damping_s * k)
+                    for sign, own, k in ((sign, own, one.stiffness_n_per_m) for sign, own, one in each)
+                ]
+            )
 
         return self.laid.low_passed(of, self.eta_m, self.rate_m_per_s, *_times(self.within, self.laid))
 

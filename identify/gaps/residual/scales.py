@@ -22,6 +22,10 @@ class Scales:
     discrepancy: Float[np.ndarray, "sensors lines"]
     contacts: tuple[float, ...]
 
+    def distance(self, other: "Scales") -> float:
+        """Mean difference of the logarithms of the shares."""
+        return float(np.mean(np.abs(np.log(self.discrepancy / other.discrepancy))))
+
 
 def prior_scales(record: Record) -> Scales:
     """What the tolerances state."""

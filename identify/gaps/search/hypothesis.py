@@ -24,8 +24,9 @@ from rig.model.parameters import ParameterSet
 WORTH = 20.0
 """An effect that gains less of -2 ln p is not fitted: a good third of what the priors of one among some 26, at some 4
 places, and the temperature of the comparison ask of it, 2 * 6 * ln(0.3 * 26 * 4 / 0.35) = 54."""
-SHORT, ROUNDS, SETTLED = 3, 4, 1.0
-"""Steps of a first fit; at most so many rounds to the end, until one gains less than this of -2 ln p."""
+SHORT, ROUNDS, SETTLED, STILL = 3, 4, 1.0, 0.1
+"""Steps of a first fit; at most so many rounds to the end, until one gains less than this of -2 ln p, by scales that are
+the same within this share."""
 FAR = 200.0
 """Hypotheses whose -2 ln p is larger by so much than the best one's are not fitted to the end, nor compared on another
 record, where the odds of a single one are e^(200 / (2 * 6)) = 2e7."""
@@ -185,7 +186,7 @@ def fit_from(context: Search, build: Build, parts: tuple[Candidate, ...], values
 def relinearised(context: Search, build: Build, first: Tried, rounds: int, least: float = np.inf) -> Tried:
     """The best of refits, each linearised at the parameters and with the scales of the one before, until they settle.
 
-    Scales that an effect has made superfluous come down over some refits, of which the first may cost more.
+    Scales that an effect has made superfluous come down over some refits, of which the first may gain nothing.
     """
     parts, fits = first.hypothesis.parts, [first]
 
@@ -198,7 +199,8 @@ def relinearised(context: Search, build: Build, first: Tried, rounds: int, least
         return fits[-1]
 
     def settled(before: Tried, after: Tried) -> bool:
-        return abs(before.cost - after.cost) < SETTLED or after.cost > least + FAR
+        still = before.linearization.scales.distance(after.linearization.scales) < STILL
+        return (still and abs(before.cost - after.cost) < SETTLED) or after.cost > least + FAR
 
     refit_until_settled(first, refit, settled, rounds=rounds)
     return min(fits, key=lambda one: one.cost)
