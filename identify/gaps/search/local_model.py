@@ -130,9 +130,11 @@ class LocalModel:
         """Matrix and right-hand side of the majorised S at theta: least where matrix @ x = right-hand side."""
         cells, contacts = self.levels(theta)
         weights = self.samples_per_cell / (1 + cells)
-        rows = self.spectra[columns] * np.sqrt(weights[self.cell]).astype(np.float32)
+        by_row = np.sqrt(weights[self.cell]).astype(np.float32)
+        rows = self.spectra[columns]
+        rows *= by_row
         matrix = (rows @ rows.T).astype(float) + self.input_matrix[np.ix_(columns, columns)]
-        vector = (rows @ (self.spectrum * np.sqrt(weights[self.cell]).astype(np.float32))).astype(float)
+        vector = (rows @ (self.spectrum * by_row)).astype(float)
         vector += self.input_gradient[columns]
         for weight, by_pair, by_one in zip(
             self.samples / (1 + contacts), self.contact_matrix, self.contact_gradient, strict=True
@@ -222,7 +224,8 @@ def _column(
     moved = start.copy()
     moved[k] = start[k] + candidate.steps[k]
     rig = candidate.applied(linearization.rig, moved)
-    return attached(linearization, rig, at) or derivative(linearization, rig, at)
+    linear, contacts = attached(linearization, rig, at) or derivative(linearization, rig, at)
+    return linear.astype(np.float32), [column.astype(np.float32) for column in contacts]
 
 
 def _present_columns(linearization: Linearization, at: Residual, present: Hypothesis) -> Iterator[Column]:
