@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -13,8 +14,8 @@ from identify.signals.scores import part_scores
 
 BACKLASHES, STIFFNESSES = (0.02, 0.1, 0.3, 0.6), (3.0, 10.0, 40.0)
 """Starts: the backlash in ranges of eta, and the stiffness in ranges of the force over those of eta."""
-FIRST = 3
-"""So many of the starts are followed."""
+FIRST, ROUGH = 3, 1e-2
+"""So many of the starts are followed until the sum of squares falls by a smaller share; then the best to the end."""
 SLIDES = 0.85
 """The quantile of the force either way from which its sliding force starts."""
 STEP = 1e-3
@@ -64,9 +65,9 @@ def sliding_friction(seen: Sampled, rows: Rows) -> SlidingFriction:
 
     starts = [np.log([1.0, 1.0, b, k]) for b, k in product(BACKLASHES, STIFFNESSES)]
     starts.sort(key=lambda start: float(np.sum(error(start) ** 2)))
-    limits = np.full(4, -12.0), np.full(4, 8.0)
-    tried = [least_squares(error, start, bounds=limits, diff_step=STEP, max_nfev=30) for start in starts[:FIRST]]
-    found = min(tried, key=lambda one: float(one.cost))
+    fit = partial(least_squares, error, bounds=(np.full(4, -12.0), np.full(4, 8.0)), diff_step=STEP, max_nfev=30)
+    rough = min((fit(start, ftol=ROUGH) for start in starts[:FIRST]), key=lambda one: float(one.cost))
+    found = fit(rough.x)
     slopes = _slopes(error, found.x)
     scores = part_scores(slopes @ np.linalg.pinv(slopes.T @ slopes), -error(found.x))
     relative = np.sqrt(np.sum(scores**2, axis=0))
