@@ -106,8 +106,9 @@ class ContactResult:
             f"stiffness {interval(c.stiffness_n_per_m.value, c.stiffness_n_per_m.standard_error, 'N/m')}"
             for c in self.report.contacts
         ]
+        laws = [f"{said}." for c in self.report.contacts if (said := c.law_sentence)]
         doubts = [f"not to be relied on: {f.sentence}" for f in self.report.findings]
-        return "\n".join([*doubts, *lines, *_silent(self.report.unanswered)])
+        return "\n".join([*doubts, *lines, *laws, *_silent(self.report.unanswered)])
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,9 @@ from rig.model.description import Rig, Station
 
 ROUGH = 0.03
 """A sound model may be wrong by this share of what its body does at a line: far more than tolerances make."""
-
-
+NOISY, TOLD = 0.1, 0.05
+"""A line on which noise makes more than this share of the scale's square tells of noise, not of the bodies: it does not
+count, unless fewer than this share of the lines are left."""
 DRIVEN = 0.05
 """A force drives the lines on which it has this share of its largest level."""
 
@@ -30,7 +31,7 @@ class Predicted:
     """What some kept channels, and the model, say of all.
 
     misfit is the median over the lines of the mean square of the error of the kept ones, or that over the lines which
-    a force drives where it is larger; nan where they tell nothing.
+    a force drives where it is larger, without those that noise rules; nan where they tell nothing.
     """
 
     misfit: float
@@ -86,15 +87,21 @@ class LinearCheck:
         known = self.by_force if doubted is None else np.delete(self.by_each_force, doubted, axis=0).sum(axis=0)
         residual, inputs = self.projection(kept, doubted).of((spectra.acceleration - known)[kept])
         freedom = len(kept) - len(unknown)
-        per_line = np.sum(np.abs(residual) ** 2, axis=0)
-        driven = (per_line[lines] for lines in self.driven if lines.any())
-        worst = max(float(np.median(x)) for x in (per_line, *driven))
+        per_line, telling = np.sum(np.abs(residual) ** 2, axis=0), self._telling(kept)
+        driven = (per_line[lines & telling] for lines in self.driven if np.any(lines & telling))
+        worst = max(float(np.median(x)) for x in (per_line[telling], *driven))
         misfit = worst / freedom if freedom > 0 else np.nan
         forces, contacts = spectra.forces, inputs
         if doubted is not None:
             forces, contacts = forces.copy(), inputs[1:]
             forces[doubted] = inputs[0]
         return Predicted(misfit, known + np.einsum("isl,il->sl", unknown, inputs), forces, contacts)
+
+    def _telling(self, kept: list[int]) -> Bool[np.ndarray, " lines"]:
+        """The lines on which the motion of these channels, not their noise, decides."""
+        noise = np.mean((self.spectra.noise[kept] / self.scale[kept]) ** 2, axis=0)
+        telling = noise < NOISY
+        return np.asarray(telling) if np.mean(telling) > TOLD else np.ones_like(telling)
 
 
 def linear_check(

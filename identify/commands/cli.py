@@ -23,7 +23,7 @@ from identify.contacts.results import ContactReport, Estimate, Segments
 from identify.laws.curves import curves as law_curves
 from identify.laws.results import LawReport
 from identify.pages.tables import save_tables
-from identify.pages.wording import interval
+from identify.pages.wording import interval, number
 from identify.signals.kinematics import Use
 from identify.signals.spectra import POWERS, Averaging
 from rig.commands.command_line import (
@@ -256,6 +256,8 @@ def print_report(report: ContactReport, console: Console) -> None:
             _shown(found.damping_n_s_per_m),
         )
     console.print(table)
+    for sentence in filter(None, (found.law_sentence for found in report.contacts)):
+        console.print(f"{sentence}.", soft_wrap=True)
     for silent in report.unanswered:
         console.print(f"{silent.name}: not told by this record: {silent.reason}")
     if report.nifo:
@@ -265,11 +267,12 @@ def print_report(report: ContactReport, console: Console) -> None:
     for mode in report.modes:
         console.print(
             f"mode {mode.index} of {mode.beam}: {mode.frequency_hz:.3f} Hz, damping {100 * mode.damping_ratio:.2f} %"
+            + (f" ({mode.flag})" if mode.flag else "")
         )
 
 
 def _nifo_table(report: ContactReport) -> Table:
-    spectra = Table(title="NIFO by modal equation: spectral mean ± 95 %, rms spread over frequency")
+    spectra = Table(title="NIFO by modal equation: spectral mean, which has no known error, rms spread over frequency")
     for heading in ("equation", "contact", "stiffness, N/m", "spread, %", ""):
         spectra.add_column(heading)
     for each in report.nifo:
@@ -277,7 +280,7 @@ def _nifo_table(report: ContactReport) -> Table:
             spectra.add_row(
                 each.equation,
                 stiffness.contact,
-                _shown(stiffness.mean_n_per_m),
+                number(stiffness.mean_n_per_m.value),
                 f"{100 * stiffness.rms_deviation_n_per_m / abs(stiffness.mean_n_per_m.value):.2g}",
                 "nearly invisible" if stiffness.contact in each.nearly_invisible else "",
             )

@@ -14,11 +14,12 @@ from identify.checks.findings import Cause, Finding
 from identify.contacts.contact_record import STIFFNESS
 from identify.contacts.determination import Outcomes, determine
 from identify.contacts.joint_fit import JointEstimate
+from identify.contacts.law_form import FormName
 from identify.contacts.refusals import RefusalCode, refused
 from identify.contacts.separation import Separation, check_described, is_unforced, separate
 from identify.linear.modal import NEARLY_INVISIBLE
 from identify.linear.nuisance import Nuisance, NuisanceKind
-from identify.pages.wording import interval
+from identify.pages.wording import interval, number
 from identify.paper.nifo import Nifo
 from identify.signals.kinematics import Use
 from rig.model.tolerances import LABORATORY, Tolerances
@@ -62,7 +63,9 @@ class Contacts:
     findings: tuple[Finding, ...]
 
 
-def checked_contacts(recording: Recording, use: Use, tolerances: Tolerances | None) -> Contacts:
+def checked_contacts(
+    recording: Recording, use: Use, tolerances: Tolerances | None, forms: Sequence[FormName] = ()
+) -> Contacts:
     """`find_contacts` of a recording that is checked before; the findings are those of both.
 
     Of the check's findings, not that the record begins in motion, which the fit takes as it is, nor that the channel of
@@ -70,20 +73,21 @@ def checked_contacts(recording: Recording, use: Use, tolerances: Tolerances | No
     """
     findings = tuple(f for f in check_recording(recording, use, tolerances) if f.cause != "not at rest")
     with naming(findings):
-        contacts = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY)
+        contacts = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY, forms)
     if is_unforced(contacts.separation.motion):
         findings = without_dead_force(findings, recording.force_names)
     return replace(contacts, findings=findings + contacts.findings)
 
 
-def find_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Contacts:
-    """Clearance, stiffness and damping of every contact, or why the record does not determine it.
+def find_contacts(recording: Recording, use: Use, tolerances: Tolerances, forms: Sequence[FormName] = ()) -> Contacts:
+    """Clearance, stiffness and damping of every contact, or why the record does not determine it; its law is a dead
+    zone, or the one of `forms` that the record asks for.
 
     Raises RigError if the record allows nothing: too short, too few stations, no force, no contacts described.
     """
     check_described(recording.rig)
     separation = separate(recording, use, tolerances)
-    return accept(separation, determine(separation))
+    return accept(separation, determine(separation, forms))
 
 
 def accept(separation: Separation, outcomes: Outcomes) -> Contacts:
@@ -137,6 +141,7 @@ def widened(found: JointEstimate, parameters: Sequence[Nuisance], in_gaps: float
         covariance=square * found.covariance,
         of_tolerances=square * found.of_tolerances,
         of_drift=square * found.of_drift,
+        of_misfit=square * found.of_misfit,
     )
 
 
@@ -189,7 +194,7 @@ def equation_findings(
             if abs(mean - found) > max(APART * found, ERRORS * float(np.hypot(error, of_found))):
                 yield _of_fit(
                     name,
-                    f"{one.equation.name} by itself gives {name} {interval(mean, error, 'N/m')}, all stations "
+                    f"{one.equation.name} by itself gives {name} {number(mean)} N/m, all stations "
                     f"together {interval(found, of_found, 'N/m')} (± 95 %)",
                 )
 

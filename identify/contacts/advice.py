@@ -21,6 +21,8 @@ _REMEDY = {
     "measure their positions and fit the modes; a longer record would not help",
     "drift": "the slow motion that accelerometers miss: add displacement sensors at the contact, or take quieter "
     "accelerometers",
+    "law": "what the contact's law leaves: forces that press in and let go, or deep and shallow ones, ask for other "
+    "numbers; look at the force over the relative displacement, and take identify law",
     "scatter": "the record's own scatter: record longer (four times as long halves it) or excite more strongly",
 }
 
@@ -30,7 +32,9 @@ def assumed(found: Identification) -> Iterator[str]:
     report, motion, rig, believed = found.report, found.motion, found.rig, found.tolerances
     yield (
         "The contact law: no force within the gap; beyond it stiffness times penetration plus damping times relative "
-        "velocity. Both stops of a contact are equally stiff, and nothing wears during the record."
+        "velocity. Beside it, of a contact that is alone between its places, a power of the penetration and a stop "
+        "that cannot pull were tried: the record has to ask for them. Both stops of a contact are equally stiff, and "
+        "nothing wears during the record."
     )
     yield (
         "The bodies are those of rig.json, linear: "
@@ -102,7 +106,7 @@ def recommendations(found: Identification) -> Iterator[str]:
 
 def variance_shares(answer: JointEstimate) -> dict[str, dict[str, float]]:
     """Of the clearance and the stiffness, the shares of their variance by source; each sums to one."""
-    parts = {"tolerances": answer.of_tolerances, "drift": answer.of_drift}
+    parts = {"tolerances": answer.of_tolerances, "drift": answer.of_drift, "law": answer.of_misfit}
     found = {}
     for quantity, along in (("clearance", answer.clearance), ("stiffness", STIFFNESS)):
         whole = float(along @ answer.covariance @ along)

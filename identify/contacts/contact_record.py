@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from identify.contacts.refusals import RefusalCode, refused
 from identify.signals.drift import Drift
-from identify.signals.scores import COUNTED_HZ
+from identify.signals.scores import COUNTED_HZ, quietest
 from rig.model.parameters import Parameter, ParameterSet
 
 LAW = ParameterSet(
@@ -34,8 +34,9 @@ Touched = Bool[np.ndarray, "contacts 2"]
 
 CLEAR_SHARE = 0.1
 """A contact counts as clearly closed where its force exceeds this share of the force's 99.5 % quantile."""
-ABOVE_NOISE = 8.0
-"""... and this many standard deviations of the force in the quiet seconds before the excitation."""
+ABOVE_QUIET, ABOVE_NOISE = 8.0, 5.0
+"""... and so many standard deviations of the force in the quiet seconds before the excitation, and of what the sensors'
+noise makes of it, which is no more than its quietest parts."""
 LEAST_CLOSED = 1e-3
 """A stop that is clearly touched for a smaller share of the record is not told by it."""
 
@@ -44,11 +45,12 @@ LEAST_CLOSED = 1e-3
 class ContactRecord:
     """One contact as a record shows it: relative displacement and velocity (m, m/s) and the separated force (N).
 
-    The force has been low-passed and is that of every `factor`-th sample; quiet_n is its standard deviation where there
-    is no contact, unmodelled the share of it that no law explains. drift is None where nothing was lost. One standard
-    deviation of each nuisance parameter adds its row of nuisance_n to the force; those that are `moving` add theirs of
-    nuisance_m to the motion. Shares of the noise of the force and of the motion are in these rows (noise_in_n and
-    noise_in_m). Those that are `initial` say how a record that does not begin at rest began.
+    The force has been low-passed and is that of every `factor`-th sample; quiet_n is its standard deviation where
+    there is no contact, noise_n that of what the sensors' noise makes of it, unmodelled the share of it that no law
+    explains. drift is None where nothing was lost. One standard deviation of each nuisance parameter adds its row of
+    nuisance_n to the force; those that are `moving` add theirs of nuisance_m to the motion. Shares of the noise of the
+    force and of the motion are in these rows (noise_in_n and noise_in_m). Those that are `initial` say how a record
+    that does not begin at rest began.
     """
 
     eta_m: Float[np.ndarray, " samples"]
@@ -57,6 +59,7 @@ class ContactRecord:
     force_n: Float[np.ndarray, " fewer"]
     factor: int
     quiet_n: float
+    noise_n: float
     unmodelled: float
     drift: Drift | None
     nuisance_n: Float[np.ndarray, "nuisances fewer"]
@@ -91,7 +94,8 @@ class ContactRecord:
 def clearly_closed(record: ContactRecord, share: float = CLEAR_SHARE) -> Bool[np.ndarray, " fewer"]:
     """Where the contact is clearly closed."""
     size = np.abs(record.force_n)
-    return size > max(share * float(np.quantile(size, 0.995)), ABOVE_NOISE * record.quiet_n)
+    noise_n = min(record.noise_n, float(quietest(record.force_n)))
+    return size > max(share * float(np.quantile(size, 0.995)), ABOVE_QUIET * record.quiet_n, ABOVE_NOISE * noise_n)
 
 
 def touched_stops(record: ContactRecord) -> tuple[bool, bool]:

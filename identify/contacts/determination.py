@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from identify.contacts.contact_record import LAW, STIFFNESS, Believed, ContactRecord, touched_stops
 from identify.contacts.initial_guess import contact_alone, first_pulls, reach_m
 from identify.contacts.joint_fit import JointEstimate, fit_joint
+from identify.contacts.law_form import FormName
 from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode, refused
 from identify.contacts.separation import Separation
 from identify.linear.joined import Joined
@@ -22,6 +23,8 @@ MOST_CONTACTS = 3
 """So many contacts between the same places have fewer parameters than a record has parts for their scatter."""
 OUT_OF_REACH = 2.0
 """A stop that is believed so many times as far away as the motion reaches is not touched, however wrong that is."""
+NOT_THERE = 10.0
+"""A stop that is believed so many times as far away as the motion goes is not there."""
 OFF_BY, SURE, SMALLEST = np.array([0.2, 1.0]), 2.0, 1e-12
 """Shares by which clearance and stiffness in rig.json are off, as standard deviations; so many of them are sure."""
 ROUNDS = 3
@@ -48,27 +51,33 @@ class Outcomes:
 NOTHING = Outcomes({}, {})
 
 
-def determine(separation: Separation) -> Outcomes:
-    """Of every contact, each force by itself; where springs couple their slow motion, again with that of the others."""
+def determine(separation: Separation, forms: Sequence[FormName] = ()) -> Outcomes:
+    """Of every contact, each force by itself; where springs couple their slow motion, again with that of the others.
+
+    Beside the dead zone these forms of a law are tried.
+    """
     rig, records, places = separation.rig, separation.records, separation.same_place
     slow_n_per_m = separation.forces.slow_n_per_m
     others = slow_n_per_m - np.diag(np.diag(slow_n_per_m))
 
-    def refit(outcomes: Outcomes) -> Outcomes:
+    def refit(outcomes: Outcomes, forms: Sequence[FormName] = ()) -> Outcomes:
         slow_m = np.array(
             [_slow_m(rig, place, record, outcomes) for place, record in zip(places, records, strict=True)]
         )
         return together(
-            [replace(r, force_n=r.force_n - more) for r, more in zip(records, others @ slow_m, strict=True)]
+            [replace(r, force_n=r.force_n - more) for r, more in zip(records, others @ slow_m, strict=True)], forms
         )
 
-    def together(records: Sequence[ContactRecord]) -> Outcomes:
+    def together(records: Sequence[ContactRecord], forms: Sequence[FormName]) -> Outcomes:
         found = NOTHING
         for place, record in zip(places, records, strict=True):
-            found = found.beside(determine_place(rig, place, record))
+            found = found.beside(determine_place(rig, place, record, forms))
         return found
 
-    return refit_until_settled(together(records), refit, rounds=ROUNDS if np.any(others) else 0)
+    if not np.any(others):
+        return together(records, forms)
+    settled = refit_until_settled(together(records, ()), refit, rounds=ROUNDS)
+    return refit(settled, forms) if forms else settled
 
 
 def _slow_m(rig: Rig, place: Joined, record: ContactRecord, outcomes: Outcomes) -> Float[np.ndarray, " fewer"]:
@@ -82,11 +91,11 @@ def _slow_m(rig: Rig, place: Joined, record: ContactRecord, outcomes: Outcomes) 
     return slow_m
 
 
-def determine_place(rig: Rig, place: Joined, record: ContactRecord) -> Outcomes:
+def determine_place(rig: Rig, place: Joined, record: ContactRecord, forms: Sequence[FormName] = ()) -> Outcomes:
     """Of the contacts between two places."""
     names = [rig.contacts[j].name for j in place.members]
     try:
-        outcomes = _determined(names, _believed(rig, place), record)
+        outcomes = _determined(names, _believed(rig, place), record, forms)
     except ContactRefusedError as error:
         return Outcomes.refused(names, error.refusal)
     signs = dict(zip(names, place.signs, strict=True))
@@ -101,20 +110,29 @@ def _believed(rig: Rig, place: Joined) -> Believed:
     return np.array([row if sign > 0 else row[[1, 0, 2, 3]] for row, sign in zip(rows, place.signs, strict=True)])
 
 
-def _determined(names: Sequence[str], believed: Believed, record: ContactRecord) -> Outcomes:
+def _determined(names: Sequence[str], believed: Believed, record: ContactRecord, forms: Sequence[FormName]) -> Outcomes:
     """Of one contact, or of several that share a relative displacement, in the direction of the first.
 
     Raises ContactRefusedError if none is determined, for one reason.
     """
     sides = np.array(touched_stops(contact_alone(record, first_pulls(record))))
     if len(names) == 1:
-        (estimate,) = fit_joint(record, believed, sides[None])
+        (estimate,) = fit_joint(record, believed, _there(believed[0], record, sides)[None], forms)
         _check_certain(estimate)
         return Outcomes({names[0]: estimate}, {})
     if len(names) > MOST_CONTACTS:
         raise refused(RefusalCode.TOO_MANY_CONTACTS, contacts=len(names), at_most=MOST_CONTACTS)
     reach = np.maximum(reach_m(record), believed[:, :2].min(axis=0))  # the nearest is touched, whatever is believed
     return _those_in_reach(names, believed, record, sides, reach)
+
+
+def _there(
+    believed: Float[np.ndarray, "4"], record: ContactRecord, sides: Bool[np.ndarray, "2"]
+) -> Bool[np.ndarray, "2"]:
+    """The sides on which the motion may touch: not a stop that is described far away to say that there is none, whose
+    force is ringing."""
+    there = sides & (believed[:2] < NOT_THERE * np.max(np.abs(record.eta_m)))
+    return there if there.any() and (there.all() or record.sides_known) else sides
 
 
 def _those_in_reach(
@@ -196,10 +214,11 @@ def _assigned(estimates: tuple[JointEstimate, ...], believed: Believed) -> tuple
 
 
 def _check_certain(estimate: JointEstimate) -> None:
-    """Raises ContactRefusedError if its clearance or its stiffness is too uncertain for an answer."""
+    """Raises ContactRefusedError if, were its law right, its clearance or its stiffness were too uncertain."""
+    if_right = replace(estimate, covariance=estimate.covariance - estimate.of_misfit)
     for quantity, value, error_of in (
-        ("clearance", estimate.clearance_m, estimate.clearance_error_m),
-        ("stiffness", estimate.stiffness_n_per_m, estimate.error(STIFFNESS)),
+        ("clearance", estimate.clearance_m, if_right.clearance_error_m),
+        ("stiffness", estimate.stiffness_n_per_m, if_right.error(STIFFNESS)),
     ):
         if not error_of < UNCERTAIN_SHARE * value:
             percent = min(100 * error_of / max(value, 1e-12), 100)

@@ -7,7 +7,6 @@ import numpy as np
 from scipy.signal import welch
 
 from identify.contacts.identification import Identification
-from identify.contacts.linearization import law_force_n
 from identify.contacts.paper_methods import attempted
 from identify.contacts.results import ContactReport, Segment
 from identify.linear.joined import Joined
@@ -150,7 +149,7 @@ def _separated(figure: Any, found: Identification, marks: Marks, marks_name: str
         axes.plot(1e3 * eta, force, ".", ms=1.2, color=BLUE, alpha=0.4, label="separated, no law assumed")
         span = np.linspace(eta.min(), eta.max(), 400)
         laws = [
-            s * law_force_n(estimate.values, s * span, np.zeros_like(span))
+            s * estimate.force_n(s * span, np.zeros_like(span))
             for s, j in zip(place.signs, place.members, strict=True)
             for name, estimate in found.outcomes.estimates.items()
             if name == found.rig.contacts[j].name

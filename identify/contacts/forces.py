@@ -9,7 +9,7 @@ from scipy.fft import next_fast_len
 from identify.contacts.beginning import as_sensed, initial_states, settled_s
 from identify.contacts.lines import Lines
 from identify.contacts.modal_motion import has_hidden_modes, told_motion, whole_motion
-from identify.contacts.nuisance_signals import NuisanceSignals, drawn_noise, nuisance_signals, weighed
+from identify.contacts.nuisance_signals import NuisanceSignals, ToForce, drawn_noise, nuisance_signals, weighed
 from identify.contacts.station_errors import StationErrors, forces_by_stations
 from identify.linear.model import Response, ResponseCache, accelerances, responses_of, slow_damping, slow_stiffness
 from identify.linear.nuisance import NuisanceKind, Observed, changes_of
@@ -30,12 +30,13 @@ LEFT_SHARE = 1e-4
 class ContactForces:
     """Contact forces (N), low-passed and sampled at the record's rate over `factor`.
 
-    slow_n_per_m are the forces that slow relative displacements take, which accelerations do not tell, slow_n_s_per_m
-    those of slow velocities.
+    noise_n is the standard deviation of what the sensors' noise makes of them. slow_n_per_m are the forces that slow
+    relative displacements take, which accelerations do not tell, slow_n_s_per_m those of slow velocities.
     """
 
     force_n: Float[np.ndarray, "contacts fewer"]
     factor: int
+    noise_n: Float[np.ndarray, " contacts"]
     nuisances: NuisanceSignals
     slow_n_per_m: Float[np.ndarray, "contacts contacts"]
     slow_n_s_per_m: Float[np.ndarray, "contacts contacts"]
@@ -108,10 +109,22 @@ def separated_forces(
     return ContactForces(
         force_n=found,
         factor=factor,
+        noise_n=_noise_n(to_force, noises, motion, lines),
         nuisances=nuisances,
         slow_n_per_m=slow_n_per_m,
         slow_n_s_per_m=slow_damping(rig, responses, slow_n_per_m),
     )
+
+
+def _noise_n(
+    to_force: ToForce, power: Float[np.ndarray, "stations lines"], motion: Kinematics, lines: Lines
+) -> Float[np.ndarray, " contacts"]:
+    """Standard deviation of the forces by the sensors' noise, which is white in what they measure: differentiated n
+    times it has the share (2 n + 1) (f / f_N)^(2 n) of its mean power at the frequency f."""
+    times = np.array([[max(0, 2 - s.measures.order)] for s in motion.sensors])
+    shape = (2 * times + 1) * (lines.omega / (np.pi * lines.rate_hz)) ** (2 * times)
+    drawn = drawn_noise(power * shape * lines.length / motion.samples, 0.0, lines)  # over the silence behind, too
+    return np.asarray(lines.in_time(weighed(to_force, drawn), motion.samples // lines.factor).std(axis=1))
 
 
 def _observed(

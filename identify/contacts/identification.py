@@ -9,6 +9,7 @@ from jaxtyping import Float
 from identify.checks.findings import Finding
 from identify.contacts.acceptance import checked_contacts, equation_findings
 from identify.contacts.determination import Outcomes
+from identify.contacts.law_choice import FORMS
 from identify.contacts.paper_methods import (
     PaperMethods,
     SignalsByLaw,
@@ -148,7 +149,7 @@ def identify_contact(
 
 def _answers(recording: Recording, use: Use, tolerances: Tolerances | None) -> _Answers:
     """Without the nuisance parameters over time, which take much memory."""
-    contacts = checked_contacts(recording, use, tolerances)
+    contacts = checked_contacts(recording, use, tolerances, FORMS)
     separation = contacts.separation
     return _Answers(
         motion=separation.motion,

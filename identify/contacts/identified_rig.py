@@ -1,14 +1,17 @@
 """The rig with its contacts as a record showed them: what `identify contact` writes as rig.json."""
 
+import numpy as np
 from msgspec.structs import replace
 
+from identify.contacts.law_form import EXPONENTS
 from identify.contacts.results import ContactEstimate, ContactReport
-from rig.model.contact_laws import AnyLaw
+from rig.model.contact_laws import AnyLaw, DeadZone
 from rig.model.description import Rig
 
 
 def identified_rig(rig: Rig, report: ContactReport) -> Rig:
-    """Clearance, stiffness and damping of every contact that was identified; all else, and the others, as believed.
+    """Clearance, stiffness, damping and exponent of every contact that was identified; all else, and the others, as
+    believed.
 
     A clearance of which only half the total play is known is laid about the believed middle of the gap.
     """
@@ -26,6 +29,10 @@ def _law(law: AnyLaw, found: ContactEstimate) -> AnyLaw:
         lower = found.lower_clearance_m.value
     if found.upper_clearance_m is not None:
         upper = found.upper_clearance_m.value
+    if isinstance(law, DeadZone):
+        exponent = 1.0 if found.exponent is None else float(np.clip(found.exponent.value, *EXPONENTS))
+        depth_m = found.reference_depth_m or law.reference_depth_m
+        law = replace(law, exponent=exponent, reference_depth_m=depth_m, pulls=found.law != "cannot pull")
     return replace(
         law,
         lower_clearance_m=max(0.0, lower),

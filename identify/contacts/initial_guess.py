@@ -23,13 +23,16 @@ from identify.contacts.contact_record import (
     clearly_closed,
     touched_stops,
 )
-from identify.contacts.linearization import by_stiffness_and_damping, held_n
+from identify.contacts.law_form import by_stiffness_and_damping
+from identify.contacts.linearization import held_n
 from identify.contacts.refusals import RefusalCode, refused
 from identify.signals.drift import Spline, spline
 from identify.signals.refit import refit_until_settled
 
 Start = tuple[Law, Float[np.ndarray, " knots"]]
 """A law, and the drift's knots."""
+Sides = tuple[bool, bool]
+"""Whether the lower stop is touched, and the upper one."""
 STAGES = ((0.5, 30.0), (0.2, 30.0), (0.1, 10.0), (0.03, 3.0), (0.01, 1.0))
 """Where a contact is clearly closed, its displacement is known to a share of its own standard deviation, and the
 drift's curvature so many times better than measured: in turn, so that at first no drift can follow the closures."""
@@ -48,17 +51,18 @@ LEAST = 1e-3
 """Deviations below this share of the median one weigh no more."""
 
 
-def regressed(record: ContactRecord, curve: Spline) -> Start:
-    """Where the contact is clearly closed, eta + b = +-clearance + force / k: linear in clearance, 1/k and b.
+def regressed(record: ContactRecord, curve: Spline, sides: Sides | None = None) -> Start:
+    """Where the contact is clearly closed, eta + b = +-clearance + force / k: linear in clearance, 1/k and b; by the
+    stops on these sides, or those that are touched.
 
     A spring s on the drift adds s b to the measured force. Then b is left to Gauss-Newton at first; if that finds no
     law, as where a record begins in motion, (1 + s / k) b is solved for.
 
     Raises ContactRefusedError as `touched_stops` does, and if no force grows with the relative displacement.
     """
-    touched = touched_stops(record)
+    touched = touched_stops(record) if sides is None else sides
     for with_drift in (False, True) if record.spring_n_per_m else (True,):
-        *knots, clearance, softness = closed_fit(record, curve, with_drift)
+        *knots, clearance, softness = closed_fit(record, curve, with_drift, sides=touched)
         if np.isfinite(clearance) and softness > 0:
             far = BEYOND * float(np.max(np.abs(record.eta_m)))
             lower, upper = (max(clearance, 0.0) if one else far for one in touched)
@@ -73,12 +77,13 @@ def closed_fit(
     with_drift: bool,
     clear_share: float = CLEAR_SHARE,
     beyond_n: Sequence[Float[np.ndarray, " fewer"]] = (),
+    sides: Sides = (True, True),
 ) -> Float[np.ndarray, " unknowns"]:
     """The drift's knots, the clearance, one over the stiffness, and what less of it the forces beyond knees ask for."""
     size = np.abs(record.force_n)
     at_force = curve.value[:: record.factor][: size.size]
     force = record.force_n
-    closed = clearly_closed(record, clear_share)
+    closed = clearly_closed(record, clear_share) & np.where(force < 0, *sides)
     if not with_drift:
         at_force = csr_matrix(at_force.shape)
     eta = record.eta_m[:: record.factor][: size.size][closed]
@@ -115,7 +120,8 @@ def starts(record: ContactRecord, curve: Spline, believed: Believed, touched: To
 
         eta + b = +-(c_1 + |f| / k_1 - sum_m (1 / K_m - 1 / K_m+1) max(|f| - F_m, 0)),    K_m = k_1 + ... + k_m
     """
-    law, knots = regressed(record, curve)
+    sides = np.any(touched, axis=0)
+    law, knots = regressed(record, curve, (bool(sides[0]), bool(sides[1])))
     found = [(law, knots)]
     if len(believed) > 1:
         far = BEYOND * float(np.max(np.abs(record.eta_m)))

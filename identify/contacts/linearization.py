@@ -10,12 +10,12 @@ from jaxtyping import Float
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 from scipy.sparse import csr_matrix, diags, spmatrix
 
-from identify.contacts.contact_record import LAW, ContactRecord, Law
+from identify.contacts.contact_record import ContactRecord, Law
+from identify.contacts.law_form import LawForm
 from identify.contacts.refusals import RefusalCode, refused
 from identify.signals.drift import Spline
 from identify.signals.law_evaluation import evaluated
 from identify.signals.spectra import decimated
-from rig.model.contact_laws import DeadZone
 
 AT_ONCE = 1 << 14
 """So many samples of single precision are taken in double at once."""
@@ -36,12 +36,13 @@ class State:
     pulls: Pulls
     residual: Float[np.ndarray, " fewer"]
     by_eta: Float[np.ndarray, " fewer"]
+    form: LawForm
     cost: float = np.inf
 
     @property
     def stiffness_n_per_m(self) -> float:
         """Of the contact that closes first."""
-        lower, upper, stiffness, _ = self.law.reshape(-1, len(LAW)).T
+        lower, upper, stiffness, _ = self.form.contacts(self.law).T
         return float(stiffness[np.argmin(np.minimum(lower, upper))])
 
 
@@ -69,37 +70,14 @@ def parts(samples: int) -> Iterator[slice]:
     return (slice(first, first + AT_ONCE) for first in range(0, samples, AT_ONCE))
 
 
-def law_force_n(
-    law: Law, eta_m: Float[np.ndarray, "*samples"], rate_m_per_s: Float[np.ndarray, "*samples"]
-) -> Float[np.ndarray, "*samples"]:
-    """The sum over the contacts: stiffness and damping, of any sign, times what a `DeadZone` makes of one of each."""
-    force = np.zeros_like(eta_m)
-    for one in law.reshape(-1, len(LAW)):
-        _, _, stiffness, damping = one
-        by_stiffness, by_damping = by_stiffness_and_damping(one, eta_m, rate_m_per_s)
-        force += stiffness * by_stiffness + damping * by_damping
-    return force
-
-
-def by_stiffness_and_damping(
-    law: Law, eta_m: Float[np.ndarray, "*samples"], rate: Float[np.ndarray, "*samples"]
-) -> tuple[Float[np.ndarray, "*samples"], Float[np.ndarray, "*samples"]]:
-    lower, upper, _, _ = law.tolist()
-    spring, damper = (
-        DeadZone(lower_clearance_m=lower, upper_clearance_m=upper, stiffness_n_per_m=k, damping_n_s_per_m=c)
-        for k, c in ((1.0, 0.0), (0.0, 1.0))
-    )
-    return spring.force_n(eta_m), damper.force_n(eta_m, rate)
-
-
-def state_at(record: ContactRecord, curve: Spline, law: Law, knots: Knots, pulls: Pulls) -> State:
+def state_at(record: ContactRecord, curve: Spline, form: LawForm, law: Law, knots: Knots, pulls: Pulls) -> State:
     """Without a cost, which takes weights."""
     eta, velocity = moved(record, curve, knots, pulls)
-    fitted = evaluated(partial(law_force_n, law), np.stack([eta, velocity]), record.sample_rate_hz, record.factor)
+    fitted = evaluated(partial(form.force_n, law), np.stack([eta, velocity]), record.sample_rate_hz, record.factor)
     unfitted = record.force_n - _summed(pulls, record.nuisance_n) - fitted[: record.force_n.size]
     fast = unfitted / (1 - pulls @ record.noise_in_n)
-    stiffness, _ = _slopes(law, eta)
-    return State(law, knots, pulls, fast - held_n(record, curve) @ knots, _fewer(record, stiffness))
+    stiffness, _ = form.slopes(law, eta, velocity)
+    return State(law, knots, pulls, fast - held_n(record, curve) @ knots, _fewer(record, stiffness), form)
 
 
 def moved(
@@ -132,15 +110,8 @@ def _summed(
 def jacobian(record: ContactRecord, curve: Spline, state: State) -> Jacobian:
     """At a state."""
     eta, velocity = moved(record, curve, state.knots, state.pulls)
-    by_stiffness, by_damping = _slopes(state.law, eta)
-    by_law = []
-    for one in state.law.reshape(-1, len(LAW)):
-        lower, upper, stiffness, _ = one
-        by_law += [
-            stiffness * (eta < -lower),
-            -stiffness * (eta > upper),
-            *by_stiffness_and_damping(one, eta, velocity),
-        ]
+    by_stiffness, by_damping = state.form.slopes(state.law, eta, velocity)
+    by_law = state.form.derivatives(state.law, eta, velocity)
     by_drift = diags(state.by_eta) @ curve.value[:: record.factor][: record.force_n.size]
     fast, slow_n = state.residual + held_n(record, curve) @ state.knots, by_drift @ state.knots
     by_pulls = record.nuisance_n.astype(np.float32)  # a copy
@@ -157,18 +128,6 @@ def jacobian(record: ContactRecord, curve: Spline, state: State) -> Jacobian:
         by_pulls=by_pulls.T,
         by_law=np.stack([_fewer(record, row) for row in by_law], axis=1) / kept,
     )
-
-
-def _slopes(
-    law: Law, eta_m: Float[np.ndarray, " samples"]
-) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
-    """Stiffness and damping of the contacts that are closed."""
-    by_stiffness, by_damping = np.zeros_like(eta_m), np.zeros_like(eta_m)
-    for lower, upper, stiffness, damping in law.reshape(-1, len(LAW)):
-        closed = (eta_m > upper) | (eta_m < -lower)
-        by_stiffness += stiffness * closed
-        by_damping += damping * closed
-    return by_stiffness, by_damping
 
 
 def held_n(record: ContactRecord, curve: Spline) -> csr_matrix:

@@ -4,7 +4,7 @@ No answer rests on them. What cannot be made is left out, and a note says why.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeVar
 
@@ -13,13 +13,12 @@ from jaxtyping import Float
 
 from identify.contacts.determination import UNCERTAIN_SHARE, Outcomes
 from identify.contacts.joint_fit import JointEstimate
-from identify.contacts.linearization import law_force_n
 from identify.contacts.separation import Separation
 from identify.linear.modal import ModalEquation, Transformation, modal_equations, pushing_force, transformation, until
 from identify.paper.nifo import Form, Nifo, nifo
 from identify.paper.surface import Stops, Surface, clearance_from_occurrence, fit_surface
 from identify.signals.kinematics import Kinematics
-from identify.signals.law_evaluation import penetration
+from identify.signals.law_evaluation import evaluated
 from identify.signals.spectra import Averaging, Blocks, blocks, force_band
 from rig.errors import RigError
 from rig.model.description import Body, Rig
@@ -109,9 +108,8 @@ def signals_by_law(separation: Separation, outcomes: Outcomes) -> SignalsByLaw:
         for j, sign in zip(place.members, place.signs, strict=True):
             eta[j] = sign * moved
             for estimate in [outcomes.estimates[names[j]]] if names[j] in told else []:
-                lower, upper, _, _ = estimate.values.tolist()
-                depth[j] = penetration(eta[j], lower, upper, record.sample_rate_hz)
-                force[j] = law_force_n(estimate.values, eta[j], sign * rate)
+                depth[j] = evaluated(estimate.spring_m, eta[j][None], record.sample_rate_hz)
+                force[j] = estimate.force_n(eta[j], sign * rate)
     return SignalsByLaw(eta, force, depth)
 
 
@@ -122,7 +120,7 @@ def stops_of(rig: Rig, outcomes: Outcomes) -> tuple[Stops | None, ...]:
 
 def _stops(estimate: JointEstimate) -> Stops:
     (lower, upper, _, _), (of_lower, of_upper, _, _) = estimate.values.tolist(), estimate.errors.tolist()
-    return Stops(lower, upper, of_lower, of_upper, estimate.clearance_error_m)
+    return Stops(lower, upper, of_lower, of_upper, estimate.clearance_error_m, estimate.touched)
 
 
 def paper_methods(
@@ -168,7 +166,9 @@ def paper_methods(
     spectra = attempted(notes, "NIFO", acting, by_nifo)
     surfaces = attempted(notes, "the restoring force surface", equations, by_surface)
     single = {
-        rig.contacts[j].name: eta[j, motion.excited_from :] for j, stop in enumerate(stops) if stop and j in alone
+        rig.contacts[j].name: (eta[j, motion.excited_from :], stop.touched)
+        for j, stop in enumerate(stops)
+        if stop and j in alone
     }
     histogram = attempted(notes, "the histogram", single, _by_histogram)
     main = _main(spectra, forced, equation, notes)
@@ -212,9 +212,11 @@ def _blocks(rig: Rig, motion: Kinematics, kept: int, averaging: Averaging, notes
     return attempted(notes, "NIFO of the equations", acting, cut)
 
 
-def _by_histogram(eta_m: Float[np.ndarray, " samples"]) -> Stops | None:
-    """The stops by the histogram; None where it hardly tells them, as of a decay, which rests most of the time."""
-    stops = clearance_from_occurrence(eta_m)
+def _by_histogram(of: tuple[Float[np.ndarray, " samples"], tuple[bool, bool]]) -> Stops | None:
+    """The stops by the histogram of a relative displacement that touches these; None where it hardly tells them, as of
+    a decay, which rests most of the time."""
+    eta_m, touched = of
+    stops = replace(clearance_from_occurrence(eta_m), touched=touched)
     return stops if stops.clearance_error_m < UNCERTAIN_SHARE * stops.clearance_m else None
 
 

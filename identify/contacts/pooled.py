@@ -82,7 +82,7 @@ def longest_segment_s(path: Path) -> float:
 
 def together(reports: Sequence[ContactReport]) -> ContactReport:
     """One report of several of the same rig: estimates pooled, figures without an error averaged, averages added."""
-    merged = _of_one_kind(reports)
+    merged = _of_one_kind(_of_usual_law(reports))
     answered = {c.name for c in merged.contacts}
     findings = {(f.cause, f.channels, f.of): f for r in reversed(reports) for f in reversed(r.findings)}
     equations = [r.main_equation for r in reports]
@@ -93,6 +93,19 @@ def together(reports: Sequence[ContactReport]) -> ContactReport:
         main_equation=max(equations, key=equations.count),
         notes=tuple(dict.fromkeys(note for r in reports for note in r.notes)),
     )
+
+
+def _of_usual_law(reports: Sequence[ContactReport]) -> list[ContactReport]:
+    """Each contact of those segments alone whose law is the one that most of them ask for: numbers of other laws are
+    others."""
+    laws = [(c.name, c.law, c.reference_depth_m) for r in reports for c in r.contacts]
+    usual = {name: max(laws, key=lambda law: (law[0] == name, laws.count(law))) for name, *_ in laws}
+    return [
+        msgspec.structs.replace(
+            r, contacts=tuple(c for c in r.contacts if (c.name, c.law, c.reference_depth_m) == usual[c.name])
+        )
+        for r in reports
+    ]
 
 
 def pooled(estimates: Sequence[Estimate]) -> Estimate:

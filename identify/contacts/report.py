@@ -102,6 +102,7 @@ def _sentence(found: Identification) -> str:
         return "This record tells nothing of the contacts; below stands why, and what to do."
     return "; ".join(
         f"{c.name}: clearance {_said(c.clearance_m, 'mm', 1e3)}, stiffness {_said(c.stiffness_n_per_m, 'N/m')}"
+        + (f" ({c.law})" if c.law_sentence else "")
         for c in contacts
     )
 
@@ -118,7 +119,8 @@ def _values(found: Identification, laws: Laws, laws_name: str) -> str:
     if not tables:
         return "<p>Nothing.</p>"
     note = "<p>Value ± 1.96 standard errors: 95 % interval. The clearance is half the total play.</p>"
-    return note + "".join(tables)
+    asked = [f"{c.law_sentence}." for c in found.report.contacts if c.law_sentence]
+    return note + "".join(tables) + (page.listed(asked) if asked else "")
 
 
 def _rows(found: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]]:
@@ -154,17 +156,19 @@ def _methods(found: Identification) -> str:
     bands = [n.band_hz for n in report.nifo]  # each that of the forces on its body
     by_nifo = f"NIFO ({min(bands)[0]:.3g} to {max(b[1] for b in bands):.3g} Hz) and " if bands else ""
     modes = [
-        (f"{m.beam} {m.index}", f"{m.frequency_hz:.3f} Hz", f"{100 * m.damping_ratio:.2f} %") for m in report.modes
+        (f"{m.beam} {m.index}", f"{m.frequency_hz:.3f} Hz", f"{100 * m.damping_ratio:.2f} %", m.flag)
+        for m in report.modes
     ]
     return (
         (page.listed(report.notes) if report.notes else "")
         + "<p>With the law found, the response of the modes beyond the fitted ones is taken off; then "
-        f"{by_nifo}the restoring force surface are applied to every modal equation. Their "
-        "standard errors do not know the tolerances. The figures show "
+        f"{by_nifo}the restoring force surface are applied to every modal equation. Their values "
+        "have no known error, and the answers above do not rest on them: each equation believes in its mode of "
+        "rig.json and is blind to the others. The figures show "
         f"{escape(report.main_equation)}.</p><details><summary>All of them</summary>"
         + page.table(("equation", "contact", "stiffness by NIFO", "rms deviation", ""), _nifo_rows(report))
         + page.table(("contact", "clearance by", "value"), sorted(_clearance_rows(report)))
-        + page.table(("mode", "frequency", "damping"), modes)
+        + page.table(("mode", "frequency", "damping", ""), modes)
         + "</details>"
     )
 
@@ -174,7 +178,7 @@ def _nifo_rows(report: ContactReport) -> Iterator[tuple[str, ...]]:
         for s in each.stiffness:
             deviation = f"{100 * s.rms_deviation_n_per_m / abs(s.mean_n_per_m.value):.2g} %"
             hidden = "nearly invisible" if s.contact in each.nearly_invisible else ""
-            yield each.equation, s.contact, _said(s.mean_n_per_m, "N/m"), deviation, hidden
+            yield each.equation, s.contact, f"{number(s.mean_n_per_m.value)} N/m", deviation, hidden
     for each in report.nifo:
         for name in each.nearly_invisible:
             if name not in {s.contact for s in each.stiffness}:
@@ -185,7 +189,7 @@ def _clearance_rows(report: ContactReport) -> Iterator[tuple[str, str, str]]:
     ways = [(f"surface of {s.equation}", c) for s in report.surface.surfaces for c in s.clearances]
     ways += [("histogram", c) for c in report.surface.histogram]
     for way, c in ways:
-        yield c.contact, way, _said(c.clearance_m, "mm", 1e3)
+        yield c.contact, way, f"{number(1e3 * c.clearance_m.value)} mm"
     for contact in report.contacts:
         if contact.name not in {c.contact for c in report.surface.histogram}:
             yield contact.name, "histogram", "not told"

@@ -3,7 +3,9 @@
 import msgspec
 
 from identify.checks.findings import Finding
+from identify.contacts.law_form import FormName
 from identify.contacts.refusals import RefusalCode, RemedyCode
+from identify.pages.wording import interval, number
 
 
 class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -20,7 +22,11 @@ class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
 
 class ContactEstimate(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """A contact. clearance_m is half the total play, or that of the one stop that is ever touched; the two sides are
-    given where the zero of eta is known."""
+    given where the zero of eta is known.
+
+    law is the form that the record asks for. Of a power law k depth |depth / d|^(p - 1) the exponent p and the
+    reference depth d stand beside it, and the stiffness k is the force over the depth at d.
+    """
 
     name: str
     clearance_m: Estimate
@@ -28,6 +34,26 @@ class ContactEstimate(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
     damping_n_s_per_m: Estimate
     lower_clearance_m: Estimate | None = None
     upper_clearance_m: Estimate | None = None
+    closed_share: float | None = None
+    """Of the time of the record that is used; None where the stops' errors leave more than five points of doubt."""
+    law: FormName = "dead zone"
+    exponent: Estimate | None = None
+    reference_depth_m: float | None = None
+
+    @property
+    def law_sentence(self) -> str:
+        """Which law the record asks for in place of a dead zone, with its numbers, without a full stop; else empty."""
+        biased = "clearance, stiffness and damping of a dead zone would be biased"
+        if self.exponent is not None and self.reference_depth_m is not None:
+            depth_mm = number(1e3 * self.reference_depth_m)
+            return (
+                f"{self.name} follows a power law, k depth |depth / {depth_mm} mm|^(p - 1) with p = "
+                f"{interval(self.exponent.value, self.exponent.standard_error, '1')}; its stiffness is the force over "
+                f"the depth at {depth_mm} mm; {biased}"
+            )
+        if self.law == "cannot pull":
+            return f"{self.name} cannot pull: its stops let go where damping would turn their force; {biased}"
+        return ""
 
 
 class Unanswered(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -41,17 +67,31 @@ class Unanswered(msgspec.Struct, frozen=True, omit_defaults=True):
     evidence: dict[str, float | int | str] = {}
 
 
-class Mode(msgspec.Struct, frozen=True):
-    """A linear mode as the FRF of its modal equation shows it."""
+class Mode(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A linear mode as the FRF of its modal equation shows it: without a known error.
+
+    Contacts that act on its body and are not determined are in that response: the mode is that of the body with them.
+    """
 
     beam: str
     index: int
     frequency_hz: float
     damping_ratio: float
+    undetermined: tuple[str, ...] = ()
+
+    @property
+    def flag(self) -> str:
+        """What is in it, in words; empty if nothing is."""
+        names = " and ".join(self.undetermined)
+        return f"with {names} in it, not determined" if self.undetermined else ""
 
 
 class Stiffness(msgspec.Struct, frozen=True):
-    """A contact's stiffness over frequency in one modal equation: spectral mean of the real part, rms deviation."""
+    """A contact's stiffness over frequency in one modal equation: spectral mean of the real part, rms deviation.
+
+    The standard error is the scatter of the blocks alone: it knows nothing of rig.json's errors nor of the modes left
+    out, and is no interval of the stiffness.
+    """
 
     contact: str
     mean_n_per_m: Estimate
@@ -71,7 +111,7 @@ class NifoResult(msgspec.Struct, frozen=True):
 
 
 class Clearance(msgspec.Struct, frozen=True):
-    """A contact's clearance by one method."""
+    """A contact's clearance by one method. The standard error is the scatter alone, no interval of the clearance."""
 
     contact: str
     clearance_m: Estimate

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.signal import welch
 
 from identify.checks.masses import mass_pull
 from identify.contacts.beginning import settled_s
@@ -15,7 +16,7 @@ from identify.linear.modal import relative_displacements, relative_velocities
 from identify.linear.nuisance import NuisanceKind
 from identify.signals.drift import KNOT_S, Drift
 from identify.signals.kinematics import Kinematics, Use, kinematics
-from identify.signals.noise import acceleration_noise
+from identify.signals.noise import BAND, acceleration_noise
 from identify.signals.spectra import decimated, force_band, oversampled
 from rig.model.description import ForceSensor, Rig, Station, contact_stations
 from rig.model.tolerances import Tolerances
@@ -27,6 +28,7 @@ QUIETEST = 1e-5
 """No accelerometer is believed to be quieter, m/s^2/sqrt(Hz): then other errors than noise make the drift."""
 LEAST_S = 1.0
 """A record of which less can be used is refused."""
+SEGMENT_S, LEFT_POWER = 1.0, 1e-3
 ROUNDING = 1e-7
 """No contact force is believed to be quieter, of the exciting force: what a record without noise leaves is rounding."""
 UNKNOWN_TO_MODEL = ("masses", "springs", "clamps", "loads", "base_motion", "force_sensor", "dampers", "tones")
@@ -58,7 +60,8 @@ def separate(recording: Recording, use: Use, tolerances: Tolerances) -> Separati
     """
     rig = recording.rig
     motion = kinematics(recording, use)
-    high_hz = min(SEPARATED_TO * driven_to_hz(motion), motion.trusted_hz[1])
+    excited_hz = vibrates_to_hz(motion) if is_unforced(motion) else driven_to_hz(motion)
+    high_hz = min(SEPARATED_TO * excited_hz, motion.trusted_hz[1])
     factor = max(1, int(motion.sample_rate_hz / 2 / high_hz))
     if motion.zero_known:
         _check_displacements(rig, motion)
@@ -86,6 +89,23 @@ def driven_to_hz(motion: Kinematics) -> float:
     if not rows:
         raise refused(RefusalCode.ALL_ZERO)
     return max(force_band(row, motion.sample_rate_hz)[1] for row in rows)
+
+
+def vibrates_to_hz(motion: Kinematics) -> float:
+    """Up to where the displacements of a record without a force hold all but a thousandth of their power above that of
+    the highest frequencies, which is noise; by windowed segments, as a record that begins in motion would leak.
+
+    Raises ContactRefusedError if no motion was recorded.
+    """
+    highest = driven_to_hz(motion)
+    moving = motion.displacement_m[np.any(motion.displacement_m, axis=1)]
+    length = min(motion.samples, round(SEGMENT_S * motion.sample_rate_hz))
+    hz, power = welch(moving, motion.sample_rate_hz, nperseg=length)
+    low, high = (share * motion.sample_rate_hz for share in BAND)
+    noise = np.median(power[:, (hz > low) & (hz < high)], axis=1, keepdims=True)
+    held = np.cumsum(power - noise, axis=1)
+    ends = hz[np.argmax(held >= (1 - LEFT_POWER) * held[:, -1:], axis=1)]
+    return float(min(highest, ends.max()))
 
 
 def _settled(
@@ -169,6 +189,7 @@ def _records(
                 force_n=forces.force_n[j],
                 factor=forces.factor,
                 quiet_n=float(quiet_n[j]),
+                noise_n=float(forces.noise_n[j]),
                 unmodelled=tolerances.unmodelled_contact,
                 drift=drift
                 and replace(

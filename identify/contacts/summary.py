@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from identify.checks.findings import Finding
 from identify.contacts import results
@@ -11,10 +12,14 @@ from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.paper_methods import PaperMethods
 from identify.contacts.refusals import Refusal
 from identify.linear.modal import NEARLY_INVISIBLE, Transformation
+from identify.pages.wording import COVERED
 from identify.paper.nifo import Nifo, fitted_mode
 from identify.paper.surface import Stops
 from identify.signals.noise import noise_source
-from rig.model.description import Rig
+from rig.model.description import Rig, contact_stations
+
+MOST_OPEN_TO_DOUBT = 0.05
+"""A share of time whose 95 % interval reaches further is not told."""
 
 
 def contact_report(
@@ -22,12 +27,13 @@ def contact_report(
 ) -> results.ContactReport:
     """The report: the answers, and what the paper's methods say beside them."""
     motion = methods.motion
+    eta_m = {contact.name: row for contact, row in zip(rig.contacts, methods.eta_m, strict=True)}
     return results.ContactReport(
         rig=rig.name,
-        contacts=tuple(_contact(name, estimate) for name, estimate in outcomes.estimates.items()),
+        contacts=tuple(_contact(name, estimate, eta_m[name]) for name, estimate in outcomes.estimates.items()),
         unanswered=unanswered(outcomes.refusals),
         main_equation=methods.main_equation,
-        modes=_modes(methods.spectra),
+        modes=_modes(rig, methods.spectra, outcomes.refusals),
         nifo=tuple(_nifo_result(rig, n) for n in methods.spectra),
         surface=results.Surfaces(
             tuple(results.SurfaceResult(s.equation.name, _clearances(rig, s.stops)) for s in methods.surfaces),
@@ -50,7 +56,20 @@ def unanswered(refusals: Mapping[str, Refusal]) -> tuple[results.Unanswered, ...
     )
 
 
-def _contact(name: str, found: JointEstimate) -> results.ContactEstimate:
+def closed_share(found: JointEstimate, eta_m: Float[np.ndarray, " samples"]) -> float | None:
+    """Of the samples beyond the stops that are touched. None where moving each stop by its 95 % interval in and out
+    makes too much of it."""
+    lower, upper = found.touched
+    (at_lower, at_upper, *_), (of_lower, of_upper, *_) = found.values, found.errors
+
+    def share(out: float) -> float:
+        below = lower & (eta_m < -at_lower - out * of_lower)
+        return float(np.mean(below | (upper & (eta_m > at_upper + out * of_upper))))
+
+    return share(0.0) if share(-COVERED) - share(COVERED) < 2 * MOST_OPEN_TO_DOUBT else None
+
+
+def _contact(name: str, found: JointEstimate, eta_m: Float[np.ndarray, " samples"]) -> results.ContactEstimate:
     lower, upper, stiffness, damping, clearance = (
         results.Estimate(float(of @ found.values), found.error(of), found.own_error(of))
         for of in (*np.eye(len(found.values)), found.clearance)
@@ -62,13 +81,24 @@ def _contact(name: str, found: JointEstimate) -> results.ContactEstimate:
         damping_n_s_per_m=damping,
         lower_clearance_m=lower if found.sides_known and found.touched[0] else None,
         upper_clearance_m=upper if found.sides_known and found.touched[1] else None,
+        closed_share=closed_share(found, eta_m),
+        law=found.form.name,
+        exponent=results.Estimate(found.exponent, found.exponent_error) if found.form.shapes else None,
+        reference_depth_m=found.form.reference_depth_m if found.form.shapes else None,
     )
 
 
-def _modes(spectra: Sequence[Nifo]) -> tuple[results.Mode, ...]:
+def _modes(rig: Rig, spectra: Sequence[Nifo], refusals: Mapping[str, Refusal]) -> tuple[results.Mode, ...]:
     """The elastic modes within the band."""
     inside = [n for n in spectra if 0 < n.equation.frequency_hz < n.frequency_hz[-1]]
-    return tuple(results.Mode(n.equation.body, n.equation.index, *fitted_mode(n)) for n in inside)
+    silent = [c for c in rig.contacts if c.name in refusals]
+
+    def mode(found: Nifo) -> results.Mode:
+        body = found.equation.body
+        acting = tuple(c.name for c in silent if body in {s.body for s in contact_stations(c)})
+        return results.Mode(body, found.equation.index, *fitted_mode(found), acting)
+
+    return tuple(mode(found) for found in inside)
 
 
 def _nifo_result(rig: Rig, found: Nifo) -> results.NifoResult:

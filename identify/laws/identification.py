@@ -10,7 +10,7 @@ from jaxtyping import Float
 from identify.contacts.acceptance import Contacts, checked_contacts
 from identify.contacts.contact_record import ContactRecord, Law
 from identify.contacts.joint_fit import JointEstimate
-from identify.contacts.linearization import law_force_n
+from identify.contacts.law_form import LawForm
 from identify.contacts.refusals import Refusal
 from identify.contacts.results import Estimate
 from identify.contacts.summary import unanswered
@@ -175,7 +175,7 @@ def _law(contacts: Contacts, place: Joined, seen: ContactRecord, seconds: float,
     pieces = _straight(samples, searched, knees)
     laws: dict[str, Callable[[np.ndarray], np.ndarray]] = {PIECEWISE: pieces}
     if samples.estimates:
-        laws[DEAD_ZONE] = lambda e: law_force_n(samples.values, e, np.zeros_like(e))
+        laws[DEAD_ZONE] = lambda e: LawForm().force_n(samples.values, e, np.zeros_like(e))
     laws[SLIDING] = sliding_friction(record, samples.taught)
     laws |= {CUBIC: polynomial(record, samples.taught, 3), FORMULA: formula}
     candidates = tuple(TriedLaw(name, record.error_n(law, samples.held_out)) for name, law in laws.items())
@@ -264,7 +264,8 @@ def _complete(seen: ContactRecord, estimates: tuple[JointEstimate, ...]) -> tupl
 
 
 def _damping_force_n(law: Law, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
-    return law_force_n(law, eta_m, rate_m_per_s) - law_force_n(law, eta_m, np.zeros_like(rate_m_per_s))
+    form = LawForm()
+    return form.force_n(law, eta_m, rate_m_per_s) - form.force_n(law, eta_m, np.zeros_like(rate_m_per_s))
 
 
 def _evenly(eta: Float[np.ndarray, " samples"], rng: np.random.Generator) -> np.ndarray:

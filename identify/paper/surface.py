@@ -18,17 +18,26 @@ LEAST_CONTACT = 2e-3
 
 @dataclass(frozen=True)
 class Stops:
-    """The two stops of a contact, and half their distance, the clearance; standard errors beside."""
+    """The two stops of a contact, and the clearance: half their distance, or that of the one that is touched; standard
+    errors beside, that of half the distance last."""
 
     lower_m: float
     upper_m: float
     lower_error_m: float
     upper_error_m: float
-    clearance_error_m: float
+    half_error_m: float
+    touched: tuple[bool, bool] = (True, True)
 
     @property
     def clearance_m(self) -> float:
-        return (self.lower_m + self.upper_m) / 2
+        return self._of_touched(self.lower_m, self.upper_m, (self.lower_m + self.upper_m) / 2)
+
+    @property
+    def clearance_error_m(self) -> float:
+        return self._of_touched(self.lower_error_m, self.upper_error_m, self.half_error_m)
+
+    def _of_touched(self, lower: float, upper: float, both: float) -> float:
+        return both if all(self.touched) else lower if self.touched[0] else upper
 
 
 @dataclass(frozen=True)
@@ -102,11 +111,9 @@ def fit_surface(
         share[j] = weights[2 + i] * columns(stops)[:, 2 + i]
         closed = np.mean((eta_m[j] > stops[2 * i + 1]) | (eta_m[j] < -stops[2 * i]))
         if closed >= LEAST_CONTACT:
-            found[j] = Stops(
-                float(stops[2 * i]),
-                float(stops[2 * i + 1]),
-                *(float(e) for e in np.sqrt([pair[0, 0], pair[1, 1], pair.sum() / 4])),
-            )
+            of_lower, of_upper, of_half = np.sqrt([pair[0, 0], pair[1, 1], pair.sum() / 4]).tolist()
+            lower, upper = stops[2 * i : 2 * i + 2].tolist()
+            found[j] = Stops(lower, upper, of_lower, of_upper, of_half, known[i][1].touched)
     return Surface(equation, factor, measured, fitted, share, tuple(found), stiffness)
 
 
@@ -147,8 +154,10 @@ def clearance_from_occurrence(eta_m: Float[np.ndarray, " samples"]) -> Stops:
     best = fit(eta_m, [np.array([0.0, 0.5, 3.0, q, q]) for q in quantiles])
     parts = np.array([np.abs(fit(p, [best])[3:]) for p in np.array_split(eta_m, PARTS)]) * scale
     lower, upper = np.abs(best[3:]) * scale
-    errors = [float(np.std(x, ddof=1) / np.sqrt(PARTS)) for x in (parts[:, 0], parts[:, 1], parts.mean(axis=1))]
-    return Stops(float(lower), float(upper), *errors)
+    of_lower, of_upper, of_half = (
+        float(np.std(x, ddof=1) / np.sqrt(PARTS)) for x in (parts[:, 0], parts[:, 1], parts.mean(axis=1))
+    )
+    return Stops(float(lower), float(upper), of_lower, of_upper, of_half)
 
 
 def _projection(

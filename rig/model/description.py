@@ -367,7 +367,9 @@ def force_names(count: int) -> tuple[str, ...]:
 
 
 def _without_stops(**numbers: float) -> DeadZone:
-    return DeadZone(lower_clearance_m=0.0, upper_clearance_m=0.0, stiffness_n_per_m=0.0, **numbers)
+    return msgspec.structs.replace(
+        DeadZone(lower_clearance_m=0.0, upper_clearance_m=0.0, stiffness_n_per_m=0.0), **numbers
+    )
 
 
 def _check_carried(body: Body) -> None:

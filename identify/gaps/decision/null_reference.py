@@ -285,6 +285,6 @@ def familiar_figures(linearization: Linearization) -> dict[str, tuple[float, str
     found = {"acceleration, rms of all sensors": (float(np.sqrt(np.mean(accelerations**2))), "m/s^2")}
     seconds = accelerations.shape[1] / linearization.record.rate_hz
     for contact, seen in zip(linearization.model.rig.contacts, linearization.seen, strict=True):
-        found[f"time that {contact.name} is closed"] = 100 * float(np.mean(seen.closed)), "%"
-        found[f"impacts of {contact.name}"] = float(np.sum(np.diff(seen.closed) > 0)) / seconds, "1/s"
+        found[f"time that a force of {contact.name} stands out"] = 100 * float(np.mean(seen.closed)), "%"
+        found[f"impacts of {contact.name} that stand out"] = float(np.sum(np.diff(seen.closed) > 0)) / seconds, "1/s"
     return found

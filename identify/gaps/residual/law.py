@@ -89,6 +89,7 @@ def start_of(
         force_n=first.stiffness_n_per_m * depth,
         factor=1,
         quiet_n=0.0,
+        noise_n=0.0,
         unmodelled=0.0,
         drift=None,
         nuisance_n=np.zeros((0, force.size)),

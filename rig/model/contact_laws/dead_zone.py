@@ -23,7 +23,8 @@ class DeadZone(ContactLaw, frozen=True, kw_only=True, tag="dead_zone"):
         depth = 0             between
 
     The lower stop's k is `lower_stiffness_ratio` times the upper one's. The exponent p is 1 to 3; at the reference
-    depth d the force is that of the linear stop, whatever p.
+    depth d the force is that of the linear stop, whatever p. A stop that cannot pull (`pulls` false: nothing glues the
+    parts together) gives no force, of the terms in depth, that draws back what leaves it.
 
     The friction F and the open damping c0 act in and out of the gap. The damping sets in over the first h = 10 um of
     penetration, and the friction turns round over v0 = 0.02 m/s: a force that jumped would leave an implicit solver
@@ -38,6 +39,7 @@ class DeadZone(ContactLaw, frozen=True, kw_only=True, tag="dead_zone"):
     exponent: float = 1.0
     reference_depth_m: float = 1e-4
     open_damping_n_s_per_m: float = 0.0
+    pulls: bool = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -55,6 +57,8 @@ class DeadZone(ContactLaw, frozen=True, kw_only=True, tag="dead_zone"):
         if given(law.damping_n_s_per_m):
             damping = law.damping_n_s_per_m
             force = force + smaller(magnitude(depth) * (damping / DAMPING_DEPTH_M), damping) * rate
+            if not law.pulls:
+                force = select(force * depth > 0.0, force, 0.0)
         if given(law.open_damping_n_s_per_m):
             force = force + law.open_damping_n_s_per_m * rate
         if law.friction_n != 0.0:
@@ -76,7 +80,11 @@ class DeadZone(ContactLaw, frozen=True, kw_only=True, tag="dead_zone"):
         return np.asarray((spring + 3 * self.cubic_n_per_m3 * depth * depth) * (depth != 0))
 
     def by_rate_n_s_per_m(self, eta_m: Signal, rate_m_per_s: Signal, time_s: Signal = 0.0) -> Values:
-        share = smaller(magnitude(depth_of(self, eta_m, time_s)) / DAMPING_DEPTH_M, 1.0)
+        depth = depth_of(self, eta_m, time_s)
+        share = smaller(magnitude(depth) / DAMPING_DEPTH_M, 1.0)
+        if not self.pulls:
+            pressed = (_secant(self, depth) + self.cubic_n_per_m3 * depth * depth) * depth
+            share = share * ((pressed + self.damping_n_s_per_m * share * rate_m_per_s) * depth > 0.0)
         turned = (1 - np.tanh(rate_m_per_s / FRICTION_SPEED_M_PER_S) ** 2) / FRICTION_SPEED_M_PER_S
         return np.asarray(self.damping_n_s_per_m * share + self.open_damping_n_s_per_m + self.friction_n * turned)
 

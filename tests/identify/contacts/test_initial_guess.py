@@ -23,7 +23,9 @@ def test_a_force_that_rings_while_the_contact_is_open_does_not_spoil_the_start(r
     curve = spline(time_s.size, rate_hz, Drift(bend, noise_density=5e-3, spring_n_per_m=0.0))
     velocity = np.gradient(eta_m, 1 / rate_hz)
     none, share, moving = np.zeros((0, time_s.size)), np.zeros(0), np.zeros(0, dtype=bool)
-    seen = ContactRecord(eta_m, velocity, rate_hz, force_n, 1, 0.0, 0.0, None, none, share, moving, share, none, moving)
+    seen = ContactRecord(
+        eta_m, velocity, rate_hz, force_n, 1, 0.0, 0.0, 0.0, None, none, share, moving, share, none, moving
+    )
     law, knots = regressed(seen, curve)
     assert law[0] == pytest.approx(clearance_m, rel=0.1)
     assert law[2] == pytest.approx(stiffness, rel=0.7)
@@ -40,6 +42,7 @@ def record(nuisance_n, force_n) -> ContactRecord:
         force_n=force_n,
         factor=1,
         quiet_n=0.0,
+        noise_n=0.0,
         unmodelled=0.0,
         drift=None,
         nuisance_n=nuisance_n.astype(np.float32),
