@@ -25,8 +25,8 @@ WORTH = 20.0
 """An effect that gains less of -2 ln p is not fitted: a good third of what the priors of one among some 26, at some 4
 places, and the temperature of the comparison ask of it, 2 * 6 * ln(0.3 * 26 * 4 / 0.35) = 54."""
 SHORT, ROUNDS, SETTLED, STILL = 3, 4, 1.0, 0.1
-"""Steps of a first fit; at most so many rounds to the end, until one gains less than this of -2 ln p, by scales that are
-the same within this share."""
+"""Steps of a first fit; at most so many rounds to the end, until one gains less than this of -2 ln p, by scales that
+are the same within this share."""
 FAR = 200.0
 """Hypotheses whose -2 ln p is larger by so much than the best one's are not fitted to the end, nor compared on another
 record, where the odds of a single one are e^(200 / (2 * 6)) = 2e7."""
