@@ -50,10 +50,7 @@ def evaluated(
     count = -(-samples // KEPT)
     padded = np.pad(signals, [(0, 0), (2 * MARGIN, count * KEPT + 2 * MARGIN - samples)], mode="edge")
     blocks = sliding_window_view(padded, LENGTH, axis=1)[:, ::KEPT]
-    whole, inner = (
-        _taper(LENGTH * finer, begin * finer, MARGIN * finer).astype(signals.dtype)
-        for finer, begin in ((1, 0), (times, MARGIN))
-    )
+    whole, inner = _taper(LENGTH, 0, MARGIN), _taper(LENGTH * times, MARGIN * times, MARGIN * times)
     results = []
     for first in range(0, count, batch := max(1, VALUES_AT_ONCE // (LENGTH * times))):
         fine = law(*_finer(blocks[:, first : first + batch] * whole, times))

@@ -51,9 +51,8 @@ class ContactSignals:
     spring_n_per_m: float
 
     def low_passed(self, law: Callable[..., Results], *signals: Signal) -> Float[np.ndarray, "*rows times"]:
-        """What a law makes of signals at the recording's rate, at the rate of the force; evaluated in single precision,
-        whose rounding is 1e-6 of the largest force."""
-        return evaluated(law, np.stack(signals, dtype=np.float32), self.sample_rate_hz, self.factor)
+        """What a law makes of signals at the recording's rate, at the rate of the force."""
+        return evaluated(law, np.stack(signals), self.sample_rate_hz, self.factor)
 
 
 def laid_out(record: Record, model: Linear) -> tuple[ContactSignals, ...]:
