@@ -5,6 +5,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 
+import numpy as np
+
 from identify.checks import background, waveforms
 from identify.checks.broken import broken_finding
 from identify.checks.continuity import breaks
@@ -147,7 +149,8 @@ def _waveforms(recording: Recording, use: Use) -> list[Finding]:
     channels = list(_channels(recording, use))
     first = [fault for fault in map(_first_fault, channels) if fault is not None]
     live = [c for c in channels if c.name not in _concerned(f for f in first if f.cause == "dead")]
-    in_motion = _in_motion(live) if recording.start_s == 0 else []
+    cut = recording.start_s > 0 or not np.any(recording.forces_n)  # a free decay begins in motion
+    in_motion = [] if cut else _in_motion(live)
     if recording.start_s == 0 and _runs_backwards(live, recording.forces_n, recording.rig.sample_rate_hz):
         in_motion = [background.backwards(tuple(c.name for c in live if not c.is_force))]
     found = in_motion or [*first, *_spikes(live, _concerned(first))]

@@ -4,6 +4,8 @@ import numpy as np
 from jaxtyping import Float
 from msgspec.structs import replace
 
+from identify.gaps.residual.channel_noise import read_sensors, sensor_densities
+from identify.gaps.residual.ringing import rings_to_hz
 from rig.errors import RigError
 from rig.recording import Recording, Signals, channel_groups
 
@@ -15,6 +17,10 @@ LITTLE = 0.03
 or than little: this share of the loudest, below which no second counts."""
 FALLEN = 0.5
 """And the quietest second has no more than this share of the loudest."""
+PARTS = 4
+"""Of a record that is shorter than so many seconds, parts of equal length stand for the seconds."""
+RANGE = 1.6
+"""Its motion is looked at up to this multiple of the frequency up to which it rings."""
 WITHOUT_FORCE = (
     "the exciting force is zero throughout: identify gap reads free decays of one mass or of elastic bodies, not of "
     "masses beside other bodies; measure the force of a shaker or a hammer, or take identify contact, which reads them"
@@ -63,26 +69,38 @@ def sound_channels(recording: Recording, without: tuple[str, ...] = ()) -> tuple
 def check_decay(recording: Recording) -> None:
     """Raises RigError if a record without a force is no free decay, by the level of all sensors of a quantity.
 
-    Likewise if it is one of masses beside other bodies, or of elastic bodies without displacement sensors. Of elastic
-    bodies the velocity must fall, as slow swings between their stops may grow while the energy falls.
+    Likewise if it is one with contacts, of masses beside other bodies, or of elastic bodies without displacement
+    sensors. Displacements are judged by their velocity, up to where the rig rings, as slow swings between stops may
+    grow while the energy falls, and what noise leaves of a decay does not fall.
     """
-    bodies = recording.rig.bodies
-    elastic = not any(b.is_mass for b in bodies)
-    if len(bodies) > 1 and not elastic:
+    rig = recording.rig
+    elastic = not any(b.is_mass for b in rig.bodies)
+    if rig.contacts and len(rig.bodies) > 1 and not elastic:
         raise RigError(WITHOUT_FORCE)
-    if elastic and "displacement" not in recording.signals:
+    if rig.contacts and elastic and "displacement" not in recording.signals:
         raise RigError(UNSEEN)
-    if elastic:
-        motions = [np.diff(recording.signals["displacement"].values)]
-    else:
-        motions = [signals.values for name, signals in recording.signals.items() if name != "force"]
-    second = round(recording.rig.sample_rate_hz)
-    for rows in motions:
-        seconds = rows[:, : rows.shape[1] // second * second].reshape(len(rows), -1, second)
-        level = np.linalg.norm(seconds.std(axis=2), axis=0)
-        earlier = np.maximum(np.minimum.accumulate(level), LITTLE * level.max() if elastic else 0.0)
-        if np.any(level > LOUDER * earlier) or level.min() > FALLEN * level.max():
-            raise RigError(NO_DECAY)
+    sensors = read_sensors(recording)
+    rate_hz, order = rig.sample_rate_hz, sensors[0].measures.order
+    rows = np.stack([recording.values_of(s) for s in sensors])
+    highest_hz = RANGE * rings_to_hz(rows, rate_hz, order, sensor_densities(recording, sensors, 0))
+    rows = _velocities(rows, rate_hz, order, highest_hz)
+    part = round(min(1.0, recording.duration_s / PARTS) * rate_hz)
+    parts = rows[:, : rows.shape[1] // part * part].reshape(len(rows), -1, part)
+    level = np.linalg.norm(parts.std(axis=2), axis=0)
+    earlier = np.maximum(np.minimum.accumulate(level), LITTLE * level.max())
+    if np.any(level > LOUDER * earlier) or level.min() > FALLEN * level.max():
+        raise RigError(NO_DECAY)
+
+
+def _velocities(
+    rows: Float[np.ndarray, "sensors samples"], rate_hz: float, order: int, highest_hz: float
+) -> Float[np.ndarray, "sensors fewer"]:
+    """Displacements differentiated, up to a frequency; other motion up to it."""
+    if order == 0:
+        rows = np.diff(rows) * rate_hz
+    spectra = np.fft.rfft(rows)
+    spectra[:, np.fft.rfftfreq(rows.shape[1], 1 / rate_hz) > highest_hz] = 0.0
+    return np.fft.irfft(spectra, rows.shape[1])
 
 
 def fault_of(row: Float[np.ndarray, " samples"]) -> str | None:

@@ -6,10 +6,14 @@ With the poles p of q'' + 2 zeta omega q' + omega^2 q = 0, a mode moves by q_0 u
 
 in addition to what the forces cause from rest. All q_0 and q_0' are linear in what the sensors deliver.
 
-Of a record that does not fade in, as a free decay of elastic bodies, what they add to the second derivative of the
-displacements, the jump at the first sample included, is, with the accelerance A_m = -omega^2 / D_m,
+Of a record that does not fade in, as a free decay, what they add to the second derivative of the displacements, the
+jump at the first sample included, is, with the accelerance A_m = -omega^2 / D_m,
 
     q_0 (i omega + 2 zeta_m omega_m) A_m + q_0' A_m
+
+Sensors show it as the sum over the samples, half of the first, under a half cosine at the record's end: that is known
+exactly, as a sum of geometric ones (`faded_sum`). So a velocity sensor does not show the jump of the displacement,
+i omega q_0 of this, an accelerometer also not that of the velocity, q_0'.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -30,6 +34,8 @@ WIDE = 3.0
 """The prior of the initial state, as a multiple of what the whole motion at the sensors would be by that mode alone."""
 LEAST_HZ = 0.5
 """Slower modes are taken to move as slowly as that."""
+DETUNED = 1e-6
+"""Relative change of a frequency or a damping ratio by which derivatives are taken."""
 KNOWN = 0.05
 """Likewise where displacement sensors show all modes of a body."""
 
@@ -62,9 +68,7 @@ def free_motion(
     if natural_hz == 0:
         one, zero = np.ones_like(time_s), np.zeros_like(time_s)
         return np.stack([time_s, one, zero] if order else [one, zero, zero])
-    omega = 2 * np.pi * natural_hz
-    zeta = damping_ratio if abs(damping_ratio - 1) > 1e-6 else 1 + 1e-6
-    poles = omega * (-zeta + np.array([1, -1]) * np.emath.sqrt(zeta**2 - 1))
+    poles = _poles(natural_hz, damping_ratio)
     first, second = (np.exp(p * time_s) for p in poles)
     over = poles[1] - poles[0]
     if order:
@@ -72,6 +76,11 @@ def free_motion(
     else:
         rows = [(poles[1] * poles[0] ** k * first - poles[0] * poles[1] ** k * second) / over for k in range(3)]
     return np.asarray(np.real(rows))
+
+
+def _poles(natural_hz: float, damping_ratio: float) -> Complex[np.ndarray, "2"] | Float[np.ndarray, "2"]:
+    zeta = damping_ratio if abs(damping_ratio - 1) > 1e-6 else 1 + 1e-6
+    return 2 * np.pi * natural_hz * (-zeta + np.array([1, -1]) * np.emath.sqrt(zeta**2 - 1))
 
 
 def free_motions(
@@ -201,23 +210,49 @@ def estimated_states(
 @dataclass(frozen=True, eq=False)
 class FreeMode:
     """Of one mode (from 0) of a body: its shape at the sensors, and its accelerations by a unit of its displacement and
-    of its velocity at the beginning; state is how large these were, times the sample rate, as spectra are sums."""
+    of its velocity at the beginning; shown_units are those as the sampled sensors show them, state how large these
+    were, times the sample rate, as spectra are sums."""
 
     body: int
     mode: int
     shape: Float[np.ndarray, " sensors"]
     units: Complex[np.ndarray, "2 lines"]
+    shown_units: Complex[np.ndarray, "2 lines"]
     state: Float[np.ndarray, " 2"]
 
     @property
     def acceleration(self) -> Complex[np.ndarray, " lines"]:
         return np.asarray(self.state @ self.units)
 
+    @property
+    def shown(self) -> Complex[np.ndarray, "sensors lines"]:
+        """What the sensors show of it, as an acceleration."""
+        return np.outer(self.shape, self.state @ self.shown_units)
+
+    @property
+    def not_shown(self) -> Complex[np.ndarray, "sensors lines"]:
+        """What they do not."""
+        return np.outer(self.shape, self.state @ (self.units - self.shown_units))
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """Of a free motion: the derivative that is measured, the rate, the samples and how many of them fade, as in
+    `kinematics.taper`."""
+
+    order: int
+    rate_hz: float
+    samples: int
+    fading: int
+
 
 def free_modes(
-    responses: Sequence[Response], modes: Sequence[Int[np.ndarray, "_"]], places: Sequence[Station | None]
+    responses: Sequence[Response],
+    modes: Sequence[Int[np.ndarray, "_"]],
+    places: Sequence[Station | None],
+    sampling: Sampling | None,
 ) -> tuple[FreeMode, ...]:
-    """Those of some modes of each body, with nothing in them."""
+    """Those of some modes of each body, with nothing in them, as sensors show them; whole without a sampling."""
     free = []
     for k, (response, chosen) in enumerate(zip(responses, modes, strict=True)):
         turning = 1j * response.dynamics.omega
@@ -225,8 +260,59 @@ def free_modes(
         shapes = response.shapes(places)
         for m in chosen.tolist():
             units = np.stack([(turning + damped[m]) * response.accelerance[m], response.accelerance[m]])
-            free.append(FreeMode(k, m, shapes[:, m], units, np.zeros(2)))
+            hz, zeta = float(response.dynamics.natural_hz[m]), float(response.dynamics.damping_ratios[m])
+            shown = _sampled(hz, zeta, response.dynamics.omega, sampling) if sampling and hz else units
+            free.append(FreeMode(k, m, shapes[:, m], units, shown, np.zeros(2)))
     return tuple(free)
+
+
+def faded_sum(pole: complex, omega: Float[np.ndarray, " lines"], sampling: Sampling) -> Complex[np.ndarray, " lines"]:
+    """The transform of exp(pole t) over the samples: with z = exp((pole - i omega) / rate), and g(z, n) the sum of the
+    first n powers of z,
+
+        g(z, M) - 1/2 + z^M [ g(z, F) / 2 + (c g(c z, F) + c* g(c* z, F)) / 4 ],   c = exp(i pi / F)
+
+    of the first M samples, half of the first, and of F that fade.
+    """
+    exponent = (pole - 1j * omega) / sampling.rate_hz
+    whole, turn = sampling.samples - sampling.fading, 1j * np.pi / sampling.fading
+    fading = 0.5 * _geometric(exponent, sampling.fading) + 0.25 * sum(
+        np.exp(c) * _geometric(exponent + c, sampling.fading) for c in (turn, -turn)
+    )
+    return np.asarray(_geometric(exponent, whole) - 0.5 + np.exp(whole * exponent) * fading)
+
+
+def _geometric(exponent: Complex[np.ndarray, " lines"], count: int) -> Complex[np.ndarray, " lines"]:
+    """The sum of the first powers of exp(exponent)."""
+    below = np.expm1(exponent)
+    return np.divide(np.expm1(count * exponent), below, out=np.full(exponent.shape, count, complex), where=below != 0)
+
+
+def _sampled(
+    natural_hz: float, damping_ratio: float, omega: Float[np.ndarray, " lines"], sampling: Sampling
+) -> Complex[np.ndarray, "2 lines"]:
+    """Accelerations by the sampled derivative of u and of v, over the sample rate."""
+    first, second = _poles(natural_hz, damping_ratio)
+    sums = [faded_sum(p, omega, sampling) for p in (first, second)]
+    power = (1j * omega) ** (2 - sampling.order) / ((second - first) * sampling.rate_hz)
+    u = second * first**sampling.order * sums[0] - first * second**sampling.order * sums[1]
+    v = second**sampling.order * sums[1] - first**sampling.order * sums[0]
+    return np.stack([power * u, power * v])
+
+
+def detuned(
+    motion: FreeMode, response: Response, sampling: Sampling, kind: NuisanceKind
+) -> Complex[np.ndarray, "sensors lines"]:
+    """The relative change of what sensors show of a mode, as an acceleration, by its frequency or its damping ratio."""
+    dynamics = response.dynamics
+    hz, zeta = float(dynamics.natural_hz[motion.mode]), float(dynamics.damping_ratios[motion.mode])
+    if not hz:
+        return np.zeros_like(motion.shown)
+    ends = []
+    for factor in (1 - DETUNED, 1 + DETUNED):
+        changed = (hz * factor, zeta) if kind is NuisanceKind.FREQUENCY else (hz, zeta * factor)
+        ends.append(motion.state @ _sampled(*changed, dynamics.omega, sampling))
+    return np.outer(motion.shape, ends[1] - ends[0]) / (2 * DETUNED)
 
 
 def fitted_modes(
@@ -243,7 +329,7 @@ def fitted_modes(
 
     is what any two modes' accelerations are weighed by, line by line.
     """
-    shapes, units = np.array([m.shape for m in motions]), np.array([m.units for m in motions])
+    shapes, units = np.array([m.shape for m in motions]), np.array([m.shown_units for m in motions])
     both = (shapes[:, None] * shapes).reshape(-1, shapes.shape[1])
     weights = (both @ np.abs(sensed) ** 2).reshape(len(shapes), *units.shape[::2]).astype(complex)
     for by_input, to_input in zip(projection.by_input, projection.to_inputs, strict=True):
@@ -277,7 +363,7 @@ def state_changes(
     """Of each mode's displacement and velocity at the beginning, as much as moves the sensors by this norm."""
     for motion in motions:
         parameter = Nuisance(NuisanceKind.INITIAL_STATE, bodies[motion.body], motion.mode + 1)
-        for unit in motion.units:
+        for unit in motion.shown_units:
             delivered = sensor_response * np.outer(motion.shape, unit)
             scale = size / max(float(np.linalg.norm(delivered)), 1e-300)
             yield Change(parameter, list(range(len(delivered))), delivered * scale)

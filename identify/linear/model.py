@@ -156,6 +156,11 @@ class Response:
         """Accelerations along some shapes per force along others."""
         return self.cache.transfer(self.dynamics, outputs, inputs)
 
+    def tuned(self, frequencies: Float[np.ndarray, " modes"], damping: Float[np.ndarray, " modes"]) -> "Response":
+        """With factors on the frequency and on the damping ratio of each mode."""
+        hz, zeta = self.dynamics.natural_hz * frequencies, self.dynamics.damping_ratios * damping
+        return replace(self, dynamics=self.cache.dynamics(hz, zeta, self.dynamics.high_passed))
+
     def with_high_passed(self, modes: tuple[int, ...]) -> "Response":
         """With springs of some modes that act on the high-passed displacement alone."""
         return replace(
@@ -244,7 +249,7 @@ def responses_of(rig: Rig, cache: ResponseCache, zero_known: bool) -> tuple[Resp
             f"the {len(rig.contacts)} contacts of rig {rig.name!r} move by fewer independent modes; describe more "
             "modes, or fewer contacts"
         )
-    if zero_known:
+    if zero_known or not rig.contacts:
         return responses
     loose = _loose_modes(responses, over)
     return tuple(

@@ -14,17 +14,18 @@ HALF_SINES = tuple(2.0**-k for k in (1, 2, 3, 4, 5))
 sooner."""
 SCALINGS = 4
 """Short simulations that scale each of them."""
-FIRST_S = 8
-"""Whole seconds of the record's beginning, whose motion the blow is to make."""
+FIRST_S, PARTS = 8, 8
+"""The record's beginning, whose motion the blow is to make, in so many parts."""
 
 
 def released(measured: Recording, simulate: Simulate) -> Simulate:
     """A simulator of free decays as long as the measured one, which take no notice of the force.
 
     The blow, at the place of the first force, is the half-sine after which the believed rig's sensors move most like
-    the measured ones, second by second. A decay begins up to one period behind the blow, by the seed.
+    the measured ones, part by part. A decay begins up to one period behind the blow, by the seed.
     """
     rate, wanted = measured.rig.sample_rate_hz, _levels(measured)
+    beginning = min(FIRST_S * round(rate), measured.samples)
     natural_hz = np.concatenate([modes_of(measured.rig, b).frequencies_hz(b.max_modes) for b in measured.rig.bodies])
     period = round(rate / max(float(np.min(natural_hz[natural_hz > 0], initial=np.inf)), 1.0))
 
@@ -35,12 +36,12 @@ def released(measured: Recording, simulate: Simulate) -> Simulate:
         return _unforced(part_of(simulate(rig, actual, forces_n, seed), slice(begin, begin + samples)))
 
     def scaled(half_sine: int) -> tuple[float, Float[np.ndarray, " blow"]]:
-        """How far the seconds' levels lie apart, and the blow."""
+        """How far the parts' levels lie apart, and the blow."""
         blow_n = measured.rig.body(measured.rig.forces[0].body).mass_kg * np.sin(
             np.pi * np.arange(half_sine) / half_sine
         )
         for _ in range(SCALINGS):
-            off = wanted - _levels(decay(measured.rig, measured.rig, blow_n, FIRST_S * round(rate), 0))
+            off = wanted - _levels(decay(measured.rig, measured.rig, blow_n, beginning, 0))
             blow_n = blow_n * np.exp(np.mean(off))
         return float(np.std(off)), blow_n
 
@@ -52,11 +53,11 @@ def released(measured: Recording, simulate: Simulate) -> Simulate:
     return simulated
 
 
-def _levels(recording: Recording) -> Float[np.ndarray, " seconds"]:
-    """Logarithm of the standard deviation in each of the first seconds, of all sensors of the last one's quantity."""
-    second = round(recording.rig.sample_rate_hz)
-    rows = recording.signals[recording.rig.sensors[-1].quantity].values[:, : FIRST_S * second]
-    return np.asarray(np.log(np.linalg.norm(rows.reshape(len(rows), FIRST_S, second).std(axis=2), axis=0)))
+def _levels(recording: Recording) -> Float[np.ndarray, " parts"]:
+    """Logarithm of the standard deviation in each part of the beginning, of all sensors of the last one's quantity."""
+    part = min(FIRST_S * round(recording.rig.sample_rate_hz), recording.samples) // PARTS
+    rows = recording.signals[recording.rig.sensors[-1].quantity].values[:, : PARTS * part]
+    return np.asarray(np.log(np.linalg.norm(rows.reshape(len(rows), PARTS, part).std(axis=2), axis=0)))
 
 
 def _unforced(recording: Recording) -> Recording:

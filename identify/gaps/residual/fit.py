@@ -228,9 +228,15 @@ def fit(
 
     `start` gives nuisance parameters and contact unknowns to begin at.
     """
-    first = _At(values, residual_of(linearization, build(values), *(_state(start) if start else (None, None))))
-    at, last = descended(first, partial(_step, linearization, build, steps, bounds), _settled, most)
-    return Fit(at.values, last.covariance, at.residual)
+    nuisance, unknowns = _state(start) if start else (None, None)
+    if nuisance is not None and linearization.tuned.pulls and not nuisance.any():
+        nuisance = None  # those of the modes are where the record asks for them
+    first = _At(values, residual_of(linearization, build(values), nuisance, unknowns))
+    step_from = partial(_step, linearization, build, steps, bounds)
+    at, step = descended(first, step_from, _settled, most)
+    if linearization.record.modes:  # a part of a sharp mode's width further the nuisance parameters' columns are others
+        step = step_from(first)
+    return Fit(at.values, step.covariance, at.residual)
 
 
 @dataclass(frozen=True)
@@ -256,7 +262,7 @@ def _step(linearization: Linearization, build: Build, steps: Values, bounds: tup
     """The step within bounds, and the covariance of the parameters by this linearisation."""
     values, residual, count = at.values, at.residual, len(linearization.columns.parameters)
     inside = FINE * np.where(values + steps > bounds[1], -steps, steps)
-    along = [derivative(linearization, build(values + s), residual) for s in np.eye(values.size) * inside]
+    along = [_along(linearization, build, values, s, residual) for s in np.eye(values.size) * inside]
     normal = reduced(linearization, residual).joined(along)
     held = normal.matrix + np.diag(np.r_[np.zeros(count), 1e-9 * np.diag(normal.matrix)[count:] + 1e-300])
     ends = [
@@ -283,6 +289,18 @@ def _step(linearization: Linearization, build: Build, steps: Values, bounds: tup
     inverse = scaled_inverse(normal.matrix)[count:, count:]
     covariance = linearization.record.sample_ratio * inverse * np.outer(inside, inside)
     return _Step(after, normal.promised(whole), covariance)
+
+
+def _along(linearization: Linearization, build: Build, values: Values, step: Values, at: Residual) -> Column:
+    """What a step takes off the residuals; where sharp modes ring, from two rigs, 2 r(x) - r(2 x) / 2.
+
+    A shift by a part of a resonance's width is bent, and what is bent nuisance parameters would not take up.
+    """
+    first = derivative(linearization, build(values + step), at)
+    if not linearization.record.modes:
+        return first
+    linear, contacts = derivative(linearization, build(values + 2 * step), at)
+    return 2 * first[0] - linear / 2, [2 * one - other / 2 for one, other in zip(first[1], contacts, strict=True)]
 
 
 def scaled_inverse(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:

@@ -11,7 +11,7 @@ law; so is a_base, held by its spectrum. What they leave, in standard deviations
 sensors less contacts tell it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -36,6 +36,12 @@ from identify.linear.model import (
 from identify.linear.projection import Projection, estimated_inputs, projection, unexplained
 from rig.model.description import Rig, Station, contact_stations
 from rig.model.modes import modes_of, participation
+from rig.model.sensing import PASSBAND
+
+RINGING = 4.0
+"""Modes up to this multiple of the highest frequency ring freely."""
+Tuned = Mapping[str, tuple[Float[np.ndarray, " modes"], Float[np.ndarray, " modes"]]]
+"""By body: factors on the frequency and on the damping ratio of each of its modes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,10 +84,22 @@ class Linear:
         return found
 
     @cached_property
+    def accelerations(self) -> Complex[np.ndarray, "sensors lines"]:
+        """What the sensors show, and of a free motion what they do not."""
+        shown = self.record.delivered / self.sensor_response
+        return np.asarray(shown + sum((m.not_shown for m in self.free), np.zeros_like(shown)))
+
+    @cached_property
+    def displaced(self) -> Complex[np.ndarray, "sensors lines"]:
+        """The displacements at the sensors, likewise."""
+        shown = self.record.displaced / self.sensor_response
+        missing = sum((m.not_shown for m in self.free), np.zeros_like(shown))
+        return np.asarray(shown + missing * self.record.twice_integrated)
+
+    @cached_property
     def eta_m(self) -> Complex[np.ndarray, "contacts lines"]:
         """The relative displacements, without the slow part that integration loses."""
-        record, places = self.record, places_of(self.record, self.rig)
-        displacements = record.displaced / self.sensor_response
+        places, displacements = places_of(self.record, self.rig), self.displaced
         eta = self.unseen_m(self.pushes, self.contact_n)
         for response in self.responses:
             eta += times(_across_weights(self.rig, response, places), displacements)
@@ -128,16 +146,19 @@ def linear_model(
     rig: Rig,
     model_error: float | Float[np.ndarray, "sensors lines"],
     cache: ResponseCache | None = None,
+    tuned: Tuned | None = None,
 ) -> Linear:
     """The linear residual of a rig that has the record's sensors and contacts, whatever else it has.
 
     model_error is the share of each acceleration that no model of this kind explains. The noise of the measured force
     is a further unknown input, with a prior of its own size. Contacts between the same places are one. `cache` is that
-    of whoever lays many rigs against the record.
+    of whoever lays many rigs against the record; `tuned` are factors on frequencies and damping of the modes.
     """
     rig = joined(rig)
     sensor_response = sensor_response_of(record, rig)
     responses = responses_of(rig, cache or ResponseCache(record.omega), record.zero_known)
+    if tuned:
+        responses = tuple(r.tuned(*tuned[r.body.name]) if r.body.name in tuned else r for r in responses)
     places = places_of(record, rig)
     pushes = _pushes(record, rig, responses, places, sensor_response)
     contacts = len(rig.contacts)
@@ -155,11 +176,13 @@ def linear_model(
     unknown.append(np.sqrt(record.force_noise[noisy, None, None]) / rig.force_sensor.gain * per_newton[noisy])
     by_input = np.concatenate(unknown) * sensed
     weighted = record.delivered / deviation - known * sensed
-    free = () if record.forced else free_modes(responses, _free_modes(record, responses), places)
+    free: tuple[FreeMode, ...] = ()
+    if record.from_the_blow:
+        free = free_modes(responses, _free_modes(record, responses), places, None if rig.contacts else record.sampling)
     if free:
         projected = projection(by_input, deviation, contacts)
         free = fitted_modes(free, projected, sensed, projected.of(weighted * deviation)[0][: len(places)])
-        weighted = weighted - sensed * sum(np.outer(mode.shape, mode.acceleration) for mode in free)
+        weighted = weighted - sensed * sum(mode.shown for mode in free)
     inputs, log_determinant = estimated_inputs(by_input, weighted, contacts)
     residual = unexplained(by_input, inputs, weighted)
     return Linear(
@@ -226,15 +249,16 @@ def _loads(record: Record, rig: Rig) -> list[tuple[Station, Complex[np.ndarray, 
 
 
 def _free_modes(record: Record, responses: tuple[Response, ...]) -> list[Int[np.ndarray, "_"]]:
-    """The modes of elastic bodies that ring freely at the beginning of a record without a force.
+    """The modes that ring freely at the beginning of a record without a force, by the nominal rig, so that all
+    rigs have the same unknowns.
 
-    They are those in the band by the nominal rig, so that all rigs have the same unknowns.
+    Without contacts so far beyond the band that what is left out changes nothing in it; none that no sensor shows.
     """
+    reach_hz = record.highest_hz
+    if not record.rig.contacts:
+        reach_hz = min(RINGING * reach_hz, PASSBAND * record.sample_rate_hz)
     nominal = [modes_of(record.rig, record.rig.body(r.body.name)).frequencies_hz(r.count) for r in responses]
-    return [
-        np.flatnonzero((hz < record.highest_hz) & (not r.body.is_mass))
-        for hz, r in zip(nominal, responses, strict=True)
-    ]
+    return [np.flatnonzero(hz < reach_hz) for hz in nominal]
 
 
 def _holding(rig: Rig, responses: tuple[Response, ...]) -> Float[np.ndarray, " contacts"]:

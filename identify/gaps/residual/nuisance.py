@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from identify.gaps.residual.grounded import pushed_by_motion
 from identify.gaps.residual.linear import Linear, bent
 from identify.gaps.residual.spectra import Record
-from identify.linear.free_motion import state_changes
+from identify.linear.free_motion import detuned, state_changes
 from identify.linear.model import Response, times
 from identify.linear.nuisance import (
     THE_FORCE,
@@ -35,7 +35,8 @@ BEYOND = 1.3
 @dataclass(frozen=True)
 class Columns:
     """Derivatives of the linear residual, the contact forces and the relative displacements, each by one nuisance
-    parameter in its standard deviations; in single precision."""
+    parameter in its standard deviations; in single precision, save where sharp modes ring, whose shifts are told from
+    those by an effect in the seventh digit alone."""
 
     parameters: tuple[Nuisance, ...]
     residual: Float[np.ndarray, "nuisances rows times"]
@@ -49,22 +50,22 @@ class Columns:
 
     def along(self, nuisance: Float[np.ndarray, " nuisances"]) -> Float[np.ndarray, "rows times"]:
         """What nuisance parameters take off the linear residual."""
-        return (nuisance.astype(np.float32) @ self.flat).reshape(self.residual.shape[1:])
+        return (nuisance.astype(self.residual.dtype) @ self.flat).reshape(self.residual.shape[1:])
 
     def products(self, residuals: Float[np.ndarray, "*some all"]) -> Float[np.ndarray, "nuisances *some"]:
         """With residuals, each row after row."""
-        return (self.flat @ residuals.T.astype(np.float32, copy=False)).astype(float)
+        return (self.flat @ residuals.T.astype(self.residual.dtype, copy=False)).astype(float)
 
 
 def columns_of(record: Record, model: Linear) -> Columns:
     """The columns of all tolerances above zero."""
     bodies = [r.body.name for r in model.responses]
     states = state_changes(model.free, bodies, model.sensor_response, float(np.linalg.norm(record.delivered)))
-    changes = [*changes_of(_observed(record, model)), *states]
+    changes = [*(_of_free_motion(record, model, c) for c in changes_of(_observed(record, model))), *states]
     count, contacts, samples = len(changes), len(model.rig.contacts), record.taken.stop - record.taken.start
-    residual = np.empty((count, len(model.residual), samples), np.float32)
+    residual = np.empty((count, len(model.residual), samples), np.float64 if record.modes else np.float32)
     forces, eta = (np.zeros((count, contacts, samples), np.float32) for _ in range(2))
-    projection = model.projection.single()
+    projection = model.projection if record.modes else model.projection.single()
     for i, change in enumerate(changes):
         left, force = _projected(record, model, projection, change)
         residual[i] = counted(record, left)
@@ -73,6 +74,22 @@ def columns_of(record: Record, model: Linear) -> Columns:
             moved = at_contacts(record, model, change.displaced, change.sensors)
             eta[i] = record.in_time(moved.astype(np.complex64))
     return Columns(tuple(c.parameter for c in changes), residual, forces, eta)
+
+
+def _of_free_motion(record: Record, model: Linear, change: Change) -> Change:
+    """Of a free decay that tells its modes, what other frequencies and damping make of the free motion as it is shown,
+    to the faded end; any other change as it is."""
+    parameter, tolerances = change.parameter, record.tolerances
+    if not record.modes or parameter.kind not in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING):
+        return change
+    delivered = np.zeros_like(model.sensor_response)
+    for motion in model.free:
+        response = model.responses[motion.body]
+        if response.body.name == parameter.of and parameter.mode in (None, motion.mode + 1):
+            delivered += detuned(motion, response, record.sampling, parameter.kind)
+    own = tolerances if parameter.mode is None else tolerances.of_mode(parameter.of, parameter.mode)
+    tolerance = own.frequency if parameter.kind is NuisanceKind.FREQUENCY else own.damping
+    return Change(parameter, list(range(len(delivered))), tolerance * model.sensor_response * delivered)
 
 
 def _projected(
@@ -95,7 +112,7 @@ def _observed(record: Record, model: Linear) -> Observed:
         sensor_response=model.sensor_response,
         explained=record.delivered - model.residual[: len(record.sensors)] * model.deviation,
         by_force=model.by_force,
-        displaced=record.displaced / model.sensor_response,
+        displaced=model.displaced,
         bodies=tuple(
             BodyMotion(response, motion, _elastic(record, response))
             for response, motion in zip(model.responses, _measured(record, model), strict=True)

@@ -24,6 +24,7 @@ from identify.gaps.residual.nuisance import Columns, apply_nuisance, columns_of,
 from identify.gaps.residual.observation import ContactObservation, seen_contacts
 from identify.gaps.residual.scales import Scales, estimated_scales, prior_scales
 from identify.gaps.residual.spectra import Record
+from identify.gaps.residual.tuning import TunedModes, tuned_modes
 from identify.linear.joined import joined_contacts, joined_laws
 from identify.linear.model import Recent, ResponseCache
 from identify.linear.nuisance import Nuisance
@@ -46,7 +47,8 @@ class SearchCache:
 class Linearization:
     """A record and the rig about which it is linearised: what every residual of the record shares.
 
-    put are the nuisance parameters that are in the rig already where it is linearised; None: all zero.
+    put are the nuisance parameters that are in the rig already where it is linearised; None: all zero. tuned are those
+    of single modes that are in the linear model too: of a free decay, which tells them.
     """
 
     record: Record
@@ -55,6 +57,7 @@ class Linearization:
     model: Linear
     seen: tuple[ContactObservation, ...]
     put: Float[np.ndarray, " nuisances"] | None
+    tuned: TunedModes
     cache: SearchCache
 
     def about(
@@ -69,8 +72,10 @@ class Linearization:
 
     @cached_property
     def expansion_point(self) -> Float[np.ndarray, " nuisances"]:
-        """The nuisance parameters that are in the rig already where it is linearised."""
-        return np.zeros(len(self.columns.parameters)) if self.put is None else self.put
+        """The nuisance parameters that are in the model already where it is linearised."""
+        parameters = self.columns.parameters
+        put = np.zeros(len(parameters)) if self.put is None else self.put
+        return put + np.array([self.tuned.pulls.get(p, 0.0) for p in parameters]) if self.tuned.pulls else put
 
     @cached_property
     def gram(self) -> Float[np.ndarray, "nuisances nuisances"]:
@@ -164,9 +169,10 @@ def linearized(
     """
     scales, cache = scales or prior_scales(record), cache or SearchCache(record)
     there, put = apply_nuisance(rig, at.parameters, at.nuisance, record.tolerances) if at else (rig, None)
-    model = linear_model(record, there, scales.discrepancy, cache.responses)
+    tuned = tuned_modes(record, there, at.parameters if at else None, at.nuisance if at else None)
+    model = linear_model(record, there, scales.discrepancy, cache.responses, tuned.factors)
     seen = seen or seen_contacts(record, model, joined_laws(there), scales.contacts)
-    return Linearization(record, rig, scales, model, seen, put, cache)
+    return Linearization(record, rig, scales, model, seen, put, tuned, cache)
 
 
 def rescaled(linearization: Linearization, at: Residual) -> Linearization:
@@ -182,9 +188,10 @@ def scales_at(linearization: Linearization, at: Residual) -> Scales:
 def linear_of(linearization: Linearization, rig: Rig) -> Linear:
     """The linear model of a rig, with the nuisance parameters in it that the linearisation has in its own."""
     record = linearization.record
-    if linearization.expansion_point.any():
-        rig, _ = apply_nuisance(rig, linearization.columns.parameters, linearization.expansion_point, record.tolerances)
-    return linear_model(record, rig, linearization.scales.discrepancy, linearization.cache.responses)
+    if linearization.put is not None and linearization.put.any():
+        rig, _ = apply_nuisance(rig, linearization.columns.parameters, linearization.put, record.tolerances)
+    scales, cache = linearization.scales, linearization.cache
+    return linear_model(record, rig, scales.discrepancy, cache.responses, linearization.tuned.factors)
 
 
 def residual_of(
@@ -194,12 +201,13 @@ def residual_of(
     unknowns: tuple[Float[np.ndarray, " _"], ...] | None = None,
     like: Residual | None = None,
 ) -> Residual:
-    """The residual of a rig at some nuisance parameters and contact unknowns (none of either: zero), without any fit.
+    """The residual of a rig at some nuisance parameters (none: those of the linearisation) and contact unknowns (none:
+    zero), without any fit.
 
     `like` is a residual of the same linearisation, of which nothing is computed again that is the same.
     """
     record, parameters, laws = linearization.record, linearization.columns.parameters, joined_laws(rig)
-    nuisance = np.zeros(len(parameters)) if nuisance is None else nuisance
+    nuisance = linearization.expansion_point if nuisance is None else nuisance
     if like is not None and same_but_laws(like.rig, rig):
         model, laid, bare = like.model, like.laid, like.bare
     else:

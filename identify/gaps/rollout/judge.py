@@ -18,10 +18,11 @@ from msgspec.structs import replace
 from scipy.stats import t as student
 
 from identify.gaps.residual.residual import Residual
-from identify.gaps.rollout.decay import compared_modes, modes_of_decay
+from identify.gaps.rollout.decay import compared_modes
 from identify.gaps.rollout.results import Code, DecayMode, NullErrors, PredictionErrors, Rollout
 from identify.gaps.rollout.states import MeasuredMotion, motion_of
 from identify.gaps.rollout.windows import Predict, Windows, errors_of, horizon_of, medians, predicted, size_of, spread
+from identify.signals.ringing import modes_of_decay
 from rig.errors import RigError
 from rig.model.modes import modes_of
 from rig.recording import Recording

@@ -47,7 +47,7 @@ def attached(linearization: Linearization, moved: Rig, at: Residual) -> Column |
 def _forces(record: Record, model: Linear, more: Rig) -> list[tuple[Station, Complex[np.ndarray, " lines"]]]:
     """Of what is attached: the place of each, and how it pushes."""
     places = places_of(record, model.rig)
-    displacements, accelerations = record.displaced / model.sensor_response, record.delivered / model.sensor_response
+    displacements, accelerations = model.displaced, model.accelerations
     found = ground_forces(record, more, model.responses, places, displacements)
     springs = [s for s in more.springs if s.stiffness_n_per_m]
     for spring, w in zip(springs, displaced_at(model.responses, places, springs, displacements), strict=True):

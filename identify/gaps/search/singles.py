@@ -19,10 +19,11 @@ from identify.gaps.search.hypothesis import (
     refined,
     straightened,
 )
+from identify.gaps.search.ringing_screening import ringing_screening
 from identify.gaps.search.screening import Screened, grid_screening, law_screening, of_laws, score_screening
 from rig.errors import RigError
 
-BY_SCORE, BY_GRID, FRESH, BY_LAW = 3, 2, 2, 1
+BY_SCORE, BY_GRID, FRESH, BY_LAW, BY_MODES = 3, 2, 2, 1, 5
 """So many candidates of each screening are fitted for a few steps."""
 KEPT, RIVAL = 3, 0.5
 """So many of those are fitted to the end, if they gained this share of what the best one did."""
@@ -82,6 +83,7 @@ def _screened_fits(
         ((s, residual) for s in _by_score(linearization, residual, steady, nothing, BY_SCORE)),
         ((s, fresh) for s in _worth(linearization, score_screening(linearization, fresh, laws), FRESH)),
         ((s, None) for s in _worth(linearization, grid_screening(linearization, steady), BY_GRID)),
+        ((s, None) for s in ringing_screening(linearization.record, linearization.rig, steady)[:BY_MODES]),
     )
     for one, start in screened:
         with suppress(RigError):

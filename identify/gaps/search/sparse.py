@@ -8,7 +8,8 @@ Notes for maintainers
    selected beside it, until nothing enters or a fit does not lower S by `GAINED`. Where nothing is selected, the three
    that gain most are fitted whatever they gain, as tolerances that stand far off bend the model.
 3. Begin elsewhere (`_begun_by_single`): where a set leaves more than half of the mismatch, an effect is so large, or a
-   line so sharp, that slopes say nothing of it. Then single effects are screened over their whole range.
+   line so sharp, that slopes say nothing of it. Then single effects are screened over their whole range. A free decay
+   whose modes are told begins so at once: no slope leads from one resonance to another.
 4. Leave out (`without_each`): linear removal of strong effects misleads, so the set is fitted again without each of its
    members. A member without which S rises by less than `WORTH` leaves the set. Then members leave one after the other,
    the least first, so that the record that was not fitted may ask for fewer.
@@ -77,7 +78,7 @@ def search(context: Search, progress: Progress = lambda _: None) -> list[Hypothe
     The one of least -2 ln p on this record first.
     """
     nominal = context.nothing()
-    best = _refined_from(context, nominal)
+    best = nominal if context.linearization.record.modes else _refined_from(context, nominal)
     progress(0.4)
     best = _begun_by_single(context, nominal, best)
     progress(0.6)
@@ -95,11 +96,14 @@ def _refined_from(context: Search, start: Tried) -> Tried:
 
 
 def _begun_by_single(context: Search, nominal: Tried, best: Tried) -> Tried:
-    """The better of a set and one that begins with the best single effect, where the set leaves most of the misfit."""
+    """The better of a set and one that begins with the best single effect, where the set leaves most of the misfit, or
+    the record tells modes."""
     before, after = nominal.hypothesis.misfit, best.hypothesis.misfit
-    if after.sharp <= WORTH and (after.excess < FAR or after.excess < DOMINANT * before.excess):
-        return best
-    singles = single_effects(context, nominal)
+    if context.linearization.record.modes:
+        leaves_most = best.hypothesis.leaves_something
+    else:
+        leaves_most = after.sharp > WORTH or after.excess >= max(FAR, DOMINANT * before.excess)
+    singles = single_effects(context, nominal) if leaves_most else []
     return _refined_from(context, singles[0]) if singles and singles[0].cost < best.cost else best
 
 

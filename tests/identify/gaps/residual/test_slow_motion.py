@@ -9,7 +9,7 @@ from scipy.io import loadmat
 
 from identify.gaps.residual.likelihood import reference_of
 from identify.gaps.residual.residual import linearized
-from identify.gaps.residual.spectra import FADED_S, LEFT_OUT_S, record_of
+from identify.gaps.residual.spectra import FADED, LEFT_OUT_S, record_of
 from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.hypothesis import Search, fit_effects
 from identify.gaps.search.nominal import fit_nuisance
@@ -86,7 +86,7 @@ def test_without_friction_none_is_found_and_nothing_is_left():
 
 def test_the_measured_motion_counts_up_to_the_fade():
     free = record_of(moved(0.0, 0.0))
-    assert free.time_s[0] == pytest.approx(FADED_S, abs=0.05)
+    assert free.time_s[0] == pytest.approx(FADED, abs=0.05)
     held = recording_of(
         carriage(20.0, 30.0, RATE_HZ, 1.0), *(moved(0.0, 0.0).signals[n].values[0] for n in ("force", "displacement"))
     )

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from identify.gaps.rollout.decay import RingingMode, compared_modes, modes_of_decay
+from identify.gaps.rollout.decay import compared_modes
+from identify.signals.ringing import RingingMode, modes_of_decay
 
 MODES = ((8.4, 0.01, 1.0), (52.3, 0.004, 0.5), (146.0, 0.02, 0.3))
 

@@ -1,0 +1,135 @@
+"""Free decays of a cantilever without contacts, by finite elements and modal superposition, from the blow on."""
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+
+import identify
+from identify.gaps.residual.likelihood import reference_of
+from identify.gaps.residual.residual import linearized
+from identify.gaps.residual.spectra import record_of
+from identify.gaps.search.candidates import candidates, scale_of
+from identify.gaps.search.hypothesis import Search, fit_briefly, refined
+from identify.gaps.search.nominal import fit_nuisance
+from identify.gaps.search.ringing_screening import ringing_screening
+from rig.errors import RigError
+from rig.model.beam import Beam
+from rig.model.description import Rig, Sensor, Station
+from rig.recording import Recording, Signals, channel_groups
+
+BEAM = Beam(name="beam", ends="clamped-free", length_m=1.0, width_m=0.04, thickness_m=0.01, damping_ratio=0.01)
+PLACES_M, RATE_HZ, ELEMENTS = (0.3, 0.55, 0.8, 1.0), 512.0, 20
+NOISE = {"displacement": 5e-8, "velocity": 1e-6, "acceleration": 1e-3}
+"""One-sided, per sqrt(Hz)."""
+
+
+def shape_row(position_m):
+    """Hermite's polynomials of the element at a place, over all coordinates but the clamp's."""
+    size = BEAM.length_m / ELEMENTS
+    element = min(int(position_m / size), ELEMENTS - 1)
+    t = position_m / size - element
+    row = np.zeros(2 * ELEMENTS + 2)
+    row[2 * element : 2 * element + 4] = [
+        1 - 3 * t**2 + 2 * t**3,
+        size * (t - 2 * t**2 + t**3),
+        3 * t**2 - 2 * t**3,
+        size * (t**3 - t**2),
+    ]
+    return row[2:]
+
+
+def decay(quantity, duration_s, added_kg=0.0, stiffer=1.0, level_n=20.0, seed=1):
+    """Of the beam with a mass at its tip, released from a force there 50 ms before the record begins."""
+    a, m = BEAM.length_m / ELEMENTS, BEAM.mass_per_length_kg_per_m * BEAM.length_m / ELEMENTS / 420
+    bending = stiffer * BEAM.bending_stiffness_n_m2 / a**3
+    own_k = np.array(
+        [[12, 6 * a, -12, 6 * a], [0, 4 * a**2, -6 * a, 2 * a**2], [0, 0, 12, -6 * a], [0, 0, 0, 4 * a**2]]
+    )
+    own_m = np.array([[156, 22 * a, 54, -13 * a], [0, 4 * a**2, 13 * a, -3 * a**2], [0, 0, 156, -22 * a], [0] * 4])
+    own_m[3, 3] = 4 * a**2
+    stiffness, mass = np.zeros((2, 2 * ELEMENTS + 2, 2 * ELEMENTS + 2))
+    for k in range(ELEMENTS):
+        at = slice(2 * k, 2 * k + 4)
+        stiffness[at, at] += bending * (np.triu(own_k) + np.triu(own_k, 1).T)
+        mass[at, at] += m * (np.triu(own_m) + np.triu(own_m, 1).T)
+    stiffness, mass, tip = stiffness[2:, 2:], mass[2:, 2:], shape_row(BEAM.length_m)
+    square, vectors = eigh(stiffness, mass + added_kg * np.outer(tip, tip))
+    omega = np.sqrt(square[np.sqrt(square) < 0.4 * 2 * np.pi * RATE_HZ])
+    vectors, ratio = vectors[:, : omega.size], BEAM.damping_ratio
+    pole = omega * (-ratio + 1j * np.sqrt(1 - ratio**2))
+    start = level_n * (tip @ vectors) / omega**2
+    amplitude = start * (1 - 1j * ratio / np.sqrt(1 - ratio**2))
+    time_s = 0.05 + np.arange(round(duration_s * RATE_HZ)) / RATE_HZ
+    order = ("displacement", "velocity", "acceleration").index(quantity)
+    modal = np.real((amplitude * pole**order)[:, None] * np.exp(np.outer(pole, time_s)))
+    noise = NOISE[quantity] * np.sqrt(RATE_HZ / 2) * np.random.default_rng(seed).standard_normal((4, time_s.size))
+    rows = {"force": np.zeros((1, time_s.size))}
+    rows[quantity] = np.array([shape_row(x) for x in PLACES_M]) @ vectors @ modal + noise
+    sensors = tuple(
+        Sensor(name=f"s{k}", station=Station("beam", x), quantity=quantity) for k, x in enumerate(PLACES_M, 1)
+    )
+    rig = Rig(
+        name="cantilever",
+        bodies=(BEAM,),
+        contacts=(),
+        force_at=Station("beam", BEAM.length_m),
+        sensors=sensors,
+        sample_rate_hz=RATE_HZ,
+    )
+    return Recording(rig, {n: Signals(c, 0.0, rows[n]) for n, c in channel_groups(rig).items()}, {})
+
+
+def fitted(record, effect=None):
+    """The nominal rig, or an effect from what the modes ask for, fitted to a record."""
+    reference = reference_of(linearized(record, record.rig))
+    known = candidates(scale_of(record, record.rig), (), record.zero_known, forced=False)
+    context = Search(reference, *fit_nuisance(record, record.rig, rounds=1), tuple(known))
+    if effect is None:
+        return context.nothing().hypothesis
+    asked = ringing_screening(record, record.rig, [one for one in known if one.kind.name == effect])
+    briefly = [fit_briefly(context, (one.candidate,), one.values, None) for one in asked]
+    return refined(context, min(briefly, key=lambda one: one.cost)).hypothesis
+
+
+def test_of_the_machine_as_it_is_believed_nothing_that_matters_is_left():
+    for quantity in NOISE:
+        nothing = fitted(record_of(decay(quantity, 3.0)))
+        assert not nothing.leaves_something
+        assert nothing.misfit.share < 5e-3
+
+
+@pytest.mark.parametrize("quantity", ["velocity", "acceleration"])
+def test_a_mass_at_the_tip_is_found_from_a_decay_of_3_s(quantity):
+    record = record_of(decay(quantity, 3.0, added_kg=0.22))
+    before, found = fitted(record), fitted(record, "added_mass")
+    errors = np.sqrt(np.diag(found.covariance))
+    assert np.all(np.abs(found.values - [0.22, 1.0]) < 3 * errors)
+    assert np.all(errors < [0.01, 0.02])
+    assert before.misfit.share > 0.3
+    assert not found.leaves_something
+
+
+def test_a_first_frequency_26_per_cent_off_leaves_most_of_the_motion_and_is_found():
+    record = record_of(decay("displacement", 3.0, stiffer=1.26**2))
+    before, found = fitted(record), fitted(record, "youngs_modulus")
+    error = np.sqrt(found.covariance[0, 0])
+    assert abs(found.values[0] - 1.26**2) < 3 * error
+    assert error == pytest.approx(2 * 1.26**2 * 2e-3 * np.sqrt(1.5), rel=0.2)  # tolerances: of all modes, of two each
+    assert before.misfit.share > 0.3
+    assert not found.leaves_something
+
+
+def test_the_record_tells_every_mode_from_its_first_sample_on():
+    record = record_of(decay("acceleration", 3.0))
+    assert record.time_s[0] == 0
+    assert [m.frequency_hz for m in record.modes] == pytest.approx(BEAM.frequencies_hz(3), rel=1e-3)
+    assert [m.damping_ratio for m in record.modes] == pytest.approx([BEAM.damping_ratio] * 3, rel=0.03)
+
+
+def test_a_decay_below_a_second_is_refused():
+    with pytest.raises(RigError, match="needs 1 s"):
+        record_of(decay("velocity", 0.8))
+
+
+def test_the_check_finds_no_fault_in_a_cut_decay():
+    assert {f.cause for f in identify.check(decay("acceleration", 3.0)).findings} == {"dead"}
