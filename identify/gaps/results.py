@@ -169,7 +169,8 @@ class Compared(msgspec.Struct, frozen=True, kw_only=True):
     """A parameter (EFFECT.FIELD, at a place) as each record has it by itself, in the order of the records.
 
     Standard errors are those of a value beside the mean of all: the tolerances that all records share are not in them.
-    p_value is that of one value for all; trend is "none" where nothing more than chance is seen.
+    p_value is that of one value for all; trend is "none" where nothing more than chance is seen, by_level the trend in
+    the order of the records' forces, "none" where these are one level.
     """
 
     parameter: str
@@ -177,6 +178,21 @@ class Compared(msgspec.Struct, frozen=True, kw_only=True):
     values: tuple[Value, ...]
     p_value: float
     trend: Trend
+    by_level: Trend = "none"
+
+
+class LevelDependence(msgspec.Struct, frozen=True, kw_only=True):
+    """The mode that changes most between the lowest and the highest level, where all that differs follows the level.
+
+    The levels are root mean squares of the force, N; the changes are relative to the lowest level.
+    """
+
+    lowest_n: float
+    highest_n: float
+    body: str
+    frequency_hz: float
+    frequency_change: float
+    damping_change: float
 
 
 class Between(msgspec.Struct, frozen=True, kw_only=True):
@@ -190,6 +206,7 @@ class Between(msgspec.Struct, frozen=True, kw_only=True):
     cause_p_value: float | None
     differing: tuple[Compared, ...]
     looked_at: int
+    level_dependence: LevelDependence | None = None
 
 
 class NextExperiment(msgspec.Struct, frozen=True):

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from identify.gaps.decision_table import Bounded, Verdict
-from identify.gaps.results import Between, Cause, Compared, Diagnosis, Gap, Left
+from identify.gaps.results import Between, Cause, Compared, Diagnosis, Gap, Left, LevelDependence
 from identify.pages import wording
 from identify.pages.wording import number, percent
 from rig.model.unmeasured_force import Value
@@ -131,7 +131,20 @@ def between_records(between: Between) -> str:
     """What differs between the records, in a sentence."""
     if not between.differing:
         return "Nothing differs between the records beyond what tolerances and noise explain."
-    return f"Between the records, {joined([differs(one) for one in between.differing])}."
+    said = f"Between the records, {joined([differs(one) for one in between.differing])}."
+    return f"{level_words(between.level_dependence)} {said}" if between.level_dependence else said
+
+
+def level_words(one: LevelDependence) -> str:
+    """Such as "The machine softens with the motion, from 12 to 61 N rms: ..."."""
+    shift, damping = (f"{100 * x:+.2g} %" for x in (one.frequency_change, one.damping_change))
+    kind = "softens" if one.frequency_change < 0 else "stiffens"
+    joint = "friction or clearance in a joint" if one.frequency_change < 0 else "a stop or a hardening spring"
+    return (
+        f"The machine {kind} with the motion: the mode of the {one.body} at {number(one.frequency_hz)} Hz changes by "
+        f"{shift} and its damping by {damping} from {number(one.lowest_n, 2)} to {number(one.highest_n, 2)} N rms, as "
+        f"{joint} does; no change of mass or linear stiffness depends on the motion."
+    )
 
 
 def differs(one: Compared) -> str:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 from msgspec.structs import asdict
 
 from identify.gaps.decision.attribution import attribution
@@ -136,9 +137,10 @@ def _between(
     records = [one.record for one in prepared.observations]
     references = [one.reference for one in prepared.observations]
     cause = decision.named if decision.helps else None
+    levels_n = [float(np.sqrt(np.mean(np.sum(one.recording.forces_n**2, axis=0)))) for one in prepared.observations]
     return attempted(
         "between_records",
-        lambda: differences(records, references, cause, searched.candidates, prepared.titles, progress),
+        lambda: differences(records, references, cause, searched.candidates, prepared.titles, levels_n, progress),
     )
 
 

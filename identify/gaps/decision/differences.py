@@ -15,10 +15,11 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.stats import chi2
 
 from identify.gaps.decision.comparison import TEMPERATURE, Judged, of_this_record
+from identify.gaps.decision.level_dependence import have_levels, level_dependence
 from identify.gaps.decision_table import USUAL
 from identify.gaps.residual.fit import Values
 from identify.gaps.residual.likelihood import Reference
@@ -188,25 +189,30 @@ def differences(
     cause: Judged | None,
     known: Sequence[Candidate],
     names: Sequence[str],
+    levels_n: Sequence[float],
     progress: Callable[[float], None] = lambda _: None,
 ) -> Between:
     """What differs between records beside a cause, or the believed rig; `known` are the effects at all places,
-    `names` those of the records.
+    `names` and `levels_n` those of the records, the latter by the root mean square of the force.
 
     Left out are effects that only a spectrum tells, and those that every record has its own of (a tone's phase).
     """
     compared = _Compared(records, seen, [c for c in known if not (c.kind.stochastic or c.kind.of_a_record)])
     begun = _standing(records, cause)
     tests, looked_at = _different(compared, begun, progress)
-    varied, differing = _values_apart(compared, begun, tests, looked_at)
+    order = np.argsort(levels_n) if have_levels(levels_n) else None
+    varied, differing = _values_apart(compared, begun, tests, looked_at, order)
     shared = _values_shared(compared, varied.standing, [p.name for p in begun.parts], [t.part.name for t in tests])
     progress(1.0)
+    rigs = [varied.standing.rig(k) for k in range(len(records))]
+    highest_hz = max(record.highest_hz for record in records)
     return Between(
         records=tuple(names),
         cause=tuple(_rows(shared[0], shared[1], 0)) if shared else (),
         cause_p_value=float(np.exp(_log_p(shared[1], shared[0].own.shape))) if shared else None,
         differing=tuple(differing),
         looked_at=looked_at,
+        level_dependence=level_dependence(rigs, levels_n, differing, highest_hz),
     )
 
 
@@ -229,9 +235,14 @@ def _different(compared: _Compared, begun: Standing, progress: Callable[[float],
 
 
 def _values_apart(
-    compared: _Compared, begun: Standing, tests: Sequence[Test], looked_at: int
+    compared: _Compared,
+    begun: Standing,
+    tests: Sequence[Test],
+    looked_at: int,
+    order: Int[np.ndarray, " records"] | None,
 ) -> tuple[Varied, list[Compared]]:
-    """Each record's own strengths of the effects that differ, fitted together, and their rows of the answer."""
+    """Each record's own strengths of the effects that differ, fitted together, and their rows of the answer; `order` is
+    that of the records' levels, if they have several."""
     standing = begun
     for test in tests:
         standing = standing.with_effect(test.part, test.values)
@@ -239,7 +250,7 @@ def _values_apart(
     if not tests:
         return varied, []
     varied, together = compared.fitted(varied)
-    return varied, _rows(varied, together, looked_at)
+    return varied, _rows(varied, together, looked_at, order)
 
 
 def _values_shared(
@@ -270,8 +281,10 @@ def _log_p(together: Pooled, shape: tuple[int, ...], parameter: int | None = Non
     return float(chi2.logsf(square / TEMPERATURE, len(contrast)))
 
 
-def _rows(one: Varied, together: Pooled, among: int) -> list[Compared]:
-    """For the answer; `among`: those that differ of so many looked at, or 0."""
+def _rows(
+    one: Varied, together: Pooled, among: int, order: Int[np.ndarray, " records"] | None = None
+) -> list[Compared]:
+    """For the answer; `among`: those that differ of so many looked at, or 0; `order`: that of the levels."""
     records, size = one.own.shape
     every = [(part, p) for part in one.standing.parts for p in part.parameters]
     rows = []
@@ -289,6 +302,7 @@ def _rows(one: Varied, together: Pooled, among: int) -> list[Compared]:
                 values=tuple(Value(float(v), float(e), about.unit) for v, e in zip(values, errors, strict=True)),
                 p_value=min(1.0, max(1, among) * float(np.exp(_log_p(together, one.own.shape, i)))),
                 trend=_trend(values, covariance) if among else "none",
+                by_level="none" if order is None else _trend(values[order], covariance[np.ix_(order, order)]),
             )
         )
     return rows

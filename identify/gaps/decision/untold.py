@@ -15,7 +15,7 @@ from identify.gaps.search.candidates import Candidate
 from identify.pages.wording import interval, number
 from rig.errors import RigError
 from rig.model.description import PointDamper, PointMass, PointSpring, Rig, Station
-from rig.model.modes import given_beside, modes_of, modes_wanted
+from rig.model.modes import Modes, given_beside, modes_of, modes_wanted
 
 DOMINATES = 0.5
 """A mode with more than this share of the changes of all modes in the band (in half bandwidths, squared) dominates."""
@@ -71,19 +71,24 @@ def _places(attached: Sequence[PointSpring | PointDamper | PointMass]) -> list[S
 def _changes(
     rig: Rig, part: Candidate, values: Float[np.ndarray, " parameters"], body_name: str
 ) -> Float[np.ndarray, "2 modes"]:
-    """Of each mode of a body: by how much an effect changes its frequency, Hz, and its damping ratio.
-
-    A damper c adds c phi^2 / (2 omega) to the latter.
-    """
+    """Of each mode of a body: by how much an effect changes its frequency, Hz, and its damping ratio."""
     body, moved = rig.body(body_name), part.applied(rig, values)
     count = modes_wanted(body, body.max_modes)
     before, after = modes_of(rig, body), modes_of(moved, body)
     hz = before.frequencies_hz(count)
-    ratios = np.zeros(count)
-    for damper in moved.dampers[len(rig.dampers) :]:
-        shape = before.shapes(np.array([damper.station.position_m]), count)[0]
-        ratios += damper.damping_n_s_per_m * shape**2 / (4 * np.pi * np.maximum(hz, 1e-9))
+    ratios = ratios_by_dampers(before, hz, moved.dampers[len(rig.dampers) :])
     return np.array([after.frequencies_hz(count) - hz, ratios])
+
+
+def ratios_by_dampers(
+    modes: Modes, frequencies_hz: Float[np.ndarray, " modes"], dampers: Sequence[PointDamper]
+) -> Float[np.ndarray, " modes"]:
+    """Damping ratios that dampers on a body give its modes: c phi^2 / (2 omega) each."""
+    ratios = np.zeros_like(frequencies_hz)
+    for damper in dampers:
+        shape = modes.shapes(np.array([damper.station.position_m]), frequencies_hz.size)[0]
+        ratios += damper.damping_n_s_per_m * shape**2 / (4 * np.pi * np.maximum(frequencies_hz, 1e-9))
+    return ratios
 
 
 def _dominant_mode(

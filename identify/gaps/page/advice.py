@@ -43,6 +43,11 @@ def next_steps(gap: Gap) -> list[str]:
 def _between(gap: Gap) -> list[str]:
     if gap.between is None or not gap.between.differing:
         return []
+    if gap.between.level_dependence:
+        return [
+            "The records differ as their levels do: look for a joint that slides or opens, and take the records of the "
+            "level that you want to simulate; what follows holds for the validation record."
+        ]
     names = joined(list(dict.fromkeys(one.parameter.split(".")[0] for one in gap.between.differing)))
     return [
         f"The machine was not the same in all records ({names}): find out what changed, and diagnose the records of "
