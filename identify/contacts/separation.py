@@ -28,7 +28,8 @@ QUIETEST = 1e-5
 """No accelerometer is believed to be quieter, m/s^2/sqrt(Hz): then other errors than noise make the drift."""
 LEAST_S = 1.0
 """A record of which less can be used is refused."""
-SEGMENT_S, LEFT_POWER = 1.0, 1e-3
+SEGMENT_S, ABOVE_NOISE = 1.0, 4.0
+"""Length of a segment; what exceeds the noise so many times in power stands out of it."""
 ROUNDING = 1e-7
 """No contact force is believed to be quieter, of the exciting force: what a record without noise leaves is rounding."""
 UNKNOWN_TO_MODEL = ("masses", "springs", "clamps", "loads", "base_motion", "force_sensor", "dampers", "tones")
@@ -92,8 +93,8 @@ def driven_to_hz(motion: Kinematics) -> float:
 
 
 def vibrates_to_hz(motion: Kinematics) -> float:
-    """Up to where the displacements of a record without a force hold all but a thousandth of their power above that of
-    the highest frequencies, which is noise; by windowed segments, as a record that begins in motion would leak.
+    """Up to where the displacements of a record without a force stand out of the noise, which is what the highest
+    frequencies hold; by windowed segments, as a record that begins in motion would leak.
 
     Raises ContactRefusedError if no motion was recorded.
     """
@@ -103,8 +104,8 @@ def vibrates_to_hz(motion: Kinematics) -> float:
     hz, power = welch(moving, motion.sample_rate_hz, nperseg=length)
     low, high = (share * motion.sample_rate_hz for share in BAND)
     noise = np.median(power[:, (hz > low) & (hz < high)], axis=1, keepdims=True)
-    held = np.cumsum(power - noise, axis=1)
-    ends = hz[np.argmax(held >= (1 - LEFT_POWER) * held[:, -1:], axis=1)]
+    heard = power > ABOVE_NOISE * noise
+    ends = hz[power.shape[1] - 1 - np.argmax(heard[:, ::-1], axis=1)]
     return float(min(highest, ends.max()))
 
 

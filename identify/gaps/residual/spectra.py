@@ -30,8 +30,8 @@ from rig.recording.period import period_of
 TAPER_S = 0.5
 RING_S = 12.0
 """Silence behind the record in which the beams ring down before the transform wraps round."""
-LEFT_OUT_S = 4.5
-"""At the record's end, where the taper, and integration, falsify every residual."""
+LEFT_OUT_S, SHARE_LEFT_OUT = 4.5, 0.45
+"""At the record's end, where the taper, and integration, falsify every residual; of a record at most this share."""
 FADED, SHARE_FADED = 1.5, 0.1
 """What is left out at a faded end where nothing is integrated, and at a faded beginning where nothing rings either, as
 a multiple of the fade; which is no longer than this share of the record."""
@@ -264,6 +264,7 @@ class _Beginning:
     excited_from: int
     quiet_samples: int
     faded_s: float
+    duration_s: float
 
     @property
     def quiet(self) -> bool:
@@ -272,7 +273,8 @@ class _Beginning:
     @property
     def left_out_s(self) -> tuple[float, float]:
         """At the beginning and at the end."""
-        at_end_s = LEFT_OUT_S if self.contacts and not self.free else FADED * self.faded_s
+        rings = not self.free and (self.contacts or not self.from_the_blow)
+        at_end_s = min(LEFT_OUT_S, SHARE_LEFT_OUT * self.duration_s) if rings else FADED * self.faded_s
         if self.quiet:
             return 0.0, at_end_s
         if self.from_the_blow:
@@ -298,12 +300,13 @@ def _beginning(recording: Recording, sensors: tuple[Sensor, ...]) -> _Beginning:
         excited_from=excited_from,
         quiet_samples=before if before > QUIET_S * rate else 0,
         faded_s=faded_s if contacts else min(faded_s, SHARE_FADED * recording.duration_s),
+        duration_s=recording.duration_s,
     )
 
 
 def _check_length(recording: Recording, begun: _Beginning) -> None:
     """Raises RigError if a record is too short."""
-    whole = not begun.integrates and (begun.quiet or begun.from_the_blow)
+    whole = not begun.contacts and (begun.quiet or begun.from_the_blow)
     shortest_s = SHORTEST_WHOLE_S if whole else SHORTEST_S
     if recording.duration_s < shortest_s:
         raise RigError(

@@ -99,7 +99,7 @@ def test_what_all_records_have_is_a_cause_and_no_difference(null_reference):
 
 def test_nothing_differs_between_records_of_the_believed_rig(nominal):
     records = [record_of(one) for one in nominal]
-    between = differences(records, references(records), None, library(records[0]), ("1", "2", "3"))
+    between = differences(records, references(records), None, library(records[0]), ("1", "2", "3"), (1.0, 1.0, 1.0))
     assert between.differing == between.cause == ()
     assert between.looked_at > 5
 
