@@ -30,6 +30,11 @@ this.title = JSON.stringify([page.scrollingElement.scrollWidth, pictures, plots]
 """
 
 
+def pytest_collection_modifyitems(items):
+    """Long modules first: the workers then end together, and each such module makes its null reference once."""
+    items.sort(key=lambda item: item.get_closest_marker("long") is None)
+
+
 @dataclass(frozen=True)
 class Opened:
     """A page as a browser has it: how wide it scrolls, each picture's width and each plot's height (0: not shown), and

@@ -120,7 +120,7 @@ CAUSES: Mapping[RefusalCode, tuple[str, RemedyCode]] = {
     RefusalCode.STANDS_STILL: ("its relative displacement stands still", RemedyCode.CHECK_DISPLACEMENT_SENSOR),
     RefusalCode.HARDLY_CLOSES: ("it hardly ever closes in this record", RemedyCode.EXCITE_MORE),
     RefusalCode.ONE_STOP_TOUCHED: (
-        "only one of its stops is ever touched, so its play cannot be told",
+        "only one of its stops is clearly touched, so its play cannot be told",
         RemedyCode.EXCITE_MORE_OR_DISPLACEMENTS,
     ),
     RefusalCode.NOT_REACHED: (

@@ -8,6 +8,8 @@ from scipy.integrate import solve_ivp
 from scenarios.newcomer import one_mass
 from scenarios.newcomer_machine import OVERSAMPLED, cantilever_modes, mass, motion, noise_force
 
+pytestmark = pytest.mark.long
+
 
 def test_the_mass_moves_as_its_equation_says():
     """Against an adaptive Runge-Kutta method, through a dozen contacts."""

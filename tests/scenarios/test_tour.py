@@ -3,6 +3,8 @@
 from rig.model.description import from_json
 from scenarios.tour import tour
 
+pytestmark = pytest.mark.long
+
 
 def test_the_tour_corrects_the_rig(tmp_path, capsys):
     tour(out=tmp_path, duration=40.0)

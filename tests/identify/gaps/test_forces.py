@@ -19,6 +19,8 @@ from rig.simulation.reference import BarrelCradle
 from rig.simulation.replay import modal
 from scenarios.topologies import RIGS
 
+pytestmark = pytest.mark.long
+
 BEAMS = BarrelCradle(sensors="acceleration").rig()
 FRAME = RIGS["frame, free"].rig
 FLOORS = [s.station for s in FRAME.sensors]

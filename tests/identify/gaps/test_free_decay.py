@@ -7,7 +7,8 @@ import identify
 from identify.gaps.decision.release import FIRST_S, released
 from identify.gaps.decision.sentence import UNSCALED
 from identify.gaps.faults import check_decay
-from identify.gaps.residual.spectra import LEFT_OUT_S, record_of
+from identify.gaps.residual.extent import LEFT_OUT_S
+from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates, scale_of
 from rig.errors import RigError
 from rig.simulation.replay import modal

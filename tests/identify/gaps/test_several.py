@@ -24,6 +24,8 @@ from rig.simulation.excitation import force_history
 from rig.simulation.reference import Sdof
 from rig.simulation.replay import modal
 
+pytestmark = pytest.mark.long
+
 SETTINGS = Sdof(sensors="displacement", duration_s=20.0)
 RIG = replace(SETTINGS.rig(), sensors=tuple(replace(s, noise_density=1e-7) for s in SETTINGS.rig().sensors))
 LEVELS_N = 0.5, 0.6, 0.7

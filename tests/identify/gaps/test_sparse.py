@@ -15,6 +15,8 @@ from rig.effects.contact_damping import ContactDamping
 from rig.model.tolerances import LABORATORY
 from rig.simulation.reference import BarrelCradle
 
+pytestmark = pytest.mark.long
+
 SETTINGS = BarrelCradle(sensors="acceleration", noise_density=1e-3, duration_s=16.0, seed=78)
 MASS = AddedMass(mass_kg=0.05, relative_position=0.7)
 DAMPING = ContactDamping(damping_n_s_per_m=20.0, contact="contact_1")

@@ -8,10 +8,14 @@ from msgspec.structs import replace
 from identify.gaps.decision.answer import Simulator, diagnose
 from identify.gaps.decision.null_reference import null_reference_of
 from rig.effects import effect_named
+from rig.model.contact_laws import DeadZone
+from rig.model.description import Contact, Station
 from rig.model.tolerances import LABORATORY
 from rig.simulation.excitation import force_history
 from rig.simulation.reference import BarrelCradle
 from rig.simulation.replay import modal
+
+pytestmark = pytest.mark.long
 
 SETTINGS = BarrelCradle(
     sensors="acceleration", stations=4, duration_s=14.0, noise_density=1e-3, sample_rate_hz=2048.0, high_hz=60.0
@@ -62,3 +66,14 @@ def test_effects_are_named_with_their_size(null_reference, effects, parameter, v
     assert set(gap.causes[0].effects) == {text.split(":")[0] for text in effects}
     found = gap.causes[0].parameters[parameter]
     assert abs(found.value - value) < 4 * found.standard_error
+
+
+def test_what_the_library_lacks_is_unknown_and_described(null_reference):
+    """A third contact, of the cradle with the ground."""
+    law = DeadZone(lower_clearance_m=1e-3, upper_clearance_m=1e-3, stiffness_n_per_m=3e4)
+    third = Contact(name="third", at=Station("cradle", 0.75), against=None, law=law)
+    gap, corrected = diagnosed(replace(RIG, contacts=(*RIG.contacts, third)), null_reference)
+    assert gap.verdict == "unexplained"
+    assert "cradle" in gap.unknown.sentence
+    assert gap.notes == ()
+    assert corrected == RIG

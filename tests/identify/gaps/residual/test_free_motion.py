@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from identify.gaps.residual.extent import RELEASED_S
 from identify.gaps.residual.likelihood import reference_of
 from identify.gaps.residual.nuisance import counted
 from identify.gaps.residual.residual import linearized
-from identify.gaps.residual.spectra import RELEASED_S, record_of
+from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.hypothesis import Search, fit_effects
 from identify.gaps.search.nominal import fit_nuisance

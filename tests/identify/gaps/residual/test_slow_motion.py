@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
+from identify.gaps.residual.extent import FADED, LEFT_OUT_S
 from identify.gaps.residual.likelihood import reference_of
 from identify.gaps.residual.residual import linearized
-from identify.gaps.residual.spectra import FADED, LEFT_OUT_S, record_of
+from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.hypothesis import Search, fit_effects
 from identify.gaps.search.nominal import fit_nuisance
