@@ -8,47 +8,34 @@ from jaxtyping import Complex, Float
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import uniform_filter1d
 
-from identify.contacts.separation import drift_of, driven_to_hz
+from identify.contacts.separation import drift_of
 from identify.gaps.residual.channel_noise import force_noise_n, read_sensors, sensor_densities
-from identify.gaps.residual.ringing import MeasuredMode, measured_modes, rings_to_hz
+from identify.gaps.residual.extent import (
+    LEAST_S,
+    REACH,
+    Beginning,
+    beginning_of,
+    check_length,
+    decayed_s,
+    high_hz_of,
+    is_free,
+)
+from identify.gaps.residual.ringing import MeasuredMode, measured_modes
 from identify.linear.free_motion import Sampling
 from identify.linear.joined import joined
-from identify.signals.beginning import QUIET_S, at_rest_until
 from identify.signals.drift import Drift
 from identify.signals.kinematics import CORNER_HZ, integrated, kinematics, taper
 from identify.signals.noise import acceleration_noise
 from identify.signals.scores import COUNTED_HZ
-from identify.signals.spectra import force_band
-from rig.errors import RigError
-from rig.model.description import Rig, Sensor, contact_stations
+from rig.model.description import Rig, Sensor
 from rig.model.modes import modes_of
 from rig.model.sensing import PASSBAND
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 from rig.recording.period import period_of
 
-TAPER_S = 0.5
 RING_S = 12.0
 """Silence behind the record in which the beams ring down before the transform wraps round."""
-LEFT_OUT_S, SHARE_LEFT_OUT = 4.5, 0.45
-"""At the record's end, where the taper, and integration, falsify every residual; of a record at most this share."""
-FADED, SHARE_FADED = 1.5, 0.1
-"""What is left out at a faded end where nothing is integrated, and at a faded beginning where nothing rings either, as
-a multiple of the fade; which is no longer than this share of the record."""
-RELEASED_S = 2.0
-"""At the start of a free decay of elastic bodies with contacts: a period of `CORNER_HZ`."""
-SETTLES_S = 0.05
-"""So long before the force a quiet start ends."""
-REACH = 1.6
-"""The diagnosis looks up to this multiple of the force's highest frequency."""
-OF_MOST, MOST = 2.0, 0.9
-"""But no further than this multiple of the frequency below which so much of the force's power lies: a hammer's falls
-slowly with the frequency."""
-SHORTEST_S, SHORTEST_WHOLE_S = 10.0, 1.0
-"""No record is shorter; the second holds of one that counts from its first sample on and is not integrated."""
-DECAYED, LEAST_S = 0.03, 4.0
-"""A record counts until its last second with more than this share of the loudest one's acceleration, and at least for
-so long: what contacts of a rig do that has come to rest, accelerometers do not show."""
 SMOOTHED_HZ = 1.0
 
 
@@ -200,28 +187,28 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
     rig, rate, samples = recording.rig, recording.rig.sample_rate_hz, recording.samples
     joint, tolerances = joined(rig), tolerances or rig.tolerances or LABORATORY
     sensors = read_sensors(recording)
-    begun = _beginning(recording, sensors)
-    _check_length(recording, begun)
-    densities = sensor_densities(recording, sensors, begun.quiet_samples)
-    high_hz = _high_hz(recording, sensors, densities, tolerances, low_hz)
+    beginning = beginning_of(recording, sensors)
+    check_length(recording, beginning)
+    densities = sensor_densities(recording, sensors, beginning.quiet_samples)
+    high_hz = high_hz_of(recording, sensors, densities, tolerances, low_hz)
     modes: tuple[MeasuredMode, ...] = ()
-    if begun.from_the_blow and not rig.contacts:
+    if beginning.from_the_blow and not rig.contacts:
         modes = measured_modes(np.stack([recording.values_of(s) for s in sensors]), rate, high_hz, densities)
         high_hz = min(high_hz, REACH * max((m.frequency_hz for m in modes), default=np.inf))
-    transform = _transform(recording, begun, high_hz)
+    transform = _transform(recording, beginning, high_hz)
     omega = transform.omega
     measured, eta_beyond = _spectra(recording, transform, joint, sensors)
     turned, twice_less = (
         np.stack([integrated(omega, order - s.measures.order, low_hz) for s in sensors]) for order in (2, 0)
     )
-    faded, delivered = _faded(recording, transform, sensors, omega, begun.zero_known)
+    faded, delivered = _faded(recording, transform, sensors, omega, beginning.zero_known)
     delivered += measured * turned
-    period = _period_of(recording.forces_n[:, begun.excited_from :])
+    period = _period_of(recording.forces_n[:, beginning.excited_from :])
     size = np.stack([omega ** (2 - s.measures.order) for s in sensors])
     return Record(
         rig=rig,
         sensors=sensors,
-        zero_known=begun.zero_known,
+        zero_known=beginning.zero_known,
         sample_rate_hz=rate,
         length=transform.length,
         samples=samples,
@@ -232,133 +219,41 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         delivered=delivered,
         displaced=measured * twice_less,
         faded=faded,
-        force_noise=samples * force_noise_n(recording, begun.quiet_samples, tolerances) ** 2,
+        force_noise=samples * force_noise_n(recording, beginning.quiet_samples, tolerances) ** 2,
         noise=samples * (densities[:, None] * size) ** 2 * rate / 2,
         power=_smoothed(delivered, np.stack([_by_force(rig, s, omega) for s in sensors]), transform),
         eta_beyond=eta_beyond,
-        drifts=_drifts(recording, joint, sensors, tolerances) if begun.integrates else (None,) * len(joint.contacts),
-        excited_s=begun.excited_from / rate,
+        drifts=_drifts(recording, joint, sensors, tolerances, beginning),
+        excited_s=beginning.excited_from / rate,
         period_s=None if period is None else period / rate,
         tolerances=tolerances,
-        from_the_blow=begun.from_the_blow,
+        from_the_blow=beginning.from_the_blow,
         modes=modes,
-        taken=_taken(samples, transform, begun, delivered),
+        taken=_taken(samples, transform, beginning, delivered),
     )
 
 
-@dataclass(frozen=True)
-class _Beginning:
-    """How a record begins, and what of it has to be integrated.
-
-    integrates: the relative displacements at contacts follow from other derivatives. from_the_blow: a free motion that
-    is estimated with its beginning; it counts from the first sample on where there are no contacts. free: all bodies
-    are masses that nothing holds, so that nothing rings.
-    excited_from is the first sample at which a force acts; the quiet samples before it tell the noise.
-    """
-
-    zero_known: bool
-    contacts: bool
-    integrates: bool
-    from_the_blow: bool
-    free: bool
-    excited_from: int
-    quiet_samples: int
-    faded_s: float
-    duration_s: float
-
-    @property
-    def quiet(self) -> bool:
-        return self.quiet_samples > 0
-
-    @property
-    def left_out_s(self) -> tuple[float, float]:
-        """At the beginning and at the end."""
-        rings = not self.free and (self.contacts or not self.from_the_blow)
-        at_end_s = min(LEFT_OUT_S, SHARE_LEFT_OUT * self.duration_s) if rings else FADED * self.faded_s
-        if self.quiet:
-            return 0.0, at_end_s
-        if self.from_the_blow:
-            return RELEASED_S * self.contacts, at_end_s
-        return at_end_s if self.free else LEFT_OUT_S, at_end_s
-
-
-def _beginning(recording: Recording, sensors: tuple[Sensor, ...]) -> _Beginning:
-    rig, rate = recording.rig, recording.rig.sample_rate_hz
-    zero_known = all(s.measures.order == 0 for s in sensors)
-    contacts, elastic = bool(rig.contacts), not any(b.is_mass for b in rig.bodies)
-    integrates = contacts and not zero_known
-    excited_from = at_rest_until(recording.forces_n, (recording.values_of(s) for s in sensors), rate)
-    before = excited_from - round(SETTLES_S * rate)
-    from_the_blow = not np.any(recording.forces_n) and not integrates and (elastic or not contacts)
-    faded_s = 2 * TAPER_S if zero_known and not from_the_blow else TAPER_S
-    return _Beginning(
-        zero_known=zero_known,
-        contacts=contacts,
-        integrates=integrates,
-        from_the_blow=from_the_blow,
-        free=zero_known and all(_is_free(rig, b.name) for b in rig.bodies),
-        excited_from=excited_from,
-        quiet_samples=before if before > QUIET_S * rate else 0,
-        faded_s=faded_s if contacts else min(faded_s, SHARE_FADED * recording.duration_s),
-        duration_s=recording.duration_s,
-    )
-
-
-def _check_length(recording: Recording, begun: _Beginning) -> None:
-    """Raises RigError if a record is too short."""
-    whole = not begun.contacts and (begun.quiet or begun.from_the_blow)
-    shortest_s = SHORTEST_WHOLE_S if whole else SHORTEST_S
-    if recording.duration_s < shortest_s:
-        raise RigError(
-            f"the record lasts {recording.duration_s:.3g} s; the diagnosis needs {shortest_s:g} s, better "
-            f"{'some' if whole else '30'} s or more"
-        )
-
-
-def _high_hz(
-    recording: Recording,
-    sensors: tuple[Sensor, ...],
-    densities: Float[np.ndarray, " sensors"],
-    tolerances: Tolerances,
-    low_hz: float,
-) -> float:
-    """Up to where the diagnosis looks; raises RigError if nothing above `low_hz` is excited."""
-    rate = recording.rig.sample_rate_hz
-    if np.any(recording.forces_n):
-        excited_hz = _excited_hz(recording.forces_n, rate)
-    elif recording.rig.contacts:
-        excited_hz = REACH * driven_to_hz(kinematics(recording, sensors[0].quantity, least_order=0))
-    else:
-        rows = np.stack([recording.values_of(s) for s in sensors])
-        excited_hz = REACH * rings_to_hz(rows, rate, sensors[0].measures.order, densities)
-    high_hz = min(excited_hz, PASSBAND * rate, tolerances.highest_hz or np.inf)
-    if high_hz <= low_hz:
-        raise RigError(
-            f"the force excites the rig up to {high_hz:.2g} Hz alone; the diagnosis needs more than {low_hz:g} Hz: "
-            "look at the force's channel"
-        )
-    return high_hz
-
-
-def _transform(recording: Recording, begun: _Beginning, high_hz: float) -> _Transform:
+def _transform(recording: Recording, beginning: Beginning, high_hz: float) -> _Transform:
     """With the lines up to a frequency; the record fades in, unless it begins quiet or with a blow, and out."""
     rate, samples = recording.rig.sample_rate_hz, recording.samples
     factor = max(1, int(rate / (2 * high_hz)))
     length = factor * next_fast_len(-(-(samples + round(RING_S * rate)) // factor), real=True)
-    window = taper(samples, max(2, round(begun.faded_s * rate)))
-    if begun.zero_known and not begun.from_the_blow:  # differentiated twice, a kink in w'' would ring
+    window = taper(samples, max(2, round(beginning.faded_s * rate)))
+    if beginning.zero_known and not beginning.from_the_blow:  # differentiated twice, a kink in w'' would ring
         window = np.sin(np.pi / 2 * window) ** 2
-    if begun.from_the_blow:
+    if beginning.from_the_blow:
         window[0] = 0.5  # half a sample: what begins there has no value before
-    elif not begun.quiet:
+    elif not beginning.quiet:
         window = window * window[::-1]
     return _Transform(rate, length, factor, window)
 
 
 def _drifts(
-    recording: Recording, joint: Rig, sensors: tuple[Sensor, ...], tolerances: Tolerances
+    recording: Recording, joint: Rig, sensors: tuple[Sensor, ...], tolerances: Tolerances, beginning: Beginning
 ) -> tuple[Drift | None, ...]:
-    """What is known of the slow part of every relative displacement that integration loses."""
+    """The slow part of every relative displacement that integration loses, as far as it is known."""
+    if not beginning.integrates:
+        return (None,) * len(joint.contacts)
     motion = kinematics(recording, sensors[0].quantity, least_order=2)
     noise = acceleration_noise(motion, recording.rig)
     return tuple(drift_of(joint, motion, j, noise, tolerances, recording.samples) for j in range(len(joint.contacts)))
@@ -408,7 +303,7 @@ def _faded(
     slope = np.gradient(transform.window) * transform.sample_rate_hz
     bend = np.gradient(slope) * transform.sample_rate_hz
     for k, sensor in enumerate(sensors):
-        if zero_known and _is_free(recording.rig, sensor.station.body):
+        if zero_known and is_free(recording.rig, sensor.station.body):
             sloped, bent = rfft(np.stack([slope, bend]) * recording.values_of(sensor), transform.length)[
                 :, : omega.size
             ]
@@ -416,50 +311,22 @@ def _faded(
     return velocity, acceleration
 
 
-def _is_free(rig: Rig, body: str) -> bool:
-    """Whether a body is a mass that nothing holds."""
-    own = rig.body(body)
-    held = [s.station for s in rig.springs] + [s for c in rig.contacts for s in contact_stations(c)]
-    return own.is_mass and bool(own.rigid_modes) and all(s.body != body for s in held)
-
-
 def _taken(
-    samples: int, transform: _Transform, begun: _Beginning, delivered: Complex[np.ndarray, "sensors lines"]
+    samples: int, transform: _Transform, beginning: Beginning, delivered: Complex[np.ndarray, "sensors lines"]
 ) -> slice:
     """The samples that count, of every `factor`-th: neither the ends nor what follows when the rig has come to rest."""
     rate_hz = transform.sample_rate_hz / transform.factor
     duration_s = samples / transform.sample_rate_hz
-    begin_s, at_end_s = begun.left_out_s
+    begin_s, at_end_s = beginning.left_out_s
     rows = irfft(delivered, transform.length // transform.factor)[:, : int(duration_s * rate_hz)]
-    end_s = min(duration_s - at_end_s, max(_decayed_s(rows, rate_hz), begin_s + LEAST_S))
+    end_s = min(duration_s - at_end_s, max(decayed_s(rows, rate_hz), begin_s + LEAST_S))
     return slice(round(begin_s * rate_hz), int(end_s * rate_hz))
-
-
-def _excited_hz(forces_n: Float[np.ndarray, "forces samples"], rate_hz: float) -> float:
-    """Up to where a force is taken to excite the rig."""
-    return max(
-        min(REACH * force_band(row, rate_hz)[1], OF_MOST * force_band(row, rate_hz, 1 - MOST)[1])
-        for row in forces_n
-        if np.any(row)
-    )
 
 
 def _period_of(forces_n: Float[np.ndarray, "forces samples"]) -> int | None:
     """After how many samples all forces repeat; None where they do not, or not together."""
     first, *others = {period_of(row) for row in forces_n if np.any(row)} or {None}
     return None if others else first
-
-
-def _decayed_s(rows: Float[np.ndarray, "sensors times"], rate_hz: float) -> float:
-    """When the last second ends in which the rig still moves, s; raises RigError if it never does."""
-    second = max(1, round(min(1.0, rows.shape[1] / rate_hz / 4) * rate_hz))
-    whole = rows.shape[1] // second
-    power = (rows[:, : whole * second] ** 2).sum(axis=0).reshape(whole, second).mean(axis=1)
-    moving = np.flatnonzero(power > DECAYED**2 * power.max())
-    if not moving.size:
-        raise RigError("the sensors show no motion; look at their channels")
-    last = int(moving[-1]) + 1
-    return np.inf if last == whole else last * second / rate_hz
 
 
 def _add_beyond(

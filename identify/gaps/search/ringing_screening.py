@@ -1,4 +1,4 @@
-"""Which effects bring a rig's modes to those that a free decay tells: frequencies and damping ratios alone.
+"""Screening of effects by the modes of a free decay: frequencies and damping ratios alone.
 
 A resonance that lies off by more than its width has no slope towards the measured one, so no fit over time or over
 frequencies finds its way there; the logarithms of the frequencies have. With z those of measured over believed,
@@ -21,7 +21,7 @@ from identify.gaps.search.screening import STRENGTHS, Screened
 from rig.errors import RigError
 from rig.model.description import Rig
 
-BEGUN, SAME = 3, 0.01
+FOLLOWED, SAME = 3, 0.01
 """So many of an effect's places are followed; what ends nearer than this share of the range is the same."""
 EVALUATIONS, STEP = 40, 1e-4
 """Steps from each, and the relative change for derivatives, above what modes are computed to."""
@@ -32,16 +32,16 @@ def ringing_screening(record: Record, rig: Rig, candidates: Sequence[Candidate])
     if not record.modes:
         return []
     before = float(np.sum(mismatch_of(record, rig) ** 2))
-    found = []
+    screened = []
     for candidate in candidates:
         if candidate.kind.stochastic or candidate.kind.grid_screened:
             continue
-        found += [Screened(candidate, before - cost, values) for cost, values in _followed(record, rig, candidate)]
-    return sorted(found, key=lambda one: -one.gain)
+        screened += [Screened(candidate, before - cost, values) for cost, values in _followed(record, rig, candidate)]
+    return sorted(screened, key=lambda one: -one.gain)
 
 
 def mismatch_of(record: Record, rig: Rig) -> Float[np.ndarray, " mismatch"]:
-    """What the measured modes are off a rig's, whitened by their errors and the tolerances."""
+    """Distance of the measured modes from a rig's, whitened by their errors and the tolerances."""
     modes, tolerances = matched_modes(record.modes, rig), record.tolerances
     own = [tolerances.of_mode(one.body, one.mode) for one in modes]
     together = np.equal.outer([one.body for one in modes], [one.body for one in modes])
@@ -62,25 +62,25 @@ def _followed(record: Record, rig: Rig, candidate: Candidate) -> list[tuple[floa
         return mismatch_of(record, candidate.applied(rig, values))
 
     low, high = candidate.parameters.bounds
-    begun = []
+    starts = []
     for place in candidate.starts():
-        tried = []
+        fits = []
         for strength in candidate.strengths(STRENGTHS):
             values = np.append(strength, place[1:])
             with suppress(RigError):
-                tried.append((float(np.sum(mismatch(values) ** 2)), values))
-        begun += [min(tried, key=_cost)] if tried else []
-    found: list[tuple[float, Float[np.ndarray, " parameters"]]] = []
+                fits.append((float(np.sum(mismatch(values) ** 2)), values))
+        starts += [min(fits, key=_cost)] if fits else []
+    screened: list[tuple[float, Float[np.ndarray, " parameters"]]] = []
     step = {"diff_step": STEP, "x_scale": high - low, "max_nfev": EVALUATIONS}
-    for one in sorted(begun, key=_cost)[:BEGUN]:
+    for one in sorted(starts, key=_cost)[:FOLLOWED]:
         best = one
         with suppress(RigError, ValueError):
             done = least_squares(mismatch, np.clip(one[1], low, high), bounds=(low, high), method="dogbox", **step)
             best = 2 * float(done.cost), done.x
-        if all(np.any(np.abs(best[1] - other) > SAME * (high - low)) for _, other in found):
-            found.append(best)
-    return found
+        if all(np.any(np.abs(best[1] - other) > SAME * (high - low)) for _, other in screened):
+            screened.append(best)
+    return screened
 
 
-def _cost(tried: tuple[float, Float[np.ndarray, " parameters"]]) -> float:
-    return tried[0]
+def _cost(fit: tuple[float, Float[np.ndarray, " parameters"]]) -> float:
+    return fit[0]
