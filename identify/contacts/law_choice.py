@@ -1,4 +1,4 @@
-"""Which form of a contact's law a record asks for, and what the chosen one leaves in its numbers.
+"""The form of a contact's law that a record asks for, and the errors that the chosen one leaves in its numbers.
 
 A form is asked for where its fit, with the weights of the dead zone's, leaves less by Schwarz's criterion, and in one
 sixteenth of the record after the other (the statistic of Vuong, Econometrica 57, 1989):
@@ -43,27 +43,27 @@ def asked_form(fit: LawFit, names: Sequence[FormName]) -> LawFit:
     chosen, least = None, np.inf
     for name in names:
         try:
-            other = fit.by_form(replace(form, name=name))
+            alternative = fit.by_form(replace(form, name=name))
         except ContactRefusedError:
             continue
-        if is_asked_for(fit, other) and other.squares.sum() < least:
-            chosen, least = other, float(other.squares.sum())
+        if is_asked_for(fit, alternative) and alternative.squares.sum() < least:
+            chosen, least = alternative, float(alternative.squares.sum())
     try:
         return chosen.settled if chosen else fit
     except ContactRefusedError:
         return fit
 
 
-def is_asked_for(simple: LawFit, other: LawFit) -> bool:
-    """Whether the other form leaves less than the dead zone, by both criteria above."""
+def is_asked_for(simple: LawFit, alternative: LawFit) -> bool:
+    """Whether the alternative form leaves less than the dead zone, by both criteria above."""
     samples = max(2.0, simple.weights.size / simple.record.sample_ratio)
-    gained, steadily = evidence(simple, other, samples)
-    return bool(gained > other.state.form.shapes * np.log(samples) + 2 * np.log(ODDS) and steadily > CONSISTENT)
+    gained, steadily = evidence(simple, alternative, samples)
+    return bool(gained > alternative.state.form.shapes * np.log(samples) + 2 * np.log(ODDS) and steadily > CONSISTENT)
 
 
-def evidence(simple: LawFit, other: LawFit, samples: float) -> tuple[float, float]:
+def evidence(simple: LawFit, alternative: LawFit, samples: float) -> tuple[float, float]:
     """The left sides of the criteria, the second one over the right one's scatter."""
-    before, after = (np.fft.rfft(fit.weights * fit.state.residual) for fit in (simple, other))
+    before, after = (np.fft.rfft(fit.weights * fit.state.residual) for fit in (simple, alternative))
     edges = np.geomspace(LOWEST_LINE, before.size, BANDS + 1).astype(int)
     starts = np.unique(np.r_[0, edges[1:-1]])
     count = np.diff(np.r_[starts, before.size])
@@ -81,7 +81,7 @@ def evidence(simple: LawFit, other: LawFit, samples: float) -> tuple[float, floa
 def misfit_covariance(
     fit: LawFit, jacobian: Jacobian, begins: Int[np.ndarray, " parts"]
 ) -> Float[np.ndarray, "laws laws"]:
-    """What a law that is not the record's leaves in its numbers.
+    """Covariance of a law's numbers from what the law, where it is not the record's, leaves of the force.
 
     The closed samples are parted in two ways: deep and shallow ones, and such in which the depth grows or falls. Were
     the law right, the numbers by either half, all else as fitted, would differ by the record's scatter C alone, and
@@ -99,19 +99,19 @@ def misfit_covariance(
         sides = [_numbers_by(fit, jacobian.by_law @ to_law, side, begins) for side in half]
         if any(side is None for side in sides):
             continue
-        one, other = (side for side in sides if side is not None)
-        apart, excess = _excess(one - other)
+        first, second = (side for side in sides if side is not None)
+        apart, excess = _excess(first - second)
         moved_law = to_law @ apart / 2
         found += excess * np.outer(moved_law, moved_law)
     return found
 
 
-def _excess(parts: Float[np.ndarray, "parts free"]) -> tuple[Float[np.ndarray, " free"], float]:
-    """Their sum D, and by which share T^2 exceeds what chance makes of it."""
-    count, free = parts.shape
-    apart = parts.sum(axis=0)
-    scale = np.maximum(np.sqrt(np.sum(parts**2, axis=0)), 1e-300)
-    scatter = (parts - parts.mean(axis=0)) / scale
+def _excess(scores: Float[np.ndarray, "parts free"]) -> tuple[Float[np.ndarray, " free"], float]:
+    """The sum D of the parts' scores, and the share by which T^2 exceeds what chance makes of it."""
+    count, free = scores.shape
+    apart = scores.sum(axis=0)
+    scale = np.maximum(np.sqrt(np.sum(scores**2, axis=0)), 1e-300)
+    scatter = (scores - scores.mean(axis=0)) / scale
     covariance = count / (count - 1) * scatter.T @ scatter
     square = float((apart / scale) @ np.linalg.pinv(covariance, hermitian=True) @ (apart / scale))
     bound = free * (count - 1) / (count - free) * float(f.ppf(SURE, free, count - free))

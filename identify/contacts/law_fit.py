@@ -47,7 +47,7 @@ class LawFit:
 
     @property
     def settled(self) -> "LawFit":
-        """Again with the weights renewed from the scatter that is left, until they stand."""
+        """The fit with the weights renewed from the scatter that is left, until they stand."""
 
         def refit(fit: LawFit) -> LawFit:
             state = _descended(fit.record, fit.curve, fit.state, fit.tie, fit.weights)
@@ -76,7 +76,7 @@ def tie_of(touched: Touched, sides_known: bool) -> Float[np.ndarray, "laws free"
 
 
 def fitted(
-    record: ContactRecord, curve: Spline, tie: Float[np.ndarray, "laws free"], begun: list[Start], pulls: Pulls
+    record: ContactRecord, curve: Spline, tie: Float[np.ndarray, "laws free"], starts: list[Start], pulls: Pulls
 ) -> LawFit:
     """A dead zone by descents from each start, the best of which settles.
 
@@ -84,7 +84,7 @@ def fitted(
     """
     rough_n = 0.02 * float(np.std(record.force_n))
     ends, why = list[State](), refused(RefusalCode.NO_LAW)
-    for law, knots in begun:
+    for law, knots in starts:
         start = state_at(record, curve, DEAD_ZONE, law, knots, pulls)
         try:
             ends.append(_descended(record, curve, start, tie, weights_of(record, start, rough_n)))
@@ -121,7 +121,7 @@ def _descended(
 
 
 def _weighed(record: ContactRecord, curve: Spline, state: State, weights: Weights) -> State:
-    """With its cost."""
+    """The state with its cost."""
     prior = curve.curvature @ state.knots - curve.target
     squares = np.sum((weights * state.residual) ** 2) + np.sum(prior**2) + record.sample_ratio * np.sum(state.pulls**2)
     return replace(state, cost=float(squares))

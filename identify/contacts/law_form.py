@@ -52,34 +52,39 @@ class LawForm:
     def force_n(self, law: Law, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
         """The sum over the contacts: stiffness and damping, of any sign, times what a `DeadZone` makes of one each."""
         force = np.zeros_like(eta_m)
-        for parts in self._parts(law, eta_m, rate_m_per_s):
-            force += parts.force_n
+        for contribution in self._contributions(law, eta_m, rate_m_per_s):
+            force += contribution.force_n
         return force
 
     def slopes(self, law: Law, eta_m: Signal, rate_m_per_s: Signal) -> tuple[Signal, Signal]:
         """Stiffness and damping of the contacts that are closed."""
         by_stiffness, by_damping = np.zeros_like(eta_m), np.zeros_like(eta_m)
-        for parts in self._parts(law, eta_m, rate_m_per_s):
-            by_stiffness += parts.slope_n_per_m
-            by_damping += parts.damping_n_s_per_m * parts.closed
+        for contribution in self._contributions(law, eta_m, rate_m_per_s):
+            by_stiffness += contribution.slope_n_per_m
+            by_damping += contribution.damping_n_s_per_m * contribution.closed
         return by_stiffness, by_damping
 
     def derivatives(self, law: Law, eta_m: Signal, rate_m_per_s: Signal) -> list[Signal]:
-        """Of the force, by every number of the law."""
+        """Derivatives of the force by every number of the law."""
         rows, by_exponent = [], np.zeros_like(eta_m)
-        for parts in self._parts(law, eta_m, rate_m_per_s):
-            lower = parts.slope_n_per_m * (parts.depth_m < 0)
-            rows += [lower, lower - parts.slope_n_per_m, parts.spring_m * parts.closed, parts.damper * parts.closed]
+        for contribution in self._contributions(law, eta_m, rate_m_per_s):
+            lower = contribution.slope_n_per_m * (contribution.depth_m < 0)
+            rows += [
+                lower,
+                lower - contribution.slope_n_per_m,
+                contribution.spring_m * contribution.closed,
+                contribution.damper * contribution.closed,
+            ]
             if self.shapes:
-                share = np.maximum(np.abs(parts.depth_m) / self.reference_depth_m, 1e-9)
-                by_exponent += parts.stiffness_n_per_m * parts.spring_m * np.log(share)
+                share = np.maximum(np.abs(contribution.depth_m) / self.reference_depth_m, 1e-9)
+                by_exponent += contribution.stiffness_n_per_m * contribution.spring_m * np.log(share)
         return [*rows, by_exponent] if self.shapes else rows
 
-    def _parts(self, law: Law, eta_m: Signal, rate_m_per_s: Signal) -> "list[_Parts]":
+    def _contributions(self, law: Law, eta_m: Signal, rate_m_per_s: Signal) -> "list[_Contribution]":
         exponent = self.exponent(law)
-        return [self._part(row, exponent, eta_m, rate_m_per_s) for row in self.contacts(law)]
+        return [self._contribution(row, exponent, eta_m, rate_m_per_s) for row in self.contacts(law)]
 
-    def _part(self, row: Law, exponent: float, eta_m: Signal, rate_m_per_s: Signal) -> "_Parts":
+    def _contribution(self, row: Law, exponent: float, eta_m: Signal, rate_m_per_s: Signal) -> "_Contribution":
         lower, upper, stiffness, damping = row.tolist()
         spring, damper = (
             DeadZone(
@@ -97,12 +102,12 @@ class LawForm:
         closed = depth != 0
         if self.name == "cannot pull":
             closed = (stiffness * shape + damping * drag) * depth > 0
-        return _Parts(depth, shape, drag, stiffness, damping, stiffness * by_eta * closed, closed)
+        return _Contribution(depth, shape, drag, stiffness, damping, stiffness * by_eta * closed, closed)
 
 
 @dataclass(frozen=True)
-class _Parts:
-    """Of one contact: its depth, what a unit of stiffness and of damping make of it, and the slope of its force."""
+class _Contribution:
+    """One contact: its depth, the forces of a unit of stiffness and of damping, and the slope of its force."""
 
     depth_m: Signal
     spring_m: Signal
@@ -122,6 +127,6 @@ DEAD_ZONE = LawForm()
 
 
 def by_stiffness_and_damping(law: Law, eta_m: Signal, rate_m_per_s: Signal) -> tuple[Signal, Signal]:
-    """What one of stiffness and one of damping make of a contact's motion, by a dead zone."""
-    (parts,) = DEAD_ZONE._parts(law, eta_m, rate_m_per_s)
-    return parts.spring_m, parts.damper
+    """Forces of a unit of stiffness and of a unit of damping of a dead zone, by a contact's motion."""
+    (contribution,) = DEAD_ZONE._contributions(law, eta_m, rate_m_per_s)
+    return contribution.spring_m, contribution.damper
