@@ -135,15 +135,23 @@ def between_records(between: Between) -> str:
     return f"{level_words(between.level_dependence)} {said}" if between.level_dependence else said
 
 
+SHIFTED = 5e-4
+"""A mode whose frequency changes by a smaller share neither softens nor stiffens."""
+
+
 def level_words(one: LevelDependence) -> str:
-    """Such as "The machine softens with the motion, from 12 to 61 N rms: ..."."""
+    """Such as "The machine softens with the motion: the mode of the wing at 7.3 Hz changes by -1.3 % ..."."""
     shift, damping = (f"{100 * x:+.2g} %" for x in (one.frequency_change, one.damping_change))
-    kind = "softens" if one.frequency_change < 0 else "stiffens"
-    joint = "friction or clearance in a joint" if one.frequency_change < 0 else "a stop or a hardening spring"
+    if abs(one.frequency_change) < SHIFTED:
+        kind = f"is damped {'more' if one.damping_change > 0 else 'less'}"
+    else:
+        kind = "softens" if one.frequency_change < 0 else "stiffens"
+    stiffens = one.frequency_change >= SHIFTED
     return (
-        f"The machine {kind} with the motion: the mode of the {one.body} at {number(one.frequency_hz)} Hz changes by "
-        f"{shift} and its damping by {damping} from {number(one.lowest_n, 2)} to {number(one.highest_n, 2)} N rms, as "
-        f"{joint} does; no change of mass or linear stiffness depends on the motion."
+        f"The machine {kind} with the motion: from {number(one.lowest_n, 2)} to {number(one.highest_n, 2)} N rms the "
+        f"mode of the {one.body} at {number(one.frequency_hz)} Hz changes by {shift} and its damping by {damping}, as "
+        f"{'a stop or a hardening spring' if stiffens else 'friction or clearance in a joint'} makes it; a changed mass "
+        "or linear stiffness would be the same at every level."
     )
 
 

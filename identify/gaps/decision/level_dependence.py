@@ -1,4 +1,4 @@
-"""What differs between records held against the level of their motion: joints soften and rub, masses do not change."""
+"""Dependence of a machine on the level of its motion, from what differs between records of several forces."""
 
 from collections.abc import Sequence
 
@@ -20,7 +20,7 @@ def have_levels(levels_n: Sequence[float]) -> bool:
 def level_dependence(
     rigs: Sequence[Rig], levels_n: Sequence[float], differing: Sequence[Compared], highest_hz: float
 ) -> LevelDependence | None:
-    """How the mode of a body that changes most does so from the lowest to the highest level; `rigs` are the records'.
+    """Change of the mode that changes most from the lowest to the highest level; `rigs` are the records'.
 
     None where some strength does not follow the level, or no mode below `highest_hz` changes.
     """

@@ -45,8 +45,9 @@ def _between(gap: Gap) -> list[str]:
         return []
     if gap.between.level_dependence:
         return [
-            "The records differ as their levels do: look for a joint that slides or opens, and take the records of the "
-            "level that you want to simulate; what follows holds for the validation record."
+            "The records differ as their levels do: look for a joint that slides or opens. Repeat the lowest level at "
+            "the end: a joint then gives the first values again, wear does not. What follows holds for the validation "
+            "record."
         ]
     names = joined(list(dict.fromkeys(one.parameter.split(".")[0] for one in gap.between.differing)))
     return [

@@ -7,7 +7,7 @@ import pytest
 
 from identify.gaps.decision.differences import _trend
 from identify.gaps.decision.level_dependence import have_levels, level_dependence
-from identify.gaps.results import Compared
+from identify.gaps.results import Compared, LevelDependence
 from identify.gaps.wording import level_words
 from rig.effects import effect_named
 from rig.model.unmeasured_force import Value
@@ -67,3 +67,21 @@ def test_a_trend_is_one_of_the_levels_in_their_order():
     order = np.argsort(LEVELS_N)
     assert _trend(values, covariance) == "differs"
     assert _trend(values[order], covariance) == "falls"
+
+
+@pytest.mark.parametrize(
+    ("shift", "damping", "kind", "cause"),
+    [
+        (-0.013, 0.9, "softens", "friction or clearance"),
+        (0.02, 0.1, "stiffens", "a hardening spring"),
+        (0.0, 0.9, "is damped more", "friction or clearance"),
+        (0.0, -0.3, "is damped less", "friction or clearance"),
+    ],
+)
+def test_the_words_are_those_of_the_changes(shift, damping, kind, cause):
+    told = LevelDependence(
+        lowest_n=12.0, highest_n=61.0, body="wing", frequency_hz=7.3, frequency_change=shift, damping_change=damping
+    )
+    words = level_words(told)
+    assert words.startswith(f"The machine {kind} with the motion: from 12 to 61 N rms")
+    assert cause in words
