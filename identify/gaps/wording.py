@@ -146,12 +146,11 @@ def level_words(one: LevelDependence) -> str:
         kind = f"is damped {'more' if one.damping_change > 0 else 'less'}"
     else:
         kind = "softens" if one.frequency_change < 0 else "stiffens"
-    stiffens = one.frequency_change >= SHIFTED
+    joint = "a stop or a hardening spring" if kind == "stiffens" else "friction or clearance in a joint"
     return (
         f"The machine {kind} with the motion: from {number(one.lowest_n, 2)} to {number(one.highest_n, 2)} N rms the "
         f"mode of the {one.body} at {number(one.frequency_hz)} Hz changes by {shift} and its damping by {damping}, as "
-        f"{'a stop or a hardening spring' if stiffens else 'friction or clearance in a joint'} makes it; a changed mass "
-        "or linear stiffness would be the same at every level."
+        f"{joint} makes it; a changed mass or linear stiffness would be the same at every level."
     )
 
 

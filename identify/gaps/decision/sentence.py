@@ -95,9 +95,11 @@ def _partly_explained(gap: Diagnosis) -> list[str]:
 
 
 def _unexplained(gap: Diagnosis) -> list[str]:
+    differs = f"The machine differs from rig.json ({chance(gap.evidence.p_value)})"
     said = [
-        f"The machine differs from rig.json ({chance(gap.evidence.p_value)}), which leaves {leaves(gap.before)} "
-        "unexplained."
+        f"{differs}, by what noise hides: no share of the motion is left beyond it."
+        if _is_hidden(gap)
+        else f"{differs}, which leaves {leaves(gap.before)} unexplained."
     ]
     if named := _named(gap):
         said.append(f"{capital(joined(named.named))} {_is(named)} likely, and {_removes(gap)}.")
@@ -134,7 +136,14 @@ def _removes(gap: Diagnosis) -> str:
     """What the named effects remove of the mismatch."""
     cause = gap.causes[0]
     verb = "removes" if len(cause.named) == 1 else "remove"
+    if _is_hidden(gap):
+        return f"{verb} a share of it that noise hides"
     return f"{verb} {percent(cause.explained)} of it" if cause.explained > 0 else f"{verb} nothing of it"
+
+
+def _is_hidden(gap: Diagnosis) -> bool:
+    """Whether nothing beyond noise is left of the motion and of any contact force, whatever the p-value says."""
+    return gap.before.share == 0 and not any(gap.before.contact_shares.values())
 
 
 def _veto(gap: Diagnosis) -> list[str]:

@@ -189,6 +189,15 @@ def test_a_veto_is_said(gaps):
     assert "corrected rig.json" not in " ".join(next_steps(gaps["vetoed"]))
 
 
+def test_shares_that_noise_hides_are_no_numbers(gaps):
+    before = gaps["vetoed"].before
+    hidden = replace(before, share=0.0, contact_shares=dict.fromkeys(before.contact_shares, 0.0))
+    said = sentence(replace(gaps["vetoed"], before=hidden))
+    assert "by what noise hides" in said
+    assert "removes a share of it that noise hides" in said
+    assert "0.0 %" not in said
+
+
 def test_what_may_stand_in_the_place_of_an_effect_is_said(gaps):
     mass, clamp = gaps["explained"].causes[0].words[0], gaps["explained"].causes[1].words[0]
     assert f"These records hardly tell {mass} from {clamp}." in gaps["explained"].sentence
