@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar, runtime_checkable
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -32,7 +32,7 @@ class Step(Generic[State]):
     promised: float
 
 
-StepOf = TypeVar("StepOf", bound=Step)  # type: ignore[type-arg]
+StepOf = TypeVar("StepOf", bound=Step[Any])
 
 
 def descended(
