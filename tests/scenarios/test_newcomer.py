@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 from scenarios.newcomer import one_mass

@@ -1,5 +1,7 @@
 """The tour ends where it says: with the mass that the real rig has."""
 
+import pytest
+
 from rig.model.description import from_json
 from scenarios.tour import tour
 
