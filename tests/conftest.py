@@ -11,6 +11,7 @@ import shutil
 import subprocess
 from dataclasses import dataclass
 
+import jaxtyping
 import pytest
 from hypothesis import settings
 
@@ -33,6 +34,14 @@ this.title = JSON.stringify([page.scrollingElement.scrollWidth, pictures, plots]
 def pytest_collection_modifyitems(items):
     """Long modules first: the workers then end together, and each such module makes its null reference once."""
     items.sort(key=lambda item: item.get_closest_marker("long") is None)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item):
+    """Types and shapes of every call are checked but in long tests, where that would take two fifths of the time; what
+    they call is called by others too."""
+    jaxtyping.config.update("jaxtyping_disable", item.get_closest_marker("long") is not None)
+    return (yield)
 
 
 @dataclass(frozen=True)

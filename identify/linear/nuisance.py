@@ -28,6 +28,7 @@ class NuisanceKind(StrEnum):
     POSITION = "position"
     DELAY = "delay"
     HIGH_PASS = "high-pass"
+    CROSSTALK = "crosstalk"
     FORCE_GAIN = "force gain"
     MASS = "mass"
     FREQUENCY = "frequency"
@@ -152,6 +153,24 @@ def _of_sensors(observed: Observed) -> Iterator[Change]:
                     displaced = factor * observed.displaced[[i]] if channel == displacement else None
                     reading = Reading(factor * observed.sensor_response[[i]], single[i]) if observed.is_read else None
                     yield Change(Nuisance(kind, channel.name), [i], delivered, displaced, reading)
+
+
+def crosstalk_of(observed: Observed) -> Iterator[Change]:
+    """What each channel shows of the channels beside it that measure the same."""
+    share, sensors = observed.tolerances.crosstalk, observed.sensors
+    for source, i in [(k + step, k) for k in range(len(sensors)) for step in (-1, 1)] if share else []:
+        if 0 <= source < len(sensors) and sensors[source].measures == sensors[i].measures:
+            displaces = observed.displaced_by[i] == sensors[i] and observed.displaced_by[source] == sensors[source]
+            reading = None
+            if observed.is_read:
+                reading = Reading(share * observed.sensor_response[[source]], np.eye(len(sensors))[source])
+            yield Change(
+                Nuisance(NuisanceKind.CROSSTALK, f"{sensors[source].name} in {sensors[i].name}"),
+                [i],
+                share * observed.explained[[source]],
+                share * observed.displaced[[source]] if displaces else None,
+                reading,
+            )
 
 
 def _of_chain(

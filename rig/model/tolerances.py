@@ -47,6 +47,8 @@ class Tolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Of every sensor against the force."""
     high_pass_hz: float = 0.1
     """Corner of the first-order high-pass of an AC-coupled accelerometer that the description does not mention."""
+    crosstalk: float = 2e-3
+    """Share of the signal of a channel beside it that every channel shows; where `identify gap` looks for effects."""
     force_gain: float = 3e-3
     force_noise_density: float = 0.0
     """One-sided, N/sqrt(Hz), where no quiet start of the record tells it."""
@@ -97,6 +99,7 @@ EXACT = Tolerances(
     position_m=0.0,
     delay_s=0.0,
     high_pass_hz=0.0,
+    crosstalk=0.0,
     force_gain=0.0,
     mass=0.0,
     frequency=0.0,

@@ -154,6 +154,15 @@ def closed(without: Misfit, after: Misfit, matters: Matters) -> float:
     return 1 - size(after, matters) / whole if whole > 0 else 0.0
 
 
+def removed(nominal: Misfit, without: Misfit, after: Misfit, matters: Matters) -> float:
+    """The share of the gap that effects remove. Where nothing is left beyond noise without them either, as tolerances
+    or free contact forces take it up, it is the share of what strains these: |pulls|^2 and the excess of -2 ln p."""
+    if size(without, matters) > 0:
+        return closed(without, after, matters)
+    whole, rest = (float(left.pulls @ left.pulls) + left.excess for left in (nominal, after))
+    return 1 - rest / whole if whole > 0 else 0.0
+
+
 def closed_interval(without: Misfit, after: Misfit, matters: Matters) -> tuple[float, float]:
     """Its 95 % interval: a bootstrap over the seconds of the record."""
     rng = np.random.default_rng(0)

@@ -1,6 +1,7 @@
 """A machine of the null reference: the nominal rig with every value off by its own draw within its tolerances."""
 
 from collections.abc import Iterator
+from dataclasses import replace as with_fields
 
 import numpy as np
 from jaxtyping import Float
@@ -11,6 +12,7 @@ from rig.model.description import Body, Contact, Rig, Sensor, Station, contact_s
 from rig.model.modes import modes_of, modes_wanted
 from rig.model.structure import SAME_PLACE_M, structure_of
 from rig.model.tolerances import Tolerances
+from rig.recording import Recording
 
 MODES = 24
 """Of a drawn beam: as many as the plant `modal` is given in a replay."""
@@ -60,6 +62,17 @@ def drawn(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draws"]
         springs=tuple(_nonlinear(rig, taken_up)),
         clamps=(),
     )
+
+
+def with_crosstalk(recording: Recording, share: float, rng: np.random.Generator) -> Recording:
+    """The recording with random shares, of this deviation, of the channels beside each that measure the same."""
+    signals = dict(recording.signals)
+    for quantity in {sensor.quantity for sensor in recording.rig.sensors} if share else ():
+        values = signals[quantity].values
+        beside = np.eye(len(values), k=1) + np.eye(len(values), k=-1)
+        mixing = np.eye(len(values)) + share * beside * rng.standard_normal(beside.shape)
+        signals[quantity] = with_fields(signals[quantity], values=mixing @ values)
+    return with_fields(recording, signals=signals)
 
 
 def _nonlinear(rig: Rig, taken_up: set[str]) -> Iterator[object]:

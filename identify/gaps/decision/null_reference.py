@@ -16,7 +16,7 @@ from jaxtyping import Float
 from msgspec.structs import replace
 from scipy.stats import t as student
 
-from identify.gaps.decision.null_machine import drawn, standard_normals
+from identify.gaps.decision.null_machine import drawn, standard_normals, with_crosstalk
 from identify.gaps.residual.likelihood import Misfit, misfit, reference_of
 from identify.gaps.residual.residual import Linearization, Residual, linearized
 from identify.gaps.residual.spectra import record_of
@@ -172,7 +172,8 @@ def null_reference_of(
             ]
         )
         made = simulate(measured.rig, actual, forces_n, seed)
-        rows.append(_null_simulation(_instrumented(made, densities, gain, rng), tolerances, predict))
+        shown = with_crosstalk(_instrumented(made, densities, gain, rng), tolerances.crosstalk, rng)
+        rows.append(_null_simulation(shown, tolerances, predict))
         progress((seed + 1) / simulations)
     reference = NullReference(key, tuple(rows))
     if kept:

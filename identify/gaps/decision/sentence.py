@@ -77,7 +77,11 @@ def _explained(gap: Diagnosis) -> list[str]:
 def _strained(gap: Diagnosis) -> str:
     """The tolerance that is off by most without the named effects, where what is left does not tell that they lack."""
     shares_hold = all(one.holds for one in gap.evidence.quantities if one.unit == "1")
-    if not shares_hold or gap.before.largest_pull < STRAINED:
+    return _strained_by(gap) if shares_hold else ""
+
+
+def _strained_by(gap: Diagnosis) -> str:
+    if gap.before.largest_pull < STRAINED:
         return ""
     return f", with a tolerance off by {number(gap.before.largest_pull, 2)} of its standard deviations"
 
@@ -97,7 +101,7 @@ def _partly_explained(gap: Diagnosis) -> list[str]:
 def _unexplained(gap: Diagnosis) -> list[str]:
     differs = f"The machine differs from rig.json ({chance(gap.evidence.p_value)})"
     said = [
-        f"{differs}, by what noise hides: no share of the motion is left beyond it."
+        f"{differs}, by what noise hides: no share of the motion is left beyond it{_strained_by(gap)}."
         if _is_hidden(gap)
         else f"{differs}, which leaves {leaves(gap.before)} unexplained."
     ]
@@ -137,7 +141,8 @@ def _removes(gap: Diagnosis) -> str:
     cause = gap.causes[0]
     verb = "removes" if len(cause.named) == 1 else "remove"
     if _is_hidden(gap):
-        return f"{verb} a share of it that noise hides"
+        share = max(gap.evidence.removed, 0.0)
+        return f"{verb} {percent(share)} of what strains its tolerances" if share else f"{verb} nothing that is seen"
     return f"{verb} {percent(cause.explained)} of it" if cause.explained > 0 else f"{verb} nothing of it"
 
 

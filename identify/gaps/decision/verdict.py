@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from identify.gaps.decision.bounds import Difference, share_bounds
-from identify.gaps.decision.comparison import PRIOR_UNKNOWN, TEMPERATURE, Judged, closed, probabilities
+from identify.gaps.decision.comparison import PRIOR_UNKNOWN, TEMPERATURE, Judged, probabilities, removed
 from identify.gaps.decision.null_reference import NullReference, p_value
 from identify.gaps.decision_table import DIFFERS, USUAL, Evidence, Strength, Verdict
 from identify.gaps.residual.likelihood import Misfit
@@ -136,7 +136,7 @@ def decided(
         strengths=strengths,
         p_value_after=p_value(null_reference, after.misfit),
         quantities_after=share_bounds(after.misfit, contacts, matters),
-        removed=closed(after.without, after.misfit, matters),
+        removed=removed(nominal.misfit, after.without, after.misfit, matters),
         vetoed=vetoed,
         held_back_shows=held_back_shows,
     )

@@ -19,6 +19,7 @@ from identify.linear.nuisance import (
     NuisanceKind,
     Observed,
     changes_of,
+    crosstalk_of,
     elastic_modes,
 )
 from identify.linear.projection import Projection
@@ -61,7 +62,9 @@ def columns_of(record: Record, model: Linear) -> Columns:
     """The columns of all tolerances above zero."""
     bodies = [r.body.name for r in model.responses]
     states = state_changes(model.free, bodies, model.sensor_response, float(np.linalg.norm(record.delivered)))
-    changes = [*(_of_free_motion(record, model, c) for c in changes_of(_observed(record, model))), *states]
+    observed = _observed(record, model)
+    stated = (*changes_of(observed), *crosstalk_of(observed))
+    changes = [*(_of_free_motion(record, model, change) for change in stated), *states]
     count, contacts, samples = len(changes), len(model.rig.contacts), record.taken.stop - record.taken.start
     residual = np.empty((count, len(model.residual), samples), np.float64 if record.modes else np.float32)
     forces, eta = (np.zeros((count, contacts, samples), np.float32) for _ in range(2))

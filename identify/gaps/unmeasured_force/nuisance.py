@@ -7,7 +7,7 @@ from identify.gaps.residual.nuisance import BEYOND
 from identify.gaps.residual.spectra import Record
 from identify.gaps.unmeasured_force.observed import WhitenedRecord, bare_residual, inverse_of, with_columns
 from identify.linear.free_motion import state_changes
-from identify.linear.nuisance import BodyMotion, Change, Nuisance, Observed, changes_of
+from identify.linear.nuisance import BodyMotion, Change, Nuisance, Observed, changes_of, crosstalk_of
 from identify.signals.kinematics import CORNER_HZ, integrated
 from rig.model.description import Rig
 
@@ -30,8 +30,10 @@ def nuisances(
     parameters: list[Nuisance] = []
     columns: list[Complex[np.ndarray, "lines rows"]] = []
     trace: list[float] = []
+    measured = _measured(bare)
     for changes in (
-        changes_of(_measured(bare), common=False),
+        changes_of(measured, common=False),
+        crosstalk_of(measured),
         state_changes(model.free, bodies, model.sensor_response, size),
     ):
         for change in changes:

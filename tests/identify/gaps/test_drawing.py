@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.gaps.decision.null_machine import drawn
+from identify.gaps.decision.null_machine import drawn, with_crosstalk
 from rig.model.description import Sensor, Station
 from rig.model.tolerances import EXACT, LABORATORY
+from rig.recording import Recording, Signals, channel_groups
 from rig.simulation.reference import BarrelCradle, Sdof
 
 ODD_M = 1.0272139258614885
@@ -50,6 +51,19 @@ def test_draws_scatter_as_the_tolerances_say():
     assert first.std() == pytest.approx(np.sqrt(2) * LABORATORY.frequency, rel=0.15)  # its own, and all together
     ratios = np.log([r.bodies[0].damping_ratios(3) / rig.bodies[0].damping_ratios(3) for r in rigs])
     assert ratios.std() == pytest.approx(np.sqrt(2) * LABORATORY.damping, rel=0.15)
+
+
+def test_channels_show_shares_of_those_beside_them():
+    rig = BarrelCradle(sensors="acceleration").rig()
+    values = np.eye(len(rig.sensors))
+    groups = channel_groups(rig)["acceleration"]
+    recording = Recording(rig, {"acceleration": Signals(groups, 0.0, values)}, {})
+    drawings = [with_crosstalk(recording, 2e-3, np.random.default_rng(seed)) for seed in range(100)]
+    mixing = np.array([one.signals["acceleration"].values for one in drawings])
+    beside = np.abs(np.subtract.outer(np.arange(len(values)), np.arange(len(values)))) == 1
+    np.testing.assert_array_equal(mixing[:, ~beside], np.broadcast_to(values[~beside], mixing[:, ~beside].shape))
+    assert mixing[:, beside].std() == pytest.approx(2e-3, rel=0.1)
+    assert with_crosstalk(recording, 0.0, np.random.default_rng(1)) == recording
 
 
 def test_strain_gauges_keep_their_fibre():

@@ -192,9 +192,12 @@ def test_a_veto_is_said(gaps):
 def test_shares_that_noise_hides_are_no_numbers(gaps):
     before = gaps["vetoed"].before
     hidden = replace(before, share=0.0, contact_shares=dict.fromkeys(before.contact_shares, 0.0))
-    said = sentence(replace(gaps["vetoed"], before=hidden))
+    evidence = replace(gaps["vetoed"].evidence, removed=0.87)
+    said = sentence(replace(gaps["vetoed"], before=hidden, evidence=evidence))
     assert "by what noise hides" in said
-    assert "removes a share of it that noise hides" in said
+    assert "removes 87.0 % of what strains its tolerances" in said
+    nothing = replace(evidence, removed=0.0)
+    assert "removes nothing that is seen" in sentence(replace(gaps["vetoed"], before=hidden, evidence=nothing))
     assert "0.0 %" not in said
 
 

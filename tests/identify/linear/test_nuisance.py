@@ -5,7 +5,7 @@ import pytest
 from msgspec.structs import replace
 
 from identify.linear.model import ResponseCache, response_of, times
-from identify.linear.nuisance import BodyMotion, NuisanceKind, Observed, changes_of, elastic_modes
+from identify.linear.nuisance import BodyMotion, NuisanceKind, Observed, changes_of, crosstalk_of, elastic_modes
 from rig.model.tolerances import EXACT, LABORATORY, Tolerances
 from rig.simulation.reference import BarrelCradle, Sdof
 
@@ -107,6 +107,25 @@ def test_a_gain_and_a_delay_change_what_a_sensor_delivers_as_its_own_response_do
         )
         more = (moved.response(OMEGA) - sensor.response(OMEGA)) * accelerations[i] / share
         np.testing.assert_allclose(change.delivered[0], more, rtol=1e-5)
+
+
+def test_crosstalk_is_a_share_of_a_channel_beside_that_measures_the_same(beams):
+    now = observed(beams)
+    found = list(crosstalk_of(now))
+    assert len(found) == 2 * (len(beams.sensors) - 1)
+    names = [s.name for s in beams.sensors]
+    for change in found:
+        source, shown_in = (names.index(name) for name in change.parameter.of.split(" in "))
+        assert abs(source - shown_in) == 1
+        assert change.sensors == [shown_in]
+        np.testing.assert_allclose(change.delivered[0], LABORATORY.crosstalk * now.explained[source])
+        accelerations = now.explained / now.sensor_response
+        np.testing.assert_allclose(
+            change.reading.pattern * (change.reading.weights @ accelerations), change.delivered, rtol=1e-9
+        )
+    assert not list(crosstalk_of(observed(beams, EXACT)))
+    mixed = replace(beams, sensors=(replace(beams.sensors[0], quantity="displacement"), *beams.sensors[1:]))
+    assert len(list(crosstalk_of(observed(mixed)))) == len(found) - 2
 
 
 @pytest.mark.parametrize("settings", [BarrelCradle(sensors="acceleration"), Sdof(sensors="acceleration")])

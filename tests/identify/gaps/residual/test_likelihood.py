@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from identify.gaps.decision.comparison import closed, closed_interval, probabilities, size
+from identify.gaps.decision.comparison import closed, closed_interval, probabilities, removed, size
 from identify.gaps.decision.null_reference import NullReference, NullSimulation, p_value, phase_randomized
 from identify.gaps.residual.likelihood import Misfit, Reference
 from identify.gaps.residual.lines import cost_of_lines, sharpest, standing_out, without_lines
@@ -71,6 +71,13 @@ def test_what_is_closed_is_one_where_nothing_is_left():
     low, high = closed_interval(left(4.5), left(1.5), matters)
     assert low == pytest.approx(0.5)
     assert high == pytest.approx(0.5)
+
+
+def test_where_noise_hides_a_gap_what_is_removed_is_the_strain_of_the_tolerances():
+    strained, eased = left(0.5, pulls=4.0), left(0.5, pulls=2.0)
+    assert removed(strained, eased, eased, Matters()) == pytest.approx(1 - 2.0**2 / 4.0**2)
+    assert removed(left(0.5), left(0.5), left(0.5), Matters()) == 0.0
+    assert removed(strained, left(4.5), left(1.5), Matters()) == pytest.approx(0.5)
 
 
 def test_the_interval_of_a_closure_holds_it_where_seconds_scatter():

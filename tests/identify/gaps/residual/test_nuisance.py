@@ -1,5 +1,7 @@
 """What a laboratory never knows exactly, put into the rig of one mass."""
 
+from dataclasses import replace as replace_fields
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -7,6 +9,7 @@ from msgspec.structs import replace
 from identify.gaps.residual.nuisance import apply_nuisance
 from identify.gaps.residual.residual import linearized, residual_of
 from identify.gaps.residual.spectra import record_of
+from identify.gaps.search.nominal import fit_nuisance
 from rig.model.tolerances import LABORATORY
 from rig.simulation.excitation import force_history
 from rig.simulation.reference import BarrelCradle, Sdof
@@ -75,13 +78,34 @@ def test_a_mode_whose_frequency_is_off_leaves_its_column_exactly_by_the_measured
     assert np.linalg.norm(after) < 0.1 * np.linalg.norm(before)
 
 
+def test_the_share_of_a_channel_that_the_one_beside_it_shows_is_found():
+    settings, share = BarrelCradle(sensors="acceleration", duration_s=20.0, rms_n=1.0), 0.006
+    rig = settings.rig()
+    recording = modal(rig, rig, force_history(settings.force(), settings.duration_s, 1 / rig.sample_rate_hz), 1)
+    signals = recording.signals["acceleration"]
+    values = signals.values.copy()
+    values[4] += share * signals.values[5]
+    shown = replace_fields(
+        recording, signals=recording.signals | {"acceleration": replace_fields(signals, values=values)}
+    )
+    linearization, residual = fit_nuisance(record_of(shown), rig)
+    pulls = dict(zip((p.name for p in linearization.columns.parameters), residual.nuisance.tolist(), strict=True))
+    mixed = f"crosstalk of {rig.sensors[5].name} in {rig.sensors[4].name}"
+    found = LABORATORY.crosstalk * pulls.pop(mixed)
+    assert 0.5 * share < found < share  # gain and place of the sensor take the rest, as their priors weigh as much
+    assert max(map(abs, pulls.values())) < 0.5 * found / LABORATORY.crosstalk
+
+
 def test_the_fitted_rig_leaves_by_itself_what_was_left_beside_the_nuisance_parameters():
     settings = BarrelCradle(sensors="acceleration", duration_s=12.0, rms_n=1.0)
     rig = settings.rig()
     force_n = force_history(settings.force(), settings.duration_s, 1 / rig.sample_rate_hz)
     record = record_of(modal(rig, rig, force_n, 1))
     linearization = linearized(record, rig)
-    held = [p.mode is None and p.kind not in ("position", "high-pass") for p in linearization.columns.parameters]
+    held = [
+        p.mode is None and p.kind not in ("position", "high-pass", "crosstalk")
+        for p in linearization.columns.parameters
+    ]
     values = np.where(held, 0.3 * np.random.default_rng(1).standard_normal(len(held)), 0.0)
     at, believed = residual_of(linearization, rig, values), residual_of(linearization, rig)
     there = residual_of(linearized(record, at.corrected_rig), at.corrected_rig)
