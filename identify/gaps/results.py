@@ -251,6 +251,8 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     not_seen: tuple[Bounded, ...]
     rollout: Rollout | None = None
     """Whether the motion is predicted better with the named effects; None where none is named."""
+    ruled_out: tuple[tuple[str, ...], ...] = ()
+    """Effects of likelier hypotheses, in words, with which it is predicted no better, so that others are named."""
     free_decay: bool = False
     """Whether no force was measured."""
     before: Left

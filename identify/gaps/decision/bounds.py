@@ -30,8 +30,6 @@ from rig.recording import Recording
 
 HIDDEN = 0.25
 """A contact force is hidden where noise makes more than this share of its mean square: half of its size."""
-UNTESTED = 1e-6
-"""Variance below which nothing but rounding is left of the linear residual, noise included: it cannot fail."""
 DEVIATIONS = 3.0
 """Stated standard deviations that a contact parameter may lie from rig.json: convention."""
 STATED = ("clearance", "stiffness", "contact_damping_s")
@@ -63,7 +61,8 @@ class ContactDistances:
 
 def share_bounds(misfit: Misfit, contacts: Sequence[str], matters: Matters) -> tuple[Bounded, ...]:
     """The unexplained share of the motion, then that of each contact force."""
-    quantities = [_motion(misfit, matters)]
+    upper = _upper_share(misfit.share_by_second)
+    quantities = [Bounded("motion", "1", misfit.share, _at_least(misfit.share, upper), matters.motion)]
     for j, name in enumerate(contacts):
         force_n2 = float(np.mean(misfit.force_n2[:, j]))
         weights, share = misfit.reference.seen[j].weights, float(misfit.contact_shares[j])
@@ -74,15 +73,6 @@ def share_bounds(misfit: Misfit, contacts: Sequence[str], matters: Matters) -> t
             upper = _at_least(share, _upper_share(misfit.contact_n2[:, j] / max(force_n2, 1e-300)))
             quantities.append(Bounded(name, "1", share, upper, matters.contact))
     return tuple(quantities)
-
-
-def _motion(misfit: Misfit, matters: Matters) -> Bounded:
-    """Bounded by nothing where free contact forces make any motion of the sensors: then none is left whatever it is."""
-    share, upper = misfit.share, _upper_share(misfit.share_by_second)
-    if np.all(misfit.levels < UNTESTED):
-        why = "the sensors are no more than the contact forces, which explain any motion"
-        return Bounded("motion", "1", share, None, matters.motion, why, "measure at a place more")
-    return Bounded("motion", "1", share, _at_least(share, upper), matters.motion)
 
 
 def _at_least(value: float, upper: float | None) -> float | None:

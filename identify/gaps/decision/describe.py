@@ -13,6 +13,7 @@ from identify.gaps.decision.experiment import next_experiments
 from identify.gaps.decision.hypotheses import Searched
 from identify.gaps.decision.judge import Judgement, Unmeasured
 from identify.gaps.decision.notes import Attempt, attempted
+from identify.gaps.decision.phrases import words_of
 from identify.gaps.decision.prepare import Prepared
 from identify.gaps.decision.response_comparison import compared
 from identify.gaps.decision.sentence import sentence
@@ -58,7 +59,8 @@ def describe(
         criteria=Criteria(evidence.differs, evidence.bounded, evidence.named, evidence.enough),
         evidence=evidence,
         not_seen=evidence.not_seen,
-        rollout=judgement.rollout.value,
+        rollout=judgement.prediction.rollout.value,
+        ruled_out=tuple(words_of(one.hypothesis, record.rig) for one in judgement.prediction.ruled_out),
         free_decay=not any(one.record.forced for one in prepared.observations),
         before=left_of(decision.nothing.misfit, record.rig, evidence.p_value),
         after=left_of(decision.after, record.rig, evidence.p_value_after),
@@ -78,7 +80,7 @@ def describe(
         curves=sides.curves,
         between=sides.between,
         channel_faults=prepared.channel_faults,
-        notes=(*judgement.rollout.notes, *judgement.unmeasured.notes, *sides.notes),
+        notes=(*judgement.prediction.rollout.notes, *judgement.unmeasured.notes, *sides.notes),
     )
     return Gap(**asdict(diagnosis), sentence=sentence(diagnosis))
 

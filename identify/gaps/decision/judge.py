@@ -8,16 +8,15 @@ import numpy as np
 from identify.gaps.decision.bounds import Difference, contact_distances, share_bounds
 from identify.gaps.decision.comparison import TEMPERATURE, Judged, closed, judged, log_priors
 from identify.gaps.decision.hypotheses import Searched
-from identify.gaps.decision.notes import Attempt, attempted
+from identify.gaps.decision.notes import attempted
 from identify.gaps.decision.null_reference import combined, p_values
-from identify.gaps.decision.prediction import predicted
+from identify.gaps.decision.prediction import PredictedDecision, predicted, predicted_decision
 from identify.gaps.decision.prepare import Prepared, PreparedRecording
 from identify.gaps.decision.verdict import Decision, Rivals, acts_where_they_do, decided, nominal_of
 from identify.gaps.decision_table import DIFFERS, HALF, Verdict, all_hold
 from identify.gaps.residual.likelihood import Misfit, misfit
 from identify.gaps.residual.residual import Linearization, Residual
 from identify.gaps.results import Matters, Note
-from identify.gaps.rollout.results import Rollout
 from identify.gaps.search.contact_laws import with_contact_fit
 from identify.gaps.search.hypothesis import WORTH
 from identify.gaps.search.nominal import fit_nuisance
@@ -43,10 +42,11 @@ class Unmeasured:
 
 @dataclass(frozen=True)
 class Judgement:
-    """The decision on the validation record; linearization and residual there are those of the believed rig."""
+    """The decision on the validation record, and what prediction said before an unmeasured force was looked for;
+    linearization and residual there are those of the believed rig."""
 
     decision: Decision
-    rollout: Attempt[Rollout]
+    prediction: PredictedDecision
     unmeasured: Unmeasured
     linearization: Linearization
     residual: Residual
@@ -57,24 +57,34 @@ def judge(
 ) -> Judgement:
     """The difference, every hypothesis on the validation record, whether the named effects predict the motion, and
     something unmeasured where they do not suffice."""
-    validation, null_reference = prepared.validation, prepared.null_reference
+    validation = prepared.validation
     record = validation.record
     linearization, residual = fit_nuisance(record, record.rig, rounds=1)
     priors = log_priors(searched.hypotheses, searched.candidates)
     ranked = judged(record, validation.reference, residual, searched.hypotheses, priors, progress)
     ranked = _with_contact_fit(prepared, ranked, residual)
     difference = difference_of(prepared, residual, matters, split_p_value(ranked))
-    decision = decided(ranked, difference, null_reference, matters)
-    rollout: Attempt[Rollout] = Attempt()
-    if decision.helps and decision.named:
-        named = decision.named
-        rollout = attempted("rollout", lambda: predicted(prepared, residual, named))
-        vetoed = rollout.value is not None and rollout.value.vetoed
-        decision = decided(ranked, difference, null_reference, matters, vetoed=vetoed)
-    unmeasured = Unmeasured()
+    known = _Known(prepared, difference, residual, matters)
+    outcome = predicted_decision(
+        ranked, known.decided, lambda named: attempted("rollout", lambda: predicted(prepared, residual, named))
+    )
+    decision, unmeasured = outcome.decision, Unmeasured()
     if decision.verdict in INCOMPLETE:
-        decision, unmeasured = _with_a_force(prepared, ranked, difference, residual, matters, decision)
-    return Judgement(decision, rollout, unmeasured, linearization, residual)
+        decision, unmeasured = _with_a_force(known, outcome.ranked, decision)
+    return Judgement(decision, outcome, unmeasured, linearization, residual)
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What every decision rests on beside the hypotheses."""
+
+    prepared: Prepared
+    difference: Difference
+    residual: Residual
+    matters: Matters
+
+    def decided(self, ranked: Sequence[Judged], vetoed: bool = False, rivals: Rivals | None = None) -> Decision:
+        return decided(ranked, self.difference, self.prepared.null_reference, self.matters, rivals, vetoed)
 
 
 def split_p_value(ranked: Sequence[Judged]) -> float:
@@ -135,31 +145,24 @@ def _with_contact_fit(prepared: Prepared, ranked: list[Judged], residual: Residu
     return sorted([*(better or [best]), *others], key=lambda one: -one.log_posterior)
 
 
-def _with_a_force(
-    prepared: Prepared,
-    ranked: Sequence[Judged],
-    difference: Difference,
-    residual: Residual,
-    matters: Matters,
-    decision: Decision,
-) -> tuple[Decision, Unmeasured]:
+def _with_a_force(known: _Known, ranked: Sequence[Judged], decision: Decision) -> tuple[Decision, Unmeasured]:
     """The decision with an unmeasured force as a rival of the effects; where they explain half, as their companion."""
-    validation, null_reference = prepared.validation, prepared.null_reference
+    prepared, residual, validation = known.prepared, known.residual, known.prepared.validation
     record, vetoed = validation.record, decision.evidence.vetoed
     alone = attempted("unmeasured_force", lambda: likeliest_force(prepared.searched.record, record.rig, record))
     nothing = nominal_of(ranked)
     cost = cost_with(validation, record.rig, alone.value, nothing.misfit) if alone.value else None
     gain = None if cost is None else nothing.misfit.minus_two_log - cost
-    decision = decided(ranked, difference, null_reference, matters, Rivals(cost), vetoed)
+    decision = known.decided(ranked, vetoed, Rivals(cost))
     force, named = alone, decision.named
-    if named and closed(named.without, named.misfit, matters) >= HALF:
+    if named and closed(named.without, named.misfit, known.matters) >= HALF:
         rig = named.rig
         beside = attempted("unmeasured_force", lambda: likeliest_force(prepared.searched.record, rig, record))
         companion = beside.value
         if companion and acts_where_they_do(companion.on_fit.candidate, record.rig, rig):
             companion = None
         cost_beside = cost_with(validation, rig, companion, named.misfit) if companion else None
-        decision = decided(ranked, difference, null_reference, matters, Rivals(cost, named, cost_beside), vetoed)
+        decision = known.decided(ranked, vetoed, Rivals(cost, named, cost_beside))
         if decision.verdict == Verdict.PARTLY_EXPLAINED:
             force, residual = beside, fit_nuisance(record, rig, rounds=1)[1]
     modulation = attempted("clearance_modulation", lambda: clearance_modulation(record, residual))

@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.gaps.search.candidates import Candidate
+from identify.gaps.search.hypothesis import Hypothesis
 from identify.pages.wording import number
 from rig.model.description import Rig
 from rig.model.parameters import Parameter
@@ -57,3 +58,8 @@ def _placed(field: str, place: str | None, rig: Rig) -> str:
     if field == "sensor":
         return f"sensor {place or rig.sensors[-1].name}"
     return f"the {place}" if place else "all bodies"
+
+
+def words_of(hypothesis: Hypothesis, rig: Rig) -> tuple[str, ...]:
+    """Its effects with values and places."""
+    return tuple(phrase(part, values, rig) for part, values in zip(hypothesis.parts, hypothesis.split(), strict=True))

@@ -22,6 +22,7 @@ def sentence(diagnosis: Diagnosis) -> str:
     """The diagnosis in words: the verdict, what stands in the place of names, what was not seen."""
     said = [*_VERDICTS[diagnosis.verdict](diagnosis), *_alternatives(diagnosis), *_limits(diagnosis)]
     said += [] if diagnosis.verdict == Verdict.CANNOT_TELL else _not_seen(diagnosis)
+    said += _ruled_out(diagnosis)
     said += [UNSCALED] if diagnosis.free_decay else []
     said += [between_records(diagnosis.between)] if diagnosis.between else []
     said += [f"Channel {name} is {what} and was left out." for name, what in diagnosis.channel_faults.items()]
@@ -153,6 +154,17 @@ def _is_hidden(gap: Diagnosis) -> bool:
 
 def _veto(gap: Diagnosis) -> list[str]:
     return [WORSE[gap.rollout.code]] if gap.rollout and gap.rollout.vetoed else []
+
+
+def _ruled_out(gap: Diagnosis) -> list[str]:
+    """The likeliest of the effects that prediction rules out."""
+    if not gap.ruled_out:
+        return []
+    be, alone = ("was", "it") if len(gap.ruled_out[0]) == 1 else ("were", "them")
+    return [
+        f"By the spectra {joined(gap.ruled_out[0])} alone {be} likelier, but with {alone} the rig predicts the "
+        "measured motion no better."
+    ]
 
 
 def _bounds(quantities: tuple[Bounded, ...]) -> str:

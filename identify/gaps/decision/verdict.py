@@ -164,6 +164,12 @@ def strengths_of(hypothesis: Hypothesis, weighed: Sequence[Weighed]) -> tuple[St
     return tuple(strengths)
 
 
+def all_told(hypothesis: Hypothesis) -> bool:
+    """Whether it has effects, and the interval of every strength excludes its neutral value."""
+    strengths = strengths_of(hypothesis, ())
+    return bool(strengths) and all(not s.interval_95[0] <= s.neutral <= s.interval_95[1] for s in strengths)
+
+
 def _look_alikes(hypothesis: Hypothesis, part: Candidate, weighed: Sequence[Weighed]) -> tuple[str, ...]:
     """Candidates that stand in an effect's place in other hypotheses that are likely too, by their names."""
     key = Counter(hypothesis.key)

@@ -112,8 +112,9 @@ def equilibrium(
     """Where the rig rests under a static load, in modal coordinates, `squares` being omega^2.
 
     It is the least of the convex energy sum omega^2 q^2 / 2 + sum U_j(across_j q) - load q, reached by proximal steps
-    from zero: what floats unloaded stays, and what floats under a load is pushed to where the stops hold it. Raises
-    RigError if nothing does.
+    from zero: what floats unloaded stays, and what floats under a load is pushed to where the stops hold it. What
+    nothing holds but friction or dampers begins at rest at zero, and the load moves it from there. Raises RigError if
+    nothing resists it.
     """
     q = np.zeros(load.size)
     if not load.any():
@@ -146,9 +147,13 @@ def equilibrium(
     for _ in range(3):
         force, stiffness = slopes(q)
         q = q - np.linalg.lstsq(stiffness, force, rcond=1e-12)[0]
-    if np.linalg.norm(slopes(q)[0]) > 1e-6 * np.linalg.norm(load):
+    unheld = -slopes(q)[0]
+    if np.linalg.norm(unheld) < 1e-6 * np.linalg.norm(load):
+        return q
+    resisting = across[[law.acts_in_the_gap for law in laws]]
+    if np.linalg.norm(unheld - unheld @ np.linalg.pinv(resisting) @ resisting) > 1e-6 * np.linalg.norm(load):
         raise RigError("nothing holds a body against its static load; add a spring or a contact, or take the load off")
-    return q
+    return equilibrium(squares, across, laws, load - unheld)
 
 
 def _in_time(spectrum: Complex[np.ndarray, " lines"], samples: int) -> Float[np.ndarray, " samples"]:

@@ -1,10 +1,23 @@
-"""Where an unmeasured force is the rival of an effect, and where its companion."""
+"""Where an unmeasured force is the rival of an effect, and where its companion; what prediction rules out."""
 
+import numpy as np
 import pytest
 
-from identify.gaps.decision.verdict import acts_where_they_do
+from identify.gaps.decision.bounds import Difference
+from identify.gaps.decision.comparison import Judged
+from identify.gaps.decision.notes import Attempt
+from identify.gaps.decision.null_reference import NullReference, NullSimulation
+from identify.gaps.decision.prediction import predicted_decision
+from identify.gaps.decision.verdict import acts_where_they_do, decided
+from identify.gaps.decision_table import Bounded
+from identify.gaps.residual.likelihood import Misfit, Reference
+from identify.gaps.results import Matters
+from identify.gaps.rollout.results import Rollout
+from identify.gaps.search.candidates import Candidate
+from identify.gaps.search.hypothesis import Hypothesis
 from identify.gaps.unmeasured_force.location import ForcePlace
-from rig.effects import effect_named
+from rig.effects import effect_named, effects
+from rig.effects.base import Scale
 from rig.model.description import Station
 from rig.simulation.reference import BarrelCradle
 
@@ -35,3 +48,80 @@ def test_a_pair_of_forces_at_a_contact_is_the_rival_of_another_law():
     first, second = RIG.contacts
     assert acts_where_they_do(ForcePlace("pair", (first.at, first.against)), RIG, rig)
     assert not acts_where_they_do(ForcePlace("pair", (second.at, second.against)), RIG, rig)
+
+
+ONES = np.ones((40, 6))
+
+
+def left(level: float) -> Misfit:
+    """A residual of this variance in every band of every sensor."""
+    reference = Reference(usual=ONES, noise=0.5 * ONES, power=1e3 * ONES, lines=np.full(40, 50.0), seen=())
+    none = np.ones((20, 0))
+    return Misfit(
+        reference=reference,
+        left=np.full((20, 40, 6), level),
+        measured=ONES,
+        contact_left=none,
+        contact_n2=none,
+        force_n2=none,
+        pulls=np.zeros(4),
+        drift=0.0,
+        freedom=0.0,
+        sharp=0.0,
+        samples=80.0,
+    )
+
+
+def judged(level: float, effect: str = "", share: float = 1.0) -> Judged:
+    """A hypothesis of one effect or none, so many times as strong as is typical, with an error of a tenth of that."""
+    if not effect:
+        return Judged(
+            Hypothesis((), np.zeros(0), np.zeros((0, 0)), left(level)), RIG, RIG, left(level), left(level), 0.0
+        )
+    kind = effects()[effect]
+    place = next(iter(kind.placements(RIG, [])))
+    scale = Scale(RIG, 10.0, 30.0).at(place)
+    part = Candidate(kind, place, kind.parameters(scale), kind.typical(scale))
+    values = np.array([share * part.default[0], *part.default[1:]])
+    covariance = np.diag((0.1 * np.abs(part.default)) ** 2)
+    return Judged(Hypothesis((part,), values, covariance, left(level)), RIG, RIG, left(level), left(60.0), 0.0)
+
+
+NULLS = NullReference("key", tuple(NullSimulation(x, 0.0, 1.0, (0.0,), 0.0, (), {}) for x in np.linspace(-9, 9, 12)))
+DIFFERENCE = Difference(1e-9, Bounded("motion", "1", 0.2, 0.3, 5e-3), ())
+
+
+def decide(ranked, vetoed):
+    return decided(ranked, DIFFERENCE, NULLS, Matters(), None, vetoed)
+
+
+def ruling_out(*worse):
+    return lambda one: Attempt(Rollout(code="no_improvement" if any(one is w for w in worse) else "not_vetoed"))
+
+
+def test_a_likely_rival_takes_the_place_of_what_prediction_rules_out():
+    mass, spring, nominal = judged(1.5, "added_mass"), judged(1.52, "linear_spring"), judged(60.0)
+    ranked = [mass, spring, nominal]
+    as_it_is = predicted_decision(ranked, decide, ruling_out())
+    assert as_it_is.decision.named is mass
+    assert not as_it_is.ruled_out
+    other = predicted_decision(ranked, decide, ruling_out(mass))
+    assert other.decision.named is spring
+    assert other.decision.helps
+    assert other.ruled_out == (mass,)
+    assert not other.vetoed
+
+
+def test_a_veto_stays_where_no_other_effect_was_likely():
+    mass, spring, nominal = judged(1.5, "added_mass"), judged(1.52, "linear_spring"), judged(60.0)
+    nothing_told = judged(1.52, "linear_spring", 0.1)
+    for ranked, worse in (
+        ([mass, spring, nominal], (mass, spring)),
+        ([mass, judged(5.0, "linear_spring"), nominal], (mass,)),
+        ([mass, nothing_told, nominal], (mass,)),
+    ):
+        outcome = predicted_decision(ranked, decide, ruling_out(*worse))
+        assert outcome.vetoed
+        assert outcome.decision.named is mass
+        assert not outcome.decision.helps
+        assert not outcome.ruled_out

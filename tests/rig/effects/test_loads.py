@@ -8,7 +8,8 @@ import pytest
 
 from rig.effects import effect_named
 from rig.errors import RigError
-from rig.model.description import RISE_S, Sensor, StaticLoad, Station
+from rig.model.description import RISE_S, PointDamper, Sensor, StaticLoad, Station
+from rig.model.oscillator import Oscillator
 from rig.simulation.excitation import QUIET_S
 from rig.simulation.plants.loading import base_motion, true_force
 from rig.simulation.reference import BarrelCradle, Sdof
@@ -44,6 +45,24 @@ def test_a_load_that_nothing_holds_is_refused(run):
     load = StaticLoad(station=Station("barrel", 0.5), force_n=1.0)
     with pytest.raises(RigError, match="nothing holds a body against its static load; add a spring or a contact"):
         run(msgspec.structs.replace(MACHINE, contacts=(), loads=(load,)), np.zeros(9), STEP_S)
+
+
+def test_a_load_on_a_free_mass_with_a_damper_moves_it_from_rest(run):
+    """m v' = F - c v."""
+    mass_kg, damping, force_n = 2.0, 4.0, 0.5
+    body = Oscillator(name="mass", mass_kg=mass_kg, frequency_hz=0.0, damping_ratio=0.0)
+    at = Station("mass")
+    machine = msgspec.structs.replace(
+        Sdof(sensors="displacement").rig(),
+        bodies=(body,),
+        contacts=(),
+        dampers=(PointDamper(station=at, damping_n_s_per_m=damping),),
+        loads=(StaticLoad(station=at, force_n=force_n),),
+    )
+    time_s = STEP_S * (np.arange(8000) + 0.5)  # the plants differ by a step in when it begins
+    decay_s = mass_kg / damping
+    expected = force_n / damping * (time_s - decay_s * (1 - np.exp(-time_s / decay_s)))
+    np.testing.assert_allclose(run(machine, np.zeros(8000), STEP_S).sensed[0], expected, atol=1e-4 * expected[-1])
 
 
 def test_the_base_moves_as_it_is_told():
