@@ -104,7 +104,23 @@ def _begun_by_single(context: Search, nominal: Tried, best: Tried) -> Tried:
     else:
         leaves_most = after.sharp > WORTH or after.excess >= max(FAR, DOMINANT * before.excess)
     singles = single_effects(context, nominal) if leaves_most else []
-    return _refined_from(context, singles[0]) if singles and singles[0].cost < best.cost else best
+    if not singles or singles[0].cost >= best.cost:
+        return best
+    first, *_ = singles
+    return _shaken(context, first) if _is_stochastic(first.hypothesis) else _refined_from(context, first)
+
+
+def _is_stochastic(hypothesis: Hypothesis) -> bool:
+    return any(part.kind.stochastic for part in hypothesis.parts)
+
+
+def _shaken(context: Search, base: Tried) -> Tried:
+    """A base motion, and the set beside it, searched on the shaken rig: a spectrum is not fitted by Gauss-Newton."""
+    steady = tuple(c for c in context.known if not c.kind.stochastic)
+    rig = base.hypothesis.applied_to(context.linearization.rig)
+    inner = Search(context.reference, *_about(base, rig), steady)
+    settled = _refined_from(inner, inner.nothing())
+    return Tried(beside(base, settled), settled.linearization, settled.residual) if settled.hypothesis.parts else base
 
 
 def refined_set(context: Search, best: Tried) -> Tried:
@@ -219,7 +235,7 @@ def without_each(context: Search, best: Tried) -> tuple[Tried, list[Hypothesis]]
     """The set, less members that are not worth it; and it fitted again without each of those that stay, with a
     look-alike in the place of each, and without the least two, three and so on."""
     parts = best.hypothesis.parts
-    if not parts or any(part.kind.stochastic for part in parts):
+    if not parts or _is_stochastic(best.hypothesis):
         return best, []
     every = range(len(parts))
     costs: list[float] = []
@@ -269,7 +285,7 @@ def _with_members(context: Search, best: Tried, members: Sequence[int]) -> Tried
 def _with_base_motion(context: Search, best: Tried) -> Tried:
     """A base motion beside the settled set, where its own likelihood is strong."""
     stochastic = [c for c in context.known if c.kind.stochastic]
-    if not stochastic or not best.hypothesis.leaves_something:
+    if not stochastic or _is_stochastic(best.hypothesis) or not best.hypothesis.leaves_something:
         return best
     inner = Search(context.reference, *_about(best, best.hypothesis.applied_to(context.linearization.rig)), ())
     for candidate in stochastic:
