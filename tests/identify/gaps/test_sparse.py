@@ -11,6 +11,7 @@ from identify.gaps.search.local_model import local_model
 from identify.gaps.search.nominal import fit_nuisance
 from identify.gaps.search.sparse import search, selected
 from rig.effects.added_mass import AddedMass
+from rig.effects.base_motion import ShakingBase
 from rig.effects.contact_damping import ContactDamping
 from rig.model.tolerances import LABORATORY
 from rig.simulation.reference import BarrelCradle
@@ -79,3 +80,13 @@ def test_finds_both_effects_with_their_numbers(pair):
 def test_names_nothing_where_nothing_is(recorded_machine):
     (nothing,) = search(search_of(recorded_machine(SETTINGS)))
     assert nothing.parts == ()
+
+
+def test_a_strong_base_motion_leads_to_what_stands_beside_it(recorded_machine):
+    """Its spectrum is not fitted by Gauss-Newton: the mass is searched on the shaken rig."""
+    shaking = ShakingBase(acceleration_rms_m_per_s2=1.4, low_hz=44.0, high_hz=66.0)
+    best, *_ = search(search_of(recorded_machine(SETTINGS, AddedMass(mass_kg=0.2, relative_position=0.7), shaking)))
+    values = dict(zip(best.effects, best.split(), strict=True))
+    assert sorted(values) == ["added_mass", "base_motion"]
+    assert values["added_mass"] == pytest.approx([0.2, 0.7], rel=0.05)
+    assert values["base_motion"] == pytest.approx([1.4, 44.0, 66.0], rel=0.1)
