@@ -45,6 +45,7 @@ class Difference:
     motion: Bounded
     contacts: tuple[Bounded, ...]
     contact_parameters: tuple[Bounded, ...] = ()
+    contact_estimates: tuple[LawEstimate, ...] = ()
 
     @property
     def quantities(self) -> tuple[Bounded, ...]:
@@ -57,6 +58,7 @@ class ContactDistances:
 
     bounds: tuple[Bounded, ...]
     p_values: tuple[float, ...]
+    estimates: tuple[LawEstimate, ...]
 
 
 def share_bounds(misfit: Misfit, contacts: Sequence[str], matters: Matters) -> tuple[Bounded, ...]:
@@ -92,17 +94,19 @@ def contact_distances(recordings: Sequence[Recording], rig: Rig, tolerances: Tol
     outcomes = [law_outcomes(recording, rig, tolerances) for recording in recordings if rig.contacts]
     bounds: list[Bounded] = []
     p_values: list[float] = []
+    pooled: list[LawEstimate] = []
     for contact in rig.contacts:
         estimates = [estimate for one in outcomes for estimate in one.estimates if estimate.contact == contact.name]
         if estimates and isinstance(contact.law, DeadZone):
             estimate = pooled_estimate(estimates)
             bounds += _bounds(contact, estimate, tolerances)
             p_values.append(_p_value(contact, estimate, tolerances))
+            pooled.append(estimate)
         else:
             bounds.append(
                 _undetermined(contact, [one.refusals[contact.name] for one in outcomes if contact.name in one.refusals])
             )
-    return ContactDistances(tuple(bounds), tuple(p_values))
+    return ContactDistances(tuple(bounds), tuple(p_values), tuple(pooled))
 
 
 def _undetermined(contact: Contact, refusals: Sequence[Refusal]) -> Bounded:
@@ -114,19 +118,24 @@ def _undetermined(contact: Contact, refusals: Sequence[Refusal]) -> Bounded:
     return Bounded(names, "", None, None, 0.0, why, remedy)
 
 
-def _distance(contact: Contact, estimate: LawEstimate) -> Float[np.ndarray, " rows"]:
-    """Estimated less nominal parameters: m, N/m, N s/m, m."""
+def distance_of(contact: Contact, estimate: LawEstimate) -> Float[np.ndarray, " rows"]:
+    """Estimated parameters less those of the contact: m, N/m, N s/m, m."""
     return np.asarray(estimate.values - estimate.quantities @ law_numbers(contact.law))
 
 
+def variances_of(contact: Contact, tolerances: Tolerances, count: int) -> Float[np.ndarray, "rows rows"]:
+    """Stated variances of the first so many of a contact's parameters."""
+    return np.diag(np.square(deviations(contact, tolerances)[:count]))
+
+
 def _p_value(contact: Contact, estimate: LawEstimate, tolerances: Tolerances) -> float:
-    distance = _distance(contact, estimate)
-    stated = np.diag(np.square(deviations(contact, tolerances)[: distance.size]))
-    return float(chi2.sf(distance @ np.linalg.solve(estimate.covariance + stated, distance), distance.size))
+    distance = distance_of(contact, estimate)
+    variances = estimate.covariance + variances_of(contact, tolerances, distance.size)
+    return float(chi2.sf(distance @ np.linalg.solve(variances, distance), distance.size))
 
 
 def _bounds(contact: Contact, estimate: LawEstimate, tolerances: Tolerances) -> list[Bounded]:
-    distances = np.abs(_distance(contact, estimate))
+    distances = np.abs(distance_of(contact, estimate))
     errors = COVERED * np.sqrt(np.diag(estimate.covariance))
     names, units = ("clearance", "stiffness", "damping", "offset"), ("m", "N/m", "N s/m", "m")
     rows = zip(names, units, distances, errors, deviations(contact, tolerances), strict=False)

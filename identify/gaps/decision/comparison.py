@@ -36,7 +36,8 @@ class Judged:
 
     rig is the believed one with the effects; corrected also holds what was fitted beside them, and leaves misfit.
     without is what the believed rig leaves with the same nuisance parameters: what the effects, by themselves, close.
-    Of a base that moves, which is no function of time, it is what the believed rig leaves with its own.
+    Of a base that moves, which is no function of time, it is what the believed rig leaves with its own. contact_fit is
+    -2 ln p of its contact laws by the contact fit of all records, where that was made.
     """
 
     hypothesis: Hypothesis
@@ -45,11 +46,12 @@ class Judged:
     misfit: Misfit
     without: Misfit
     log_prior: float
+    contact_fit: float = 0.0
 
     @property
     def log_posterior(self) -> float:
-        """Given the validation record, up to a constant."""
-        return self.log_prior - self.misfit.minus_two_log / (2 * TEMPERATURE)
+        """Given the validation record, and the contact fit, whose covariance needs no temperature; up to a constant."""
+        return self.log_prior - self.misfit.minus_two_log / (2 * TEMPERATURE) - self.contact_fit / 2
 
     @property
     def log_posterior_of_both(self) -> float:

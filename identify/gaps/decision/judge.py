@@ -7,6 +7,7 @@ import numpy as np
 
 from identify.gaps.decision.bounds import Difference, contact_distances, share_bounds
 from identify.gaps.decision.comparison import TEMPERATURE, Judged, closed, judged, log_priors
+from identify.gaps.decision.contact_evidence import with_contact_evidence
 from identify.gaps.decision.hypotheses import Searched
 from identify.gaps.decision.notes import attempted
 from identify.gaps.decision.null_reference import combined, p_values
@@ -64,6 +65,7 @@ def judge(
     ranked = judged(record, validation.reference, residual, searched.hypotheses, priors, progress)
     ranked = _with_contact_fit(prepared, ranked, residual)
     difference = difference_of(prepared, residual, matters, split_p_value(ranked))
+    ranked = with_contact_evidence(prepared, searched.candidates, ranked, difference, residual)
     known = _Known(prepared, difference, residual, matters)
     outcome = predicted_decision(
         ranked, known.decided, lambda named: attempted("rollout", lambda: predicted(prepared, residual, named))
@@ -125,7 +127,7 @@ def difference_of(prepared: Prepared, residual: Residual, matters: Matters, p_sp
     recordings = [one.recording for one in prepared.observations]
     distances = contact_distances(recordings, rig, validation.record.tolerances)
     p = combined(np.append(parts, distances.p_values))
-    return Difference(p, motion, tuple(contacts), distances.bounds)
+    return Difference(p, motion, tuple(contacts), distances.bounds, distances.estimates)
 
 
 def _with_contact_fit(prepared: Prepared, ranked: list[Judged], residual: Residual) -> list[Judged]:

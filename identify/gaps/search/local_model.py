@@ -37,6 +37,7 @@ from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.hypothesis import Hypothesis, applied, parameters_of, steps_of
 from identify.gaps.search.pooled import without_drift
 from rig.errors import RigError
+from rig.model.description import Rig
 
 MAJORIZATIONS = 5
 """Steps of the majorisation at most; ..."""
@@ -192,12 +193,13 @@ def local_model(
     linearization: Linearization,
     at: Residual,
     reference: Reference,
+    rig: Rig,
     present: Hypothesis,
     known: Sequence[Candidate],
 ) -> LocalModel:
-    """The statistic about a residual, with the effects that its rig has (`present`) and every candidate's columns."""
+    """The statistic about a residual of `rig` with the effects `present`, and every candidate's columns."""
     tolerances = linearization.columns.parameters
-    parts: list[Column] = list(_present_columns(linearization, at, present))
+    parts: list[Column] = list(_present_columns(linearization, at, rig, present))
     own, terms = len(parts), list[CandidateTerm]()
     contact_pulls = [c.pulls.size for c in at.contacts]
     first = len(tolerances) + sum(contact_pulls)
@@ -228,10 +230,10 @@ def _column(
     return linear.astype(np.float32), [column.astype(np.float32) for column in contacts]
 
 
-def _present_columns(linearization: Linearization, at: Residual, present: Hypothesis) -> Iterator[Column]:
+def _present_columns(linearization: Linearization, at: Residual, rig: Rig, present: Hypothesis) -> Iterator[Column]:
     """What a step of each parameter of the effects in the rig takes off the residuals."""
     parts, values = present.parts, present.values
-    build = partial(applied, linearization.record.rig, parts)
+    build = partial(applied, rig, parts)
     steps = steps_of(parts)
     signs = np.where(values + steps > parameters_of(parts).bounds[1], -FINE, FINE)
     for sign, move in zip(signs, np.diag(steps), strict=True):

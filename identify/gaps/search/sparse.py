@@ -144,7 +144,8 @@ def _model_about(context: Search, tried: Tried) -> tuple[Linearization, Residual
     rig = tried.hypothesis.applied_to(context.linearization.rig)
     linearization, residual = _about(tried, rig)
     steady = [c for c in context.known if not (c.kind.stochastic or c.kind.grid_screened) and joins(c, rig)]
-    return linearization, residual, local_model(linearization, residual, context.reference, tried.hypothesis, steady)
+    nominal, present = context.linearization.rig, tried.hypothesis
+    return linearization, residual, local_model(linearization, residual, context.reference, nominal, present, steady)
 
 
 def _fitted_beside(

@@ -41,7 +41,7 @@ def pair(recorded_machine):
 def model(pair):
     steady = [c for c in pair.known if not c.kind.stochastic]
     nothing = pair.nothing().hypothesis
-    return local_model(pair.linearization, pair.at, pair.reference, nothing, steady)
+    return local_model(pair.linearization, pair.at, pair.reference, pair.linearization.rig, nothing, steady)
 
 
 def test_is_the_statistic_where_it_is_expanded(pair, model):
