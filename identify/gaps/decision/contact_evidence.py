@@ -49,13 +49,16 @@ def with_contact_evidence(
     if own is not None and all(own.key != one.hypothesis.key for one in ranked):
         every += judged(record, validation.reference, residual, [own], log_priors([own], known))
     told = [
-        replace(one, contact_fit=sum(_minus_two_log(e, record.rig, one.rig, record.tolerances) for e in estimates))
+        replace(
+            one, contact_fit=sum(contact_minus_two_log(e, record.rig, one.rig, record.tolerances) for e in estimates)
+        )
         for one in every
     ]
     return sorted(told, key=lambda one: -one.log_posterior)
 
 
-def _minus_two_log(estimate: LawEstimate, nominal: Rig, rig: Rig, tolerances: Tolerances) -> float:
+def contact_minus_two_log(estimate: LawEstimate, nominal: Rig, rig: Rig, tolerances: Tolerances) -> float:
+    """Of one contact of `rig`, a hypothesis: d' (C + S)^-1 d - n; zero for a law of another kind."""
     believed, contact = _contact(nominal, estimate), _contact(rig, estimate)
     if not numbers_alone_differ(contact.law, believed.law):
         return 0.0

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 import identify
+from identify.gaps.decision.contact_evidence import contact_minus_two_log
 from identify.gaps.decision.prepare import observed
 from identify.gaps.residual.likelihood import misfit
 from identify.gaps.residual.residual import linearized, residual_of
 from identify.gaps.search.candidates import candidates, scale_of
-from identify.gaps.search.contact_laws import with_contact_fit
+from identify.gaps.search.contact_laws import LawEstimate, with_contact_fit
 from identify.gaps.search.hypothesis import Hypothesis
+from rig.effects import effect_named
 from rig.effects.added_mass import AddedMass
 from rig.effects.contact_clearance import ContactClearance
 from rig.effects.contact_damping import ContactDamping
@@ -70,3 +72,22 @@ def test_what_moves_no_law_stays_as_it_is(recorded_machine):
     recording = recorded_machine(SETTINGS, MASS)
     searched = hypothesis_of(recording, MASS)
     assert with_contact_fit(searched, [recording], LABORATORY) is searched
+
+
+def test_the_contact_fit_speaks_for_its_numbers_and_not_of_laws_of_another_kind():
+    """d' (C + S)^-1 d - n, by hand for one contact whose damping alone is off."""
+    nominal = BarrelCradle(sensors="acceleration").rig()
+    contact = nominal.contacts[0]
+    law = contact.law
+    off = 5.0
+    rows = np.array([[0.5, 0.5, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0]])
+    numbers = np.array([law.lower_clearance_m, law.upper_clearance_m, law.stiffness_n_per_m, law.damping_n_s_per_m])
+    values = rows @ numbers + [0, 0, off]
+    covariance = np.diag([1e-12, 1e2, 0.04])
+    estimate = LawEstimate(contact.name, rows, values, covariance, 0 * covariance)
+    stated = (LABORATORY.contact_damping_s * law.stiffness_n_per_m) ** 2
+    assert contact_minus_two_log(estimate, nominal, nominal, LABORATORY) == pytest.approx(off**2 / (0.04 + stated) - 3)
+    damped = effect_named(f"contact_damping:damping_n_s_per_m={off},contact={contact.name}").applied_to(nominal)
+    assert contact_minus_two_log(estimate, nominal, damped, LABORATORY) == pytest.approx(-3)
+    hertz = effect_named(f"hertz_stop:exponent=1.3,contact={contact.name}").applied_to(nominal)
+    assert contact_minus_two_log(estimate, nominal, hertz, LABORATORY) == 0.0
