@@ -65,7 +65,7 @@ def causes(gap: Gap) -> str:
     if further:
         rest.insert(0, (f"{len(further)} further causes", probability(folded), *[""] * (2 + len(contacts))))
     text = (
-        "<p>Sets of effects of the library, beside rig.json as it is and something unmeasured. The probabilities of "
+        "<p>Sets of effects of the library, beside no effect and something unmeasured. The probabilities of "
         "sets sum to one. A cause closes the share by which its effects alone make the difference smaller on the "
         "validation record, what the tolerances leave open held (95 % interval in brackets).</p>"
     )
