@@ -33,6 +33,8 @@ ANALYSES = {
     "rollout": "prediction from measured states",
 }
 """Side analyses, which a note names."""
+LEAST = 0.1
+"""An unmeasured force that explains less is no hint: null simulations explain as much."""
 MOST = 0.5
 """A description of something unknown that explains less of it is a hint, not what it looks like."""
 CERTAIN = 1 - 1e-9

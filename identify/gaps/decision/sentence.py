@@ -2,7 +2,7 @@
 
 from identify.gaps.decision_table import USUAL, Bounded, Verdict
 from identify.gaps.results import Cause, Diagnosis
-from identify.gaps.wording import MOST, alternatives, between_records, capital, chance, joined, leaves, quantity
+from identify.gaps.wording import LEAST, MOST, alternatives, between_records, capital, chance, joined, leaves, quantity
 from identify.pages.wording import number, percent
 
 UNSCALED = (
@@ -50,7 +50,7 @@ def _cannot_tell(gap: Diagnosis) -> list[str]:
 
 
 def _small(gap: Diagnosis) -> list[str]:
-    small = f"{_bounds(gap.evidence.quantities)} at most, less than what matters"
+    small = f"at most {_bounds(gap.evidence.quantities)}, less than what matters"
     if named := _named(gap):
         return [f"{capital(joined(named.named))} {_is(named)} certain, and too small to matter: {small}."]
     return [
@@ -188,7 +188,7 @@ def _not_seen(gap: Diagnosis) -> list[str]:
 
 def _looks(gap: Diagnosis, what: str) -> str:
     """What an unmeasured force tells of the difference, or of its rest, and how much of it where that is not most."""
-    if gap.unknown is None:
+    if gap.unknown is None or gap.unknown.explained < LEAST:
         return f"{what} has no form that was recognised."
     if gap.unknown.explained >= MOST:
         return f"{what} looks like {gap.unknown.sentence}."

@@ -4,7 +4,7 @@ import math
 
 from identify.gaps.decision_table import USUAL, Verdict
 from identify.gaps.results import Gap
-from identify.gaps.wording import MOST, alternatives, capital, closes_some, joined, leaves
+from identify.gaps.wording import LEAST, MOST, alternatives, capital, closes_some, joined, leaves
 from identify.pages.wording import number, percent
 from rig.model.unmeasured_force import UnmeasuredForce
 
@@ -123,7 +123,7 @@ def _partly(gap: Gap) -> list[str]:
 
 def _unexplained(gap: Gap) -> list[str]:
     steps = ["Keep rig.json as it is for now: no effect of the library would make it right."]
-    steps += _where_to_look(gap.unknown) if gap.unknown else _rest(gap)
+    steps += (_where_to_look(gap.unknown) if gap.unknown else []) or _rest(gap)
     if gap.causes and closes_some(gap.causes[0]):
         return steps + _tell_apart(gap)
     return steps + _proposed(gap)
@@ -147,6 +147,8 @@ def _rest(gap: Gap) -> list[str]:
 
 def _where_to_look(unknown: UnmeasuredForce) -> list[str]:
     """Where, and what to measure there."""
+    if unknown.explained < LEAST:
+        return []
     if unknown.explained < MOST:
         hint = f"Take this as a hint, as it explains only {percent(unknown.explained)} of what is left: "
         return [f"{hint}look at {_what(unknown)}."]
