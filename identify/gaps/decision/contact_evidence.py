@@ -44,13 +44,13 @@ def with_contact_evidence(
     residual is that of the nominal rig on the record that validates.
     """
     estimates, validation = difference.contact_estimates, prepared.validation
-    record, every = validation.record, list(ranked)
+    record, tolerances, every = validation.record, validation.record.tolerances, list(ranked)
     own = _of_contact_fit(prepared, known, estimates, nominal_of(ranked).hypothesis)
     if own is not None and all(own.key != one.hypothesis.key for one in ranked):
         every += judged(record, validation.reference, residual, [own], log_priors([own], known))
     told = [
         replace(
-            one, contact_fit=sum(contact_minus_two_log(e, record.rig, one.rig, record.tolerances) for e in estimates)
+            one, contact_fit=float(sum(contact_minus_two_log(e, record.rig, one.rig, tolerances) for e in estimates))
         )
         for one in every
     ]
