@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Complex, Float
 from scipy.interpolate import CubicSpline
+from scipy.linalg import null_space
 
 from rig.errors import RigError
 from rig.model.contact_laws import ContactLaw
@@ -111,14 +112,34 @@ def equilibrium(
 ) -> Float[np.ndarray, " modes"]:
     """Where the rig rests under a static load, in modal coordinates, `squares` being omega^2.
 
-    It is the least of the convex energy sum omega^2 q^2 / 2 + sum U_j(across_j q) - load q, reached by proximal steps
-    from zero: what floats unloaded stays, and what floats under a load is pushed to where the stops hold it. What
+    What floats unloaded stays at zero, and what floats under a load is pushed to where the stops hold it. A motion that
     nothing holds but friction or dampers begins at rest at zero, and the load moves it from there. Raises RigError if
     nothing resists it.
     """
-    q = np.zeros(load.size)
-    if not load.any():
+    small = 1e-6 * float(np.linalg.norm(load))
+    if not small:
+        return np.zeros(load.size)
+    q, unheld, stiffness = _least_energy(squares, across, laws, load)
+    if np.linalg.norm(unheld) < small:
         return q
+    motions = null_space(stiffness, rcond=1e-12)
+    resisting = across[[law.acts_in_the_gap for law in laws]] @ motions
+    pushing = unheld @ motions
+    if np.linalg.norm(pushing - pushing @ np.linalg.pinv(resisting) @ resisting) > small:
+        raise RigError("nothing holds a body against its static load; add a spring or a contact, or take the load off")
+    held = load - unheld
+    return _least_energy(squares, across, laws, held)[0] if np.linalg.norm(held) > small else np.zeros(load.size)
+
+
+def _least_energy(
+    squares: Float[np.ndarray, " modes"],
+    across: Float[np.ndarray, "connections modes"],
+    laws: tuple[ContactLaw, ...],
+    load: Float[np.ndarray, " modes"],
+) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"]]:
+    """The least of the convex energy sum omega^2 q^2 / 2 + sum U_j(across_j q) - load q, reached by proximal steps from
+    zero; the part of the load that nothing holds there, and the tangent stiffness."""
+    q = np.zeros(load.size)
 
     def energy(at: Float[np.ndarray, " modes"]) -> float:
         stored = sum(float(law.energy_j(eta)) for law, eta in zip(laws, across @ at, strict=True))
@@ -147,13 +168,8 @@ def equilibrium(
     for _ in range(3):
         force, stiffness = slopes(q)
         q = q - np.linalg.lstsq(stiffness, force, rcond=1e-12)[0]
-    unheld = -slopes(q)[0]
-    if np.linalg.norm(unheld) < 1e-6 * np.linalg.norm(load):
-        return q
-    resisting = across[[law.acts_in_the_gap for law in laws]]
-    if np.linalg.norm(unheld - unheld @ np.linalg.pinv(resisting) @ resisting) > 1e-6 * np.linalg.norm(load):
-        raise RigError("nothing holds a body against its static load; add a spring or a contact, or take the load off")
-    return equilibrium(squares, across, laws, load - unheld)
+    force, stiffness = slopes(q)
+    return q, -force, stiffness
 
 
 def _in_time(spectrum: Complex[np.ndarray, " lines"], samples: int) -> Float[np.ndarray, " samples"]:

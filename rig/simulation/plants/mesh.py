@@ -12,6 +12,9 @@ from rig.model.description import Rig, Sensor, Station, contact_stations
 from rig.model.modes import Meshed, held_coordinates, hermite, matrices
 from rig.simulation.plants.loading import connections, equilibrium
 
+ROUNDING = 1e-14
+"""Share of the largest omega^2 below which omega^2 of a rigid motion is rounding of the eigenvalues."""
+
 
 @dataclass(frozen=True)
 class Mesh:
@@ -122,7 +125,8 @@ def _at_rest(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
         [station_row(meshes, c.at) - (station_row(meshes, c.against) if c.against else 0) for c in both]
     ).reshape(len(both), load.size)
     squares, shapes = eigh(stiffness[np.ix_(free, free)], mass[np.ix_(free, free)])
+    squares = np.where(squares > ROUNDING * squares.max(), squares, 0.0)
     laws = tuple(c.law for c in both)
     found = np.zeros(load.size)
-    found[free] = shapes @ equilibrium(np.maximum(squares, 0), across[:, free] @ shapes, laws, shapes.T @ load[free])
+    found[free] = shapes @ equilibrium(squares, across[:, free] @ shapes, laws, shapes.T @ load[free])
     return found

@@ -65,6 +65,38 @@ def test_a_load_on_a_free_mass_with_a_damper_moves_it_from_rest(run):
     np.testing.assert_allclose(run(machine, np.zeros(8000), STEP_S).sensed[0], expected, atol=1e-4 * expected[-1])
 
 
+def test_a_load_on_a_free_beam_with_a_damper_at_its_place_moves_it_from_rest(run):
+    """The bent beam is at rest at first, though elastic modes feel the load too; then the damper carries all of it."""
+    damping, force_n, middle = 40.0, 0.5, Station("barrel", 0.5)
+    machine = msgspec.structs.replace(
+        MACHINE,
+        contacts=(),
+        dampers=(PointDamper(station=middle, damping_n_s_per_m=damping),),
+        loads=(StaticLoad(station=middle, force_n=force_n),),
+        sensors=tuple(replace_quantity(s) for s in MACHINE.sensors if s.station.body == "barrel"),
+    )
+    speeds = run(machine, np.zeros(8000), STEP_S).sensed
+    assert np.abs(speeds[:, 0]).max() < 0.02 * force_n / damping
+    np.testing.assert_allclose(speeds[:, -400:].mean(axis=1), force_n / damping, rtol=1e-3)
+
+
+@pytest.mark.parametrize("at_m", [0.0, 1.0])
+def test_a_damper_elsewhere_does_not_resist_a_load(run, at_m):
+    """It would turn the beam without end."""
+    machine = msgspec.structs.replace(
+        MACHINE,
+        contacts=(),
+        dampers=(PointDamper(station=Station("barrel", at_m), damping_n_s_per_m=40.0),),
+        loads=(StaticLoad(station=Station("barrel", 0.5), force_n=0.5),),
+    )
+    with pytest.raises(RigError, match="nothing holds a body against its static load"):
+        run(machine, np.zeros(9), STEP_S)
+
+
+def replace_quantity(sensor):
+    return msgspec.structs.replace(sensor, quantity="velocity")
+
+
 def test_the_base_moves_as_it_is_told():
     machine = effect_named("base_motion:acceleration_rms_m_per_s2=0.3,low_hz=5,high_hz=9").applied_to(MACHINE)
     samples = round(8 / STEP_S)
