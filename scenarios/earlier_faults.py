@@ -1,4 +1,4 @@
-"""What was once answered wrongly, simulated anew: machines like those on which verdicts contradicted their own numbers.
+"""Machines like those that earlier programs answered against their own numbers, simulated anew.
 
 python -m scenarios.earlier_faults --out out/earlier_faults
 
@@ -47,14 +47,14 @@ Place = dict[str, str | float]
 
 @dataclass(frozen=True)
 class Row:
-    """A machine of two beams (machine "") or of the world "bench", and how it differs: effects by kind, parameters and
-    place, or any other change of the machine or of what was measured."""
+    """A machine of two beams (machine "") or of the world "bench", and its difference from rig.json: effects by kind,
+    parameters and place, another change of the machine, or a change of the record."""
 
-    what: str
+    description: str
     machine: str = ""
     effects: tuple[tuple[str, dict[str, float], Place], ...] = ()
-    changed: Callable[[Machine], Machine] = lambda machine: machine
-    spoilt: Callable[[Measured], Measured] = lambda record: record
+    alter_machine: Callable[[Machine], Machine] = lambda machine: machine
+    alter_record: Callable[[Measured], Measured] = lambda record: record
     level_n: float = 15.0
     contacts_alone: bool = False
 
@@ -117,9 +117,9 @@ ROWS: dict[str, Row] = {
         effects=(("clearance_wear", {"growth_per_minute": 0.56}, {"contact": "all"}),),
     ),
     "force_gain": Row("gain of the force -4 %", effects=(("force_gain", {"factor": 0.96}, {}),)),
-    "clipped": Row("a sensor that clips at 0.6 of its largest value", spoilt=_clipped),
+    "clipped": Row("a sensor that clips at 0.6 of its largest value", alter_record=_clipped),
     "mostly_open": Row("a force of 4 N, contacts open most of the time, nothing changed", level_n=4.0),
-    "storey": Row("a storey's springs 5 % softer", "frame", changed=_softer_storey),
+    "storey": Row("a storey's springs 5 % softer", "frame", alter_machine=_softer_storey),
     "drag": Row(
         "quadratic drag of 8.1 N s2/m2 on the barrel",
         effects=(("quadratic_drag", {"drag_n_s2_per_m2": 8.1}, BARREL),),
@@ -139,20 +139,20 @@ ROWS: dict[str, Row] = {
 }
 
 
-class Asked(msgspec.Struct, frozen=True, kw_only=True):
-    """One row, its seed, and where its recordings go."""
+class RowTask(msgspec.Struct, frozen=True, kw_only=True):
+    """One row, its seed, and the folder of its recordings."""
 
     name: str
     seed: int
     folder: str
 
 
-class Said(msgspec.Struct, frozen=True, kw_only=True):
-    """What the program says of a row; the sentence of an error where it refuses."""
+class Answer(msgspec.Struct, frozen=True, kw_only=True):
+    """Verdict and sentence of the program on a row; `contact` for an identification, `refused` with the error."""
 
     name: str
-    what: str
-    answer: str
+    description: str
+    verdict: str
     sentence: str
 
 
@@ -164,40 +164,40 @@ def earlier_faults(
     force: Force = False,
 ) -> None:
     """Records every row, asks for its diagnosis, and prints what is said."""
-    refuse_existing(out / "said.json", force, new_folder=True)
+    refuse_existing(out / "answers.json", force, new_folder=True)
     out.mkdir(parents=True, exist_ok=True)
-    rows = [Asked(name=name, seed=seed, folder=str(out)) for name in ROWS]
-    said = run_tasks(asked, rows, Said, out / "tasks", dask)
-    write_json(said, out / "said.json")
+    tasks = [RowTask(name=name, seed=seed, folder=str(out)) for name in ROWS]
+    answers = run_tasks(answered, tasks, Answer, out / "tasks", dask)
+    write_json(answers, out / "answers.json")
     table = Table(show_lines=True)
-    for heading in ("machine", "answer", "sentence"):
+    for heading in ("machine", "verdict", "sentence"):
         table.add_column(heading)
-    for one in said:
-        table.add_row(one.what, one.answer, one.sentence)
+    for answer in answers:
+        table.add_row(answer.description, answer.verdict, answer.sentence)
     Console().print(table)
 
 
-def asked(one: Asked) -> Said:
-    """A row recorded twice, and what the program says of it."""
-    row, folder = ROWS[one.name], Path(one.folder)
-    rng = np.random.default_rng([one.seed, list(ROWS).index(one.name)])
+def answered(task: RowTask) -> Answer:
+    """Record a row twice, and ask the program about it."""
+    row, folder = ROWS[task.name], Path(task.folder)
+    rng = np.random.default_rng([task.seed, list(ROWS).index(task.name)])
     rig, true, excitations = machine_of(row, rng)
-    paths = [folder / f"{one.name}_{which}.mcap" for which in ("fit", "validate")]
+    paths = [folder / f"{task.name}_{which}.mcap" for which in ("fit", "validate")]
     for path, excitation in zip(paths, excitations, strict=True):
         record = measured(true, excitation, round(DURATION_S * rig.sample_rate_hz), rig.sample_rate_hz, _seed(rng))
-        write(path, rig, row.spoilt(record))
+        write(path, rig, row.alter_record(record))
     try:
         if row.contacts_alone:
             found = identify.contact(read(paths[0]))
-            return Said(name=one.name, what=row.what, answer="contact", sentence=str(found))
+            return Answer(name=task.name, description=row.description, verdict="contact", sentence=str(found))
         gap, _ = diagnose(read(paths[0]), read(paths[1]), simulator_named("modal"), None)
     except RigError as error:
-        return Said(name=one.name, what=row.what, answer="refused", sentence=str(error))
-    return Said(name=one.name, what=row.what, answer=gap.verdict, sentence=gap.sentence)
+        return Answer(name=task.name, description=row.description, verdict="refused", sentence=str(error))
+    return Answer(name=task.name, description=row.description, verdict=gap.verdict, sentence=gap.sentence)
 
 
 def machine_of(row: Row, rng: np.random.Generator) -> tuple[Rig, Machine, tuple[Excitation, Excitation]]:
-    """What is believed of a row, the machine as it is, and what excites its records."""
+    """The nominal rig of a row, the machine as it is, and the excitations of its two records."""
     kinds: dict[str, Kind]
     excitations: tuple[Excitation, Excitation]
     if row.machine:
@@ -211,7 +211,7 @@ def machine_of(row: Row, rng: np.random.Generator) -> tuple[Rig, Machine, tuple[
         excitations = (first, second)
     for name, parameters, place in row.effects:
         true = kinds[name].change(true, EffectTruth(name=name, parameters=parameters, place=place, strength=1.0))
-    return rig, row.changed(true), excitations
+    return rig, row.alter_machine(true), excitations
 
 
 def _seed(rng: np.random.Generator) -> int:

@@ -12,13 +12,11 @@ from typing import Annotated
 import msgspec
 import numpy as np
 import typer
-from jaxtyping import Float
-from msgspec.structs import replace
 from rich.console import Console
 from rich.table import Table
 from scipy.io import loadmat
 
-from identify.gaps.decision.answer import Simulator, diagnose
+from identify.gaps.decision.answer import diagnose
 from identify.gaps.page.report import write_all
 from rig.commands.command_line import Force, progress_bar, refuse_existing, run
 from rig.errors import RigError
@@ -27,12 +25,10 @@ from rig.lab.importing import import_file
 from rig.model.description import PointDamper, Rig, Sensor, Station, to_json
 from rig.model.oscillator import Oscillator
 from rig.recording import Recording, read
-from rig.simulation import prediction
-from rig.simulation.plants.modal import simulate as modal
-from rig.simulation.replay import replayed
+from scenarios.free_runs import SIMULATOR, free_run
 
 FILES = {"fit": "DATA_EMPS.mat", "pulses": "DATA_EMPS_PULSES.mat"}
-SAMPLE_RATE_HZ, OVERSAMPLED = 1000.0, 8
+SAMPLE_RATE_HZ = 1000.0
 MASS_KG, VISCOUS_N_S_PER_M = 95.1, 203.0
 """Of the published linear part, which the owner believes."""
 MAP = """rig = "rig.json"
@@ -104,7 +100,7 @@ def carriage() -> Rig:
 
 
 def imported(path: Path, out: Path, name: str) -> Recording:
-    """By a map of its own, as the force is the controller's voltage times the file's own gain."""
+    """Import a file by a map that takes the controller's voltage times the file's own gain (N/V) as the force."""
     try:
         gain_n_per_v = float(np.ravel(loadmat(path)["gtau"])[0])
     except (OSError, KeyError, ValueError) as error:
@@ -114,29 +110,19 @@ def imported(path: Path, out: Path, name: str) -> Recording:
     return read(out / f"{name}.mcap")
 
 
-def simulated(believed: Rig, actual: Rig, force_n: Float[np.ndarray, " samples"], seed: int) -> Recording:
-    return replayed(believed, actual, force_n, modal, 1 / (OVERSAMPLED * SAMPLE_RATE_HZ), seed)
-
-
-SIMULATOR = Simulator("emps", simulated, prediction.modal)
-
-
 def error_mm(rig: Rig, record: Recording) -> float:
-    """Rms error of the position in a run from rest under the measured force, without the sensor's noise."""
-    silent = replace(rig, sensors=tuple(replace(s, noise_density=0.0) for s in rig.sensors))
-    run_m, measured_m = (
-        one.signals["displacement"].values[0] for one in (simulated(silent, silent, record.force_n, 1), record)
-    )
+    """Root mean square error of the position in a free run from rest, mm."""
+    run_m, measured_m = (one.signals["displacement"].values[0] for one in (free_run(rig, record.force_n), record))
     return float(1e3 * np.sqrt(np.mean((run_m - (measured_m - measured_m[0])) ** 2)))
 
 
 def table(judged: JudgedCarriage) -> Table:
-    found = Table(title=f"Free run, position error in mm rms; verdict: {judged.verdict}, {' + '.join(judged.effects)}")
+    rows = Table(title=f"Free run, position error in mm rms; verdict: {judged.verdict}, {' + '.join(judged.effects)}")
     for heading in ("rig", *FILES):
-        found.add_column(heading, justify="right" if found.columns else "left")
+        rows.add_column(heading, justify="right" if rows.columns else "left")
     for name, errors in (("believed", judged.believed_mm), ("corrected", judged.corrected_mm)):
-        found.add_row(name, *(f"{errors[one]:.1f}" for one in FILES))
-    return found
+        rows.add_row(name, *(f"{errors[one]:.1f}" for one in FILES))
+    return rows
 
 
 if __name__ == "__main__":

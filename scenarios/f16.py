@@ -19,7 +19,7 @@ from msgspec.structs import replace
 from rich.console import Console
 from rich.table import Table
 
-from identify.gaps.decision.answer import Simulator, diagnose
+from identify.gaps.decision.answer import diagnose
 from identify.gaps.page.report import write_all
 from identify.gaps.results import Matters
 from rig.commands.command_line import Force, progress_bar, refuse_existing, run
@@ -32,10 +32,8 @@ from rig.lab.starting.measured import MeasuredRig
 from rig.model.description import Rig
 from rig.model.modes import modes_of
 from rig.recording import Recording, read
-from rig.simulation import prediction
-from rig.simulation.plants.modal import simulate as modal
-from rig.simulation.replay import replayed
 from scenarios.f16_figures import drawn
+from scenarios.free_runs import SIMULATOR, free_run
 
 FILE = "F16Data_FullMSine_Level{}.mat"
 LOW, PAIRS = "1", (("3", "2_Validation"), ("5", "4_Validation"))
@@ -46,7 +44,6 @@ PLACES_M = (0.0, 1.0, 1.2)
 OUTPUTS = ("at the force", "wing at the joint", "payload at the joint")
 DIAGNOSED = slice(0, 4 * PERIOD)
 """Four periods of nine, from rest."""
-OVERSAMPLED = 8
 JOINT_HZ = (6.9, 7.5)
 """Where the mode lies that the joint belongs to."""
 app = typer.Typer(pretty_exceptions_enable=False)
@@ -182,19 +179,6 @@ def equivalent_linear(believed: Rig, recording: Recording) -> Rig:
 
 def accelerations(recording: Recording) -> Float[np.ndarray, "sensors samples"]:
     return recording.signals["acceleration"].values
-
-
-def free_run(rig: Rig, force_n: Float[np.ndarray, " samples"]) -> Recording:
-    """From rest under a measured force, without the sensors' noise."""
-    silent = replace(rig, sensors=tuple(replace(s, noise_density=0.0) for s in rig.sensors))
-    return simulated(silent, silent, force_n, 1)
-
-
-def simulated(believed: Rig, actual: Rig, force_n: Float[np.ndarray, " samples"], seed: int) -> Recording:
-    return replayed(believed, actual, force_n, modal, 1 / (OVERSAMPLED * RATE_HZ), seed)
-
-
-SIMULATOR = Simulator("f16", simulated, prediction.modal)
 
 
 def errors_percent(rig: Rig, recording: Recording) -> tuple[float, ...]:

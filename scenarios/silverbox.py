@@ -19,7 +19,7 @@ from rich.table import Table
 from scipy.optimize import least_squares
 from scipy.signal import welch
 
-from identify.gaps.decision.answer import Simulator, diagnose
+from identify.gaps.decision.answer import diagnose
 from identify.gaps.page.report import write_all
 from identify.signals.kinematics import kinematics
 from identify.signals.spectra import force_band
@@ -29,9 +29,7 @@ from rig.model.description import Rig, Sensor, Station
 from rig.model.modes import modes_of
 from rig.model.oscillator import Oscillator
 from rig.recording import Recording
-from rig.simulation import prediction
-from rig.simulation.plants.modal import simulate as modal
-from rig.simulation.replay import replayed
+from scenarios.free_runs import SIMULATOR, free_run
 from scenarios.silverbox_data import (
     ARROW,
     DISPLACEMENT_M_PER_V,
@@ -51,7 +49,6 @@ from scenarios.silverbox_figures import drawn
 
 SETTLED = 150
 """Samples at the start of the arrow that do not count, as is the custom with this benchmark."""
-OVERSAMPLED = 8
 app = typer.Typer(pretty_exceptions_enable=False)
 
 
@@ -142,19 +139,6 @@ def linear_guess(recording: Recording, noise_density: float) -> Rig:
     mass, damping, stiffness = np.linalg.lstsq(np.concatenate(rows).T, motion.force_n, rcond=None)[0]
     natural = np.sqrt(stiffness / mass)
     return one_mass(float(mass), float(natural / (2 * np.pi)), float(damping / (2 * mass * natural)), noise_density)
-
-
-def free_run(rig: Rig, force_n: Float[np.ndarray, " samples"]) -> Recording:
-    """From rest under a measured force, interpolated by a cubic, without the sensor's noise."""
-    silent = replace(rig, sensors=tuple(replace(s, noise_density=0.0) for s in rig.sensors))
-    return simulated(silent, silent, force_n, 1)
-
-
-def simulated(believed: Rig, actual: Rig, force_n: Float[np.ndarray, " samples"], seed: int) -> Recording:
-    return replayed(believed, actual, force_n, modal, 1 / (OVERSAMPLED * SAMPLE_RATE_HZ), seed)
-
-
-SIMULATOR = Simulator("silverbox", simulated, prediction.modal)
 
 
 def identified(rig: Rig, recording: Recording) -> Rig:

@@ -55,7 +55,7 @@ def asked_form(fit: LawFit, names: Sequence[FormName]) -> LawFit:
 
 
 def is_asked_for(simple: LawFit, alternative: LawFit) -> bool:
-    """Whether the alternative form leaves less than the dead zone, by both criteria above."""
+    """True if the alternative form leaves less than the dead zone, by both criteria above."""
     samples = max(2.0, simple.weights.size / simple.record.sample_ratio)
     gained, steadily = evidence(simple, alternative, samples)
     return bool(gained > alternative.state.form.shapes * np.log(samples) + 2 * np.log(ODDS) and steadily > CONSISTENT)

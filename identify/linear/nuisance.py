@@ -8,6 +8,7 @@ standard deviation, as the tolerances state it.
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Complex, Float, Int
@@ -156,19 +157,21 @@ def _of_sensors(observed: Observed) -> Iterator[Change]:
 
 
 def crosstalk_of(observed: Observed) -> Iterator[Change]:
-    """What each channel shows of the channels beside it that measure the same."""
+    """Shares of a channel that those beside it show, where both measure the same quantity: tolerance times A."""
     share, sensors = observed.tolerances.crosstalk, observed.sensors
-    for source, i in [(k + step, k) for k in range(len(sensors)) for step in (-1, 1)] if share else []:
-        if 0 <= source < len(sensors) and sensors[source].measures == sensors[i].measures:
-            displaces = observed.displaced_by[i] == sensors[i] and observed.displaced_by[source] == sensors[source]
+    is_displacement = [a == b for a, b in zip(sensors, observed.displaced_by, strict=True)]
+    for first, second in pairwise(range(len(sensors)) if share else ()):
+        if sensors[first].measures != sensors[second].measures:
+            continue
+        for source, target in ((first, second), (second, first)):
             reading = None
             if observed.is_read:
                 reading = Reading(share * observed.sensor_response[[source]], np.eye(len(sensors))[source])
             yield Change(
-                Nuisance(NuisanceKind.CROSSTALK, f"{sensors[source].name} in {sensors[i].name}"),
-                [i],
+                Nuisance(NuisanceKind.CROSSTALK, f"{sensors[source].name} in {sensors[target].name}"),
+                [target],
                 share * observed.explained[[source]],
-                share * observed.displaced[[source]] if displaces else None,
+                share * observed.displaced[[source]] if is_displacement[source] and is_displacement[target] else None,
                 reading,
             )
 

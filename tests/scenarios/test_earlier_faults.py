@@ -14,7 +14,7 @@ UNCHANGED = ("carriage", "clipped", "mostly_open")
 def test_every_row_is_a_machine_that_differs_as_it_says(name):
     row = ROWS[name]
     rig, true, excitations = machine_of(row, np.random.default_rng(3))
-    nothing = type(row)(row.what, row.machine, level_n=row.level_n)
+    nothing = type(row)(row.description, row.machine, level_n=row.level_n)
     same_rig, as_built, same_excitations = machine_of(nothing, np.random.default_rng(3))
     assert rig == same_rig
     assert excitations == same_excitations
@@ -33,7 +33,7 @@ def test_a_softer_storey_is_one_spring_of_one_frame():
 
 def test_a_clipped_channel_stays_within_its_limit():
     delivered = np.random.default_rng(1).standard_normal((5, 200))
-    spoilt = ROWS["clipped"].spoilt(Measured(np.zeros(200), delivered, {}))
+    spoilt = ROWS["clipped"].alter_record(Measured(np.zeros(200), delivered, {}))
     changed = np.any(spoilt.delivered != delivered, axis=1)
     assert changed.tolist() == [False, False, False, True, False]
     assert np.abs(spoilt.delivered[3]).max() == pytest.approx(0.6 * np.abs(delivered[3]).max())

@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 
 from rig.errors import RigError
 from rig.model.description import to_json
-from scenarios.emps import FILES, SAMPLE_RATE_HZ, JudgedCarriage, app, carriage, error_mm, imported, simulated
+from scenarios.emps import FILES, SAMPLE_RATE_HZ, JudgedCarriage, app, carriage, error_mm, imported
+from scenarios.free_runs import simulated
 
 DATA = Path(os.environ.get("EMPS", "emps"))
 

@@ -21,13 +21,12 @@ from scenarios.f16 import (
     PERIOD,
     PLACES_M,
     RATE_HZ,
-    SIMULATOR,
     Judged,
     accelerations,
     app,
     errors_percent,
-    simulated,
 )
+from scenarios.free_runs import SIMULATOR, simulated
 
 DATA = Path(os.environ.get("F16", "f16"))
 SHAPES = np.array([[0.09, 0.03, 0.04, 0.05], [0.02, 0.05, 0.08, -0.04], [0.02, 0.05, 0.07, -0.01]])

@@ -16,7 +16,8 @@ from identify.gaps.decision.answer import diagnose
 from rig.errors import RigError
 from rig.model.description import PointSpring
 from rig.simulation.excitation import BandLimitedGaussian, force_history
-from scenarios.silverbox import SIMULATOR, JudgedRig, app, free_run, identified, one_mass, rms, simulated
+from scenarios.free_runs import SIMULATOR, free_run, simulated
+from scenarios.silverbox import JudgedRig, app, identified, one_mass, rms
 from scenarios.silverbox_data import FILE, SAMPLES, measured
 
 DATA = Path(os.environ.get("SILVERBOX", "silverbox"))

@@ -118,24 +118,32 @@ def _undetermined(contact: Contact, refusals: Sequence[Refusal]) -> Bounded:
     return Bounded(names, "", None, None, 0.0, why, remedy)
 
 
-def distance_of(contact: Contact, estimate: LawEstimate) -> Float[np.ndarray, " rows"]:
-    """Estimated parameters less those of the contact: m, N/m, N s/m, m."""
-    return np.asarray(estimate.values - estimate.quantities @ law_numbers(contact.law))
+@dataclass(frozen=True)
+class LawDistance:
+    """Distance d of estimated parameters from those of a contact's law (m, N/m, N s/m, m), and C + S: the covariance of
+    the estimate with the stated variances of the nominal law."""
+
+    distance: Float[np.ndarray, " rows"]
+    covariance: Float[np.ndarray, "rows rows"]
+
+    @property
+    def chi_squared(self) -> float:
+        return float(self.distance @ np.linalg.solve(self.covariance, self.distance))
 
 
-def variances_of(contact: Contact, tolerances: Tolerances, count: int) -> Float[np.ndarray, "rows rows"]:
-    """Stated variances of the first so many of a contact's parameters."""
-    return np.diag(np.square(deviations(contact, tolerances)[:count]))
+def law_distance(estimate: LawEstimate, contact: Contact, nominal: Contact, tolerances: Tolerances) -> LawDistance:
+    distance = np.asarray(estimate.values - estimate.quantities @ law_numbers(contact.law))
+    stated = np.diag(np.square(deviations(nominal, tolerances)[: distance.size]))
+    return LawDistance(distance, estimate.covariance + stated)
 
 
 def _p_value(contact: Contact, estimate: LawEstimate, tolerances: Tolerances) -> float:
-    distance = distance_of(contact, estimate)
-    variances = estimate.covariance + variances_of(contact, tolerances, distance.size)
-    return float(chi2.sf(distance @ np.linalg.solve(variances, distance), distance.size))
+    measured = law_distance(estimate, contact, contact, tolerances)
+    return float(chi2.sf(measured.chi_squared, measured.distance.size))
 
 
 def _bounds(contact: Contact, estimate: LawEstimate, tolerances: Tolerances) -> list[Bounded]:
-    distances = np.abs(distance_of(contact, estimate))
+    distances = np.abs(law_distance(estimate, contact, contact, tolerances).distance)
     errors = COVERED * np.sqrt(np.diag(estimate.covariance))
     names, units = ("clearance", "stiffness", "damping", "offset"), ("m", "N/m", "N s/m", "m")
     rows = zip(names, units, distances, errors, deviations(contact, tolerances), strict=False)

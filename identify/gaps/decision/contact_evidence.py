@@ -1,4 +1,4 @@
-"""What the contact fit of all records says for and against hypotheses.
+"""Evidence of the contact fit of all records for and against hypotheses.
 
 The statistic of a record hardly sees the damping of a contact, which the contact fit tells to a few per cent. With d
 the distance of the n fitted quantities (clearances, stiffness, damping) of a contact from its law in a hypothesis, C
@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from identify.gaps.decision.bounds import Difference, distance_of, variances_of
+from identify.gaps.decision.bounds import Difference, law_distance
 from identify.gaps.decision.comparison import Judged, judged, log_priors
 from identify.gaps.decision.prepare import Prepared
 from identify.gaps.decision.verdict import nominal_of
@@ -29,66 +29,63 @@ from rig.model.description import Contact, Rig
 from rig.model.tolerances import Tolerances
 
 EFFECTS = ("contact_clearance", "contact_stiffness", "contact_damping")
-"""Of the quantities of a contact fit, in their order."""
+"""Effects that move the quantities of a contact fit, in their order."""
 
 
 def with_contact_evidence(
     prepared: Prepared,
-    known: Sequence[Candidate],
+    candidates: Sequence[Candidate],
     ranked: Sequence[Judged],
     difference: Difference,
-    residual: Residual,
+    nominal_residual: Residual,
 ) -> list[Judged]:
-    """The hypotheses with what the contact fit says of them, and one of what it finds beyond the tolerances.
+    """Hypotheses with their `contact_fit`, and the hypothesis that the contact fit makes; the likeliest first.
 
-    residual is that of the nominal rig on the record that validates.
+    nominal_residual is that of the nominal rig on the validation record.
     """
     estimates, validation = difference.contact_estimates, prepared.validation
-    record, tolerances, every = validation.record, validation.record.tolerances, list(ranked)
-    own = _of_contact_fit(prepared, known, estimates, nominal_of(ranked).hypothesis)
-    if own is not None and all(own.key != one.hypothesis.key for one in ranked):
-        every += judged(record, validation.reference, residual, [own], log_priors([own], known))
-    told = [
-        replace(
-            one, contact_fit=float(sum(contact_minus_two_log(e, record.rig, one.rig, tolerances) for e in estimates))
-        )
-        for one in every
-    ]
-    return sorted(told, key=lambda one: -one.log_posterior)
+    record, hypotheses = validation.record, list(ranked)
+    fitted = _hypothesis_of_contact_fit(prepared, candidates, estimates, nominal_of(ranked).hypothesis)
+    if fitted is not None and all(fitted.key != judgement.hypothesis.key for judgement in ranked):
+        priors = log_priors([fitted], candidates)
+        hypotheses += judged(record, validation.reference, nominal_residual, [fitted], priors)
+    weighed = []
+    for hypothesis in hypotheses:
+        costs = (contact_minus_two_log(e, record.rig, hypothesis.rig, record.tolerances) for e in estimates)
+        weighed.append(replace(hypothesis, contact_fit=float(sum(costs))))
+    return sorted(weighed, key=lambda judgement: -judgement.log_posterior)
 
 
 def contact_minus_two_log(estimate: LawEstimate, nominal: Rig, rig: Rig, tolerances: Tolerances) -> float:
-    """Of one contact of `rig`, a hypothesis: d' (C + S)^-1 d - n; zero for a law of another kind."""
-    believed, contact = _contact(nominal, estimate), _contact(rig, estimate)
-    if not numbers_alone_differ(contact.law, believed.law):
+    """-2 ln p of one contact of the hypothesis `rig`: d' (C + S)^-1 d - n; zero for a law of another kind."""
+    nominal_contact, contact = _contact(nominal, estimate), _contact(rig, estimate)
+    if not numbers_alone_differ(contact.law, nominal_contact.law):
         return 0.0
-    distance = distance_of(contact, estimate)
-    variances = estimate.covariance + variances_of(believed, tolerances, distance.size)
-    return float(distance @ np.linalg.solve(variances, distance)) - distance.size
+    return law_distance(estimate, contact, nominal_contact, tolerances).chi_squared - estimate.values.size
 
 
 def _contact(rig: Rig, estimate: LawEstimate) -> Contact:
     return next(contact for contact in rig.contacts if contact.name == estimate.contact)
 
 
-def _of_contact_fit(
-    prepared: Prepared, known: Sequence[Candidate], estimates: Sequence[LawEstimate], nominal: Hypothesis
+def _hypothesis_of_contact_fit(
+    prepared: Prepared, candidates: Sequence[Candidate], estimates: Sequence[LawEstimate], nominal: Hypothesis
 ) -> Hypothesis | None:
-    """Effects of all that the fit finds off by more than `PULLED` standard deviations; None where that is nothing."""
+    """Effects of all numbers that the fit finds off by more than `PULLED` standard deviations; None without any."""
     record, names = prepared.searched.record, list[str]()
     for estimate in estimates:
         contact = _contact(record.rig, estimate)
-        distance = distance_of(contact, estimate)
-        variances = np.diag(estimate.covariance + variances_of(contact, record.tolerances, distance.size))
-        off = np.abs(distance) > PULLED * np.sqrt(variances)
-        names += [f"{effect}:{contact.name}" for effect, is_off in zip(EFFECTS, off, strict=False) if is_off]
-    parts = tuple(candidate for candidate in known if candidate.name in names)
+        measured = law_distance(estimate, contact, contact, record.tolerances)
+        is_off = np.abs(measured.distance) > PULLED * np.sqrt(np.diag(measured.covariance))
+        names += [f"{EFFECTS[k]}:{contact.name}" for k in np.flatnonzero(is_off[: len(EFFECTS)])]
+    parts = tuple(candidate for candidate in candidates if candidate.name in names)
     if not parts:
         return None
     neutral = np.array([part.neutral for part in parts])
     unfitted = Hypothesis(parts, neutral, np.zeros((neutral.size, neutral.size)), nominal.misfit)
-    fitted = with_contact_fit(unfitted, [one.recording for one in prepared.fitted], record.tolerances)
+    recordings = [observation.recording for observation in prepared.fitted]
+    fitted = with_contact_fit(unfitted, recordings, record.tolerances)
     if fitted is unfitted:
         return None
-    at = fit_nuisance(record, fitted.applied_to(record.rig), rounds=1)[1]
-    return replace(fitted, misfit=misfit(record, prepared.searched.reference, at))
+    residual = fit_nuisance(record, fitted.applied_to(record.rig), rounds=1)[1]
+    return replace(fitted, misfit=misfit(record, prepared.searched.reference, residual))

@@ -66,19 +66,19 @@ def judge(
     ranked = _with_contact_fit(prepared, ranked, residual)
     difference = difference_of(prepared, residual, matters, split_p_value(ranked))
     ranked = with_contact_evidence(prepared, searched.candidates, ranked, difference, residual)
-    known = _Known(prepared, difference, residual, matters)
+    basis = _Basis(prepared, difference, residual, matters)
     outcome = predicted_decision(
-        ranked, known.decided, lambda named: attempted("rollout", lambda: predicted(prepared, residual, named))
+        ranked, basis.decided, lambda named: attempted("rollout", lambda: predicted(prepared, residual, named))
     )
     decision, unmeasured = outcome.decision, Unmeasured()
     if decision.verdict in INCOMPLETE:
-        decision, unmeasured = _with_a_force(known, outcome.ranked, decision)
+        decision, unmeasured = _with_a_force(basis, outcome.ranked, decision)
     return Judgement(decision, outcome, unmeasured, linearization, residual)
 
 
 @dataclass(frozen=True)
-class _Known:
-    """What every decision rests on beside the hypotheses."""
+class _Basis:
+    """Evidence that all decisions on the hypotheses share."""
 
     prepared: Prepared
     difference: Difference
@@ -147,24 +147,24 @@ def _with_contact_fit(prepared: Prepared, ranked: list[Judged], residual: Residu
     return sorted([*(better or [best]), *others], key=lambda one: -one.log_posterior)
 
 
-def _with_a_force(known: _Known, ranked: Sequence[Judged], decision: Decision) -> tuple[Decision, Unmeasured]:
+def _with_a_force(basis: _Basis, ranked: Sequence[Judged], decision: Decision) -> tuple[Decision, Unmeasured]:
     """The decision with an unmeasured force as a rival of the effects; where they explain half, as their companion."""
-    prepared, residual, validation = known.prepared, known.residual, known.prepared.validation
+    prepared, residual, validation = basis.prepared, basis.residual, basis.prepared.validation
     record, vetoed = validation.record, decision.evidence.vetoed
     alone = attempted("unmeasured_force", lambda: likeliest_force(prepared.searched.record, record.rig, record))
     nothing = nominal_of(ranked)
     cost = cost_with(validation, record.rig, alone.value, nothing.misfit) if alone.value else None
     gain = None if cost is None else nothing.misfit.minus_two_log - cost
-    decision = known.decided(ranked, vetoed, Rivals(cost))
+    decision = basis.decided(ranked, vetoed, Rivals(cost))
     force, named = alone, decision.named
-    if named and closed(named.without, named.misfit, known.matters) >= HALF:
+    if named and closed(named.without, named.misfit, basis.matters) >= HALF:
         rig = named.rig
         beside = attempted("unmeasured_force", lambda: likeliest_force(prepared.searched.record, rig, record))
         companion = beside.value
         if companion and acts_where_they_do(companion.on_fit.candidate, record.rig, rig):
             companion = None
         cost_beside = cost_with(validation, rig, companion, named.misfit) if companion else None
-        decision = known.decided(ranked, vetoed, Rivals(cost, named, cost_beside))
+        decision = basis.decided(ranked, vetoed, Rivals(cost, named, cost_beside))
         if decision.verdict == Verdict.PARTLY_EXPLAINED:
             force, residual = beside, fit_nuisance(record, rig, rounds=1)[1]
     modulation = attempted("clearance_modulation", lambda: clearance_modulation(record, residual))

@@ -1,12 +1,12 @@
 """Whether the rig with the named effects moves as the machine does: it may veto an explanation, and never gives one."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from identify.gaps.decision.comparison import Judged
 from identify.gaps.decision.notes import Attempt
 from identify.gaps.decision.prepare import Prepared
-from identify.gaps.decision.verdict import ALIKE, Decision, all_told, nominal_of
+from identify.gaps.decision.verdict import ALIKE, Decision, nominal_of, strengths_exclude_neutral
 from identify.gaps.residual.residual import Residual
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.rollout.judge import confirmed, judged, log_ratio_of
@@ -58,25 +58,24 @@ def predicted_decision(
     decide: Callable[[Sequence[Judged], bool], Decision],
     predict: Callable[[Judged], Attempt[Rollout]],
 ) -> PredictedDecision:
-    """The decision, vetoed if its named effects predict the motion worse.
+    """Decide among hypotheses; veto the named effects if they predict the motion worse.
 
-    Then other hypotheses that were likely too, and whose strengths are all told, take its place, as long as prediction
-    rules out the likeliest of them; if it rules out all, the first stays, with its veto. decide takes hypotheses and
-    whether they are vetoed.
+    After a veto, the hypotheses that were likelier than `ALIKE`, and whose strengths exclude their neutral values, are
+    decided among without the vetoed one, until one is not vetoed; if all are, the first decision stays, with its veto.
+    decide takes hypotheses and whether their named effects are vetoed.
     """
     first = outcome = _predicted(ranked, decide, predict)
-    rest = [w.judged for w in first.decision.weighed if w.probability > ALIKE and all_told(w.judged.hypothesis)]
+    rivals = [w.judged for w in first.decision.weighed if w.probability > ALIKE]
+    rivals = [rival for rival in rivals if strengths_exclude_neutral(rival.hypothesis)]
     ruled_out: list[Judged] = []
     while outcome.vetoed:
         vetoed = outcome.decision.named
-        ruled_out += [one for one in outcome.ranked if one is vetoed]
-        rest = [one for one in rest if one is not vetoed]
-        if not rest:
+        ruled_out += [hypothesis for hypothesis in outcome.ranked if hypothesis is vetoed]
+        rivals = [rival for rival in rivals if rival is not vetoed]
+        if not rivals:
             return first
-        outcome = _predicted([nominal_of(ranked), *rest], decide, predict)
-    if not outcome.decision.helps:
-        return first
-    return PredictedDecision(outcome.ranked, outcome.decision, outcome.rollout, tuple(ruled_out))
+        outcome = _predicted([nominal_of(ranked), *rivals], decide, predict)
+    return replace(outcome, ruled_out=tuple(ruled_out)) if outcome.decision.helps else first
 
 
 def _predicted(

@@ -148,7 +148,7 @@ def _removes(gap: Diagnosis) -> str:
 
 
 def _is_hidden(gap: Diagnosis) -> bool:
-    """Whether nothing beyond noise is left of the motion and of any contact force, whatever the p-value says."""
+    """True if nothing beyond noise is left of the motion and of any contact force, whatever the p-value says."""
     return gap.before.share == 0 and not any(gap.before.contact_shares.values())
 
 
@@ -157,13 +157,13 @@ def _veto(gap: Diagnosis) -> list[str]:
 
 
 def _ruled_out(gap: Diagnosis) -> list[str]:
-    """The likeliest of the effects that prediction rules out."""
+    """The likeliest of the hypotheses that prediction rules out."""
     if not gap.ruled_out:
         return []
-    be, alone = ("was", "it") if len(gap.ruled_out[0]) == 1 else ("were", "them")
+    words = gap.ruled_out[0]
     return [
-        f"By the spectra {joined(gap.ruled_out[0])} alone {be} likelier, but with {alone} the rig predicts the "
-        "measured motion no better."
+        f"By the spectra, {joined(words)} would be likelier; with {'it' if len(words) == 1 else 'them'} alone the rig "
+        "predicts the measured motion no better."
     ]
 
 

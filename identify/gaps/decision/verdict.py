@@ -164,8 +164,8 @@ def strengths_of(hypothesis: Hypothesis, weighed: Sequence[Weighed]) -> tuple[St
     return tuple(strengths)
 
 
-def all_told(hypothesis: Hypothesis) -> bool:
-    """Whether it has effects, and the interval of every strength excludes its neutral value."""
+def strengths_exclude_neutral(hypothesis: Hypothesis) -> bool:
+    """True if a hypothesis has effects, and the 95 % interval of every strength excludes its neutral value."""
     strengths = strengths_of(hypothesis, ())
     return bool(strengths) and all(not s.interval_95[0] <= s.neutral <= s.interval_95[1] for s in strengths)
 

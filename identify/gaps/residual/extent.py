@@ -142,7 +142,7 @@ def _excited_hz(forces_n: Float[np.ndarray, "forces samples"], rate_hz: float) -
 
 
 def is_free(rig: Rig, body: str) -> bool:
-    """Whether a body is a mass that nothing holds."""
+    """True if a body is a mass that nothing holds."""
     own = rig.body(body)
     held = [s.station for s in rig.springs] + [s for c in rig.contacts for s in contact_stations(c)]
     return own.is_mass and bool(own.rigid_modes) and all(s.body != body for s in held)

@@ -178,11 +178,11 @@ def _law_numbers(hypothesis: Hypothesis, believed: Rig, values: Values) -> Float
     return np.array([law_numbers(c.law) for c in contacts]).reshape(-1, len(LAW))
 
 
-def numbers_alone_differ(law: ContactLaw, other: ContactLaw) -> bool:
-    """Whether two laws are dead zones that are alike but for clearances, stiffness and damping."""
-    if not (isinstance(law, DeadZone) and isinstance(other, DeadZone)):
+def numbers_alone_differ(law: ContactLaw, nominal: ContactLaw) -> bool:
+    """True if two laws are dead zones that are alike but for clearances, stiffness and damping."""
+    if not (isinstance(law, DeadZone) and isinstance(nominal, DeadZone)):
         return False
-    return msgspec.structs.replace(law, **{name: getattr(other, name) for name in LAW.names}) == other
+    return msgspec.structs.replace(law, **{name: getattr(nominal, name) for name in LAW.names}) == nominal
 
 
 def law_numbers(law: ContactLaw) -> Float[np.ndarray, " 4"]:

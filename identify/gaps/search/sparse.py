@@ -107,20 +107,24 @@ def _begun_by_single(context: Search, nominal: Tried, best: Tried) -> Tried:
     if not singles or singles[0].cost >= best.cost:
         return best
     first, *_ = singles
-    return _shaken(context, first) if _is_stochastic(first.hypothesis) else _refined_from(context, first)
+    return _with_set_beside(context, first) if _is_stochastic(first.hypothesis) else _refined_from(context, first)
 
 
 def _is_stochastic(hypothesis: Hypothesis) -> bool:
     return any(part.kind.stochastic for part in hypothesis.parts)
 
 
-def _shaken(context: Search, base: Tried) -> Tried:
+def _with_set_beside(context: Search, base: Tried) -> Tried:
     """A base motion, and the set beside it, searched on the shaken rig: a spectrum is not fitted by Gauss-Newton."""
-    steady = tuple(c for c in context.known if not c.kind.stochastic)
-    rig = base.hypothesis.applied_to(context.linearization.rig)
-    inner = Search(context.reference, *_about(base, rig), steady)
-    settled = _refined_from(inner, inner.nothing())
+    shaken = _search_about(context, base, [c for c in context.known if not c.kind.stochastic])
+    settled = _refined_from(shaken, shaken.nothing())
     return Tried(beside(base, settled), settled.linearization, settled.residual) if settled.hypothesis.parts else base
+
+
+def _search_about(context: Search, tried: Tried, candidates: Sequence[Candidate]) -> Search:
+    """A search whose nominal rig is that of a fitted set."""
+    rig = tried.hypothesis.applied_to(context.linearization.rig)
+    return Search(context.reference, *_about(tried, rig), tuple(candidates))
 
 
 def refined_set(context: Search, best: Tried) -> Tried:
@@ -288,9 +292,9 @@ def _with_base_motion(context: Search, best: Tried) -> Tried:
     stochastic = [c for c in context.known if c.kind.stochastic]
     if not stochastic or _is_stochastic(best.hypothesis) or not best.hypothesis.leaves_something:
         return best
-    inner = Search(context.reference, *_about(best, best.hypothesis.applied_to(context.linearization.rig)), ())
+    about = _search_about(context, best, ())
     for candidate in stochastic:
-        shaken = fit_spectrum(inner, inner.nothing(), candidate)
+        shaken = fit_spectrum(about, about.nothing(), candidate)
         if shaken and best.cost - shaken.cost > WORTH:
             return Tried(beside(best, shaken), shaken.linearization, shaken.residual)
     return best
