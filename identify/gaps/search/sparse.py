@@ -59,7 +59,8 @@ DOMINANT = 0.5
 """A set that leaves more than this share of the mismatch is tried against one that begins with a single effect."""
 
 Progress = Callable[[float], None]
-Values = Float[np.ndarray, " parameters"]
+Values = Float[np.ndarray, " _"]
+"""Parameters of one effect, whose number differs among effects."""
 
 
 @dataclass(frozen=True)
