@@ -18,6 +18,6 @@ class CommonGain(Effect, frozen=True):
     factor: Annotated[float, Parameter("1", 0.05, 20.0, 1.0)] = 1.05
 
     def applied_to(self, rig: Rig) -> Rig:
-        if not rig.sensors:
-            raise self.nowhere(rig, "sensor")
+        if len(rig.sensors) < 2:  # of one it is its gain
+            raise self.nowhere(rig, "second sensor")
         return replace(rig, sensors=tuple(replace(s, gain=s.gain * self.factor) for s in rig.sensors))

@@ -5,13 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Complex, Float
 
-from identify.gaps.residual.spectra import Record
+from identify.gaps.residual.spectra import LEAST, Record
 from identify.linear.model import Response, times, weights_of
 from identify.signals.law_evaluation import oversampling
 from rig.model.description import PointDamper, PointMass, PointSpring, Rig, Station
-
-LEAST = 1e-2
-"""Where a window is lower than this, what it hides is not looked for."""
 
 Spectrum = Complex[np.ndarray, " lines"]
 Motions = Complex[np.ndarray, "sensors lines"]

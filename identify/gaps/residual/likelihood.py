@@ -131,10 +131,8 @@ class Misfit:
 
     @property
     def share(self) -> float:
-        """The same over all bands."""
-        beyond = self.beyond_noise.sum(axis=1)
-        whole = max(float(self.reference.lines @ self.reference.power.sum(axis=1)), 1e-300)
-        return float(np.sqrt(self.reference.lines @ beyond / whole))
+        """The same over all bands, of which those of noise alone add nothing on average."""
+        return float(np.sqrt(max(self.share_by_second.mean(), 0.0)))
 
     @property
     def share_by_second(self) -> Float[np.ndarray, " seconds"]:

@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
+from identify.gaps.residual.extent import is_free
 from identify.gaps.residual.grounded import ground_force_changes, ground_forces, pushed_by_motion
 from identify.gaps.residual.spectra import Record
 from identify.linear.free_motion import FreeMode, fitted_modes, free_modes
@@ -164,7 +165,7 @@ def linear_model(
     contacts = len(rig.contacts)
     made = accelerances(rig, responses, [station for station, _ in pushes], places)
     by_contacts, per_newton = made[len(pushes) :], made[: len(rig.forces)]
-    by_push = [per_push * force_n for per_push, (_, force_n) in zip(made, pushes, strict=False)]
+    by_push = [_by_push(record, rig, per_push, force_n) for per_push, (_, force_n) in zip(made, pushes, strict=False)]
     by_force, known = np.stack(by_push[: len(rig.forces)]), sum(by_push[1:], by_push[0])
     deviation = np.sqrt(record.noise + model_error**2 * record.power)
     deviation = np.maximum(deviation, 1e-9 * deviation.max())
@@ -238,6 +239,21 @@ def _pushes(
     if pushed_by_motion(rig):
         held = ground_forces(record, rig, responses, places, record.displaced / sensor_response)
     return (*zip(rig.forces, lagged, strict=True), *tones, *_loads(record, rig), *held)
+
+
+def _by_push(
+    record: Record, rig: Rig, per_newton: Complex[np.ndarray, "sensors lines"], force_n: Complex[np.ndarray, " lines"]
+) -> Complex[np.ndarray, "sensors lines"]:
+    """Accelerations at the sensors by a windowed force.
+
+    What is held rings on where the window falls, and does not fade with the force: without contacts it is the answer
+    to the force as it acted that is windowed. Weights by frequency reach back from there by seconds.
+    """
+    by_window = per_newton * force_n
+    if rig.contacts or not record.has_every_line:
+        return by_window
+    held = np.array([not is_free(rig, s.station.body) for s in record.sensors])[:, None]
+    return np.where(held, record.faded_out(per_newton * record.to_the_end(force_n)), by_window)
 
 
 def _loads(record: Record, rig: Rig) -> list[tuple[Station, Complex[np.ndarray, " lines"]]]:

@@ -154,10 +154,12 @@ def apply_nuisance(
     """The rig with the values of its single masses and their sensors put into it, and those values, the others zero.
 
     Those alone bend the residual: a single mass may have been believed from a record of another level, and a resonance
-    that lies off by a part of its width is no linear matter. The modes of other bodies are not moved one by one.
+    that lies off by a part of its width is no linear matter. Without contacts the modes of every body are moved
+    together too; `tuned_modes` moves them one by one.
     """
     single = {b.name for b in rig.bodies if b.is_mass}
-    bends = {Nuisance(kind, name) for name in single for kind in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)}
+    ringing = {b.name for b in rig.bodies if b.is_mass or not rig.contacts}
+    bends = {Nuisance(kind, name) for name in ringing for kind in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)}
     bends |= {Nuisance(NuisanceKind.GAIN, s.name) for s in rig.sensors if s.station.body in single}
     put = np.where([p in bends for p in parameters], values, 0.0)
     return with_nuisance(rig, parameters, put, tolerances), put

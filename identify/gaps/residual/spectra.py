@@ -34,8 +34,11 @@ from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 from rig.recording.period import period_of
 
-RING_S = 12.0
-"""Silence behind the record in which the beams ring down before the transform wraps round."""
+RING_S, RINGS_S, RINGS_OUT = 12.0, 60.0, 20.0
+"""Silence behind the record in which the beams ring down before the transform wraps round; where no contacts take part
+until the slowest mode, of two fifths of its damping, is 3e-4 of what it was, but no longer than the second."""
+LEAST = 1e-2
+"""Where a window is lower than this, what it hides is not looked for."""
 SMOOTHED_HZ = 1.0
 
 
@@ -43,15 +46,15 @@ SMOOTHED_HZ = 1.0
 class Record:
     """Spectra of one recording, on the lines 0 to `high_hz`; `taken` are the samples in time that count.
 
-    delivered is what each sensor gave, turned into an acceleration by powers of i omega, its believed gain and delay
-    still in it; displaced the same as a displacement, high-passed where it had to be integrated. Where a free mass is
-    displaced, delivered is the windowed acceleration, and faded what its windowed velocity is more than that of the
-    windowed displacement; elsewhere both are those of what was windowed, as bodies answer it. noise is the variance
-    of each of its lines by the sensor's noise alone, power its smoothed size; force_noise the variance of each force's
-    lines by its channel's noise. eta_beyond is each relative displacement as measured on the lines from `high_hz` on,
-    drifts what is known of its slow part (None where nothing is lost; the linear model has the springs). window is
-    what samples were multiplied by, excited_s when the force begins, period_s after what it repeats (None: it does
-    not), tolerances how exactly the rig is believed. from_the_blow: a free motion that
+    delivered is what each sensor gave, turned into an acceleration by powers of i omega, its believed gain and
+    delay still in it; displaced the same as a displacement, high-passed where it had to be integrated. Where a free
+    mass is displaced, delivered is the windowed acceleration, and faded what its windowed velocity is more than
+    that of the windowed displacement; elsewhere both are those of what was windowed, as bodies answer it. noise is
+    the variance of each of its lines by the sensor's noise alone, power its smoothed size; force_noise the variance
+    of each force's lines by its channel's noise. eta_beyond is each relative displacement as measured on the lines
+    from `high_hz` on, drifts what is known of its slow part (None where nothing is lost; the linear model has the
+    springs). window is what samples were multiplied by, excited_s when the force begins, period_s after what it
+    repeats (None: it does not), tolerances how exactly the rig is believed. from_the_blow: a free motion that
     counts from the first sample on; modes are those that it tells of a rig without contacts.
     """
 
@@ -142,6 +145,29 @@ class Record:
     def sample_ratio(self) -> float:
         """How much more the tolerances weigh than samples do, as model errors last: samples for each that counts."""
         return max(1.0, len(self.sensors) * self.rate_hz / COUNTED_HZ)
+
+    @property
+    def has_every_line(self) -> bool:
+        return self.omega.size == self.length // self.factor // 2 + 1
+
+    @cached_property
+    def _fall(self) -> Float[np.ndarray, " times"]:
+        """The window's fall over the padded record, at `rate_hz`."""
+        window = self.window[:: self.factor]
+        fall = np.zeros(self.length // self.factor)
+        fall[: window.size] = np.where(np.arange(window.size) < window.size // 2, 1.0, window)
+        return fall
+
+    def to_the_end(self, forces: Complex[np.ndarray, "*rows lines"]) -> Complex[np.ndarray, "*rows lines"]:
+        """Windowed forces as they acted up to the record's end."""
+        acted = self._fall > LEAST
+        whole = irfft(forces, self._fall.size)
+        return np.asarray(rfft(np.divide(whole, self._fall, out=np.zeros_like(whole), where=acted)))
+
+    def faded_out(self, accelerations: Complex[np.ndarray, "sensors lines"]) -> Complex[np.ndarray, "sensors lines"]:
+        """What sensors deliver, under the window's fall, of a motion that does not fade, as accelerations again."""
+        turned = np.stack([integrated(self.omega, 2 - s.measures.order, 0.0) for s in self.sensors])
+        return np.asarray(rfft(irfft(accelerations / turned, self._fall.size) * self._fall) * turned)
 
     def in_time(self, spectra: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows times"]:
         """Back to time, at `rate_hz`, the samples that count."""
@@ -237,7 +263,7 @@ def _transform(recording: Recording, beginning: Beginning, high_hz: float) -> _T
     """With the lines up to a frequency; the record fades in, unless it begins quiet or with a blow, and out."""
     rate, samples = recording.rig.sample_rate_hz, recording.samples
     factor = max(1, int(rate / (2 * high_hz)))
-    length = factor * next_fast_len(-(-(samples + round(RING_S * rate)) // factor), real=True)
+    length = factor * next_fast_len(-(-(samples + round(_rings_s(recording.rig) * rate)) // factor), real=True)
     window = taper(samples, max(2, round(beginning.faded_s * rate)))
     if beginning.zero_known and not beginning.from_the_blow:  # differentiated twice, a kink in w'' would ring
         window = np.sin(np.pi / 2 * window) ** 2
@@ -246,6 +272,18 @@ def _transform(recording: Recording, beginning: Beginning, high_hz: float) -> _T
     elif not beginning.quiet:
         window = window * window[::-1]
     return _Transform(rate, length, factor, window)
+
+
+def _rings_s(rig: Rig) -> float:
+    """How long a rig may ring on behind the record: without contacts until its slowest decay is over."""
+    if rig.contacts:
+        return RING_S
+    rates = []
+    for body in rig.bodies:
+        modes, count = modes_of(rig, body), body.max_modes
+        rates += (2 * np.pi * modes.frequencies_hz(count) * modes.damping_ratios(count)).tolist()
+    slowest = min((rate for rate in rates if rate > 0), default=np.inf)
+    return float(np.clip(RINGS_OUT / slowest, RING_S, RINGS_S))
 
 
 def _drifts(

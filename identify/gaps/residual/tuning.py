@@ -1,7 +1,7 @@
-"""Modes of a free decay: how far their tolerances go to meet what the record tells of them.
+"""Tolerances of single modes in the linear model of a rig without contacts.
 
-A resonance that lies off by a part of its width is no linear matter. So the tolerances of single modes stand in the
-linear model of a free decay, where they begin at what the measured modes ask of them, within their limits.
+A resonance that lies off by a part of its width is no linear matter, so what was fitted stands in the model that the
+next fit is linearised about. Of a free decay it begins at what the measured modes ask for, within the limits.
 """
 
 from dataclasses import dataclass, field
@@ -19,7 +19,7 @@ from rig.model.description import Rig
 from rig.model.modes import modes_of
 
 KINDS = (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)
-"""What a free decay tells of a mode."""
+"""What bends the residual around a resonance."""
 FLOOR = 0.05
 """No factor on a frequency or on a damping ratio is smaller."""
 
@@ -66,8 +66,8 @@ def tuned_modes(
     parameters: tuple[Nuisance, ...] | None = None,
     nuisance: Float[np.ndarray, " nuisances"] | None = None,
 ) -> TunedModes:
-    """Those of a record's modes: as they were fitted, or as its measured modes ask of the rig."""
-    if not record.modes:
+    """As they were fitted, or as the measured modes of a record ask of the rig; none of a rig with contacts."""
+    if rig.contacts:
         return TunedModes()
     if parameters is not None and nuisance is not None:
         pulls = {p: float(v) for p, v in zip(parameters, nuisance, strict=True) if p.kind in KINDS and p.mode}

@@ -12,10 +12,11 @@ from identify.gaps.residual.fit import Values, fit
 from identify.gaps.residual.likelihood import Misfit, Reference, misfit
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.residual import Linearization, Residual, rescaled, scales_at
-from identify.gaps.residual.scales import prior_scales
+from identify.gaps.residual.scales import Scales, prior_scales
+from identify.gaps.residual.tuning import KINDS
 from identify.gaps.search.base_excitation import fit_base_excitation
 from identify.gaps.search.candidates import Candidate
-from identify.gaps.search.nominal import fitted, singly_bent
+from identify.gaps.search.nominal import fitted, relinearizations, singly_bent
 from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
 from rig.model.description import Rig
@@ -186,15 +187,19 @@ def fit_from(context: Search, build: Build, parts: tuple[Candidate, ...], values
 def relinearised(context: Search, build: Build, first: Tried, rounds: int, least: float = np.inf) -> Tried:
     """The best of refits, each linearised at the parameters and with the scales of the one before, until they settle.
 
-    Scales that an effect has made superfluous come down over some refits, of which the first may gain nothing.
+    Scales that an effect has made superfluous come down over some refits, of which the first may gain nothing. Without
+    contacts refits at the stated scales follow: larger ones leave what a linearised resonance errs.
     """
-    parts, fits = first.hypothesis.parts, [first]
+    parts, fits, record = first.hypothesis.parts, [first], context.linearization.record
+    resonant = relinearizations(context.linearization.rig)
 
     def refit(before: Tried) -> Tried:
-        scales = scales_at(before.linearization, before.residual)
-        values = before.hypothesis.values
-        linearization = before.linearization.about(build(values), before.residual, scales)
-        done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds, before.residual)
+        return refit_at(before, scales_at(before.linearization, before.residual))
+
+    def refit_at(before: Tried, scales: Scales) -> Tried:
+        values, start = before.hypothesis.values, modes_straightened(before.residual) if resonant else before.residual
+        linearization = before.linearization.about(build(values), start, scales)
+        done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds, start)
         fits.append(_tried(context, parts, done.values, done.covariance, linearization, done.residual))
         return fits[-1]
 
@@ -202,7 +207,11 @@ def relinearised(context: Search, build: Build, first: Tried, rounds: int, least
         still = before.linearization.scales.distance(after.linearization.scales) < STILL
         return (still and abs(before.cost - after.cost) < SETTLED) or after.cost > least + FAR
 
-    refit_until_settled(first, refit, settled, rounds=rounds)
+    last = refit_until_settled(first, refit, settled, rounds=rounds)
+    if resonant and last.cost <= least + FAR:
+        start = min(fits, key=lambda one: one.cost)
+        last = refit_until_settled(start, lambda before: refit_at(before, prior_scales(record)), rounds=resonant)
+        refit_until_settled(last, refit, settled, rounds=rounds)
     return min(fits, key=lambda one: one.cost)
 
 
@@ -254,6 +263,17 @@ def straightened(at: Residual) -> Residual:
         return at
     straight = tuple(replace(c, unknowns=c.believed) for c in at.contacts)
     return replace(at, nuisance=np.zeros_like(at.nuisance), contacts=straight)
+
+
+def modes_straightened(at: Residual) -> Residual:
+    """Where to start again with an effect on frequencies: those that tolerances went far to meet are where they were.
+
+    Together the two move along a valley that is as bent as the resonance is sharp, in steps of a part of its width.
+    """
+    of_modes = np.array([p.kind in KINDS for p in at.parameters], dtype=bool)
+    if np.max(np.abs(at.nuisance[of_modes]), initial=0.0) < PULLED:
+        return at
+    return replace(at, nuisance=np.where(of_modes, 0.0, at.nuisance))
 
 
 def beside(first: Tried, second: Tried) -> Hypothesis:

@@ -11,7 +11,7 @@ from identify.gaps.residual.spectra import Record
 from identify.signals.refit import refit_until_settled
 from rig.model.description import Rig
 
-ROUNDS, MOST, SETTLED = 2, 6, 1.0
+ROUNDS, MOST, SETTLED, RESONANT = 2, 6, 1.0, 3
 """Scales and fit follow each other so many times, and more often while more is left than noise and tolerated shares,
 and -2 ln p falls by more than this: a slow motion in a wrong minimum takes some rounds out of it."""
 
@@ -27,13 +27,17 @@ def fit_nuisance(record: Record, rig: Rig, rounds: int = ROUNDS) -> tuple[Linear
     def refit(estimate: _NuisanceFit) -> _NuisanceFit:
         return fit_in(rescaled(estimate.linearization, estimate.residual), estimate.residual)
 
+    def relinearize(estimate: _NuisanceFit) -> _NuisanceFit:
+        there = linearization.about(rig, estimate.residual, scales=estimate.linearization.scales)
+        return fit_in(there, estimate.residual)
+
     def settled(before: _NuisanceFit, after: _NuisanceFit) -> bool:
         fall = before.misfit.minus_two_log - after.misfit.minus_two_log
         return not (after.misfit.excess > SETTLED and fall > SETTLED)
 
-    estimate = refit_until_settled(
-        fit_in(linearization, None), refit, settled, rounds=MOST, at_least=max(rounds, singly_bent(rig))
-    )
+    estimate = fit_in(linearization, None)
+    estimate = refit_until_settled(estimate, relinearize, rounds=relinearizations(rig))
+    estimate = refit_until_settled(estimate, refit, settled, rounds=MOST, at_least=max(rounds, singly_bent(rig)))
     return estimate.linearization, estimate.residual
 
 
@@ -48,6 +52,11 @@ def fitted(linearization: Linearization, start: Residual | None = None) -> Fit:
     """The linearised rig itself with nuisance parameters, drifts and contact tolerances fitted."""
     nothing = np.zeros(0)
     return fit(linearization, lambda _: linearization.rig, nothing, nothing, (nothing, nothing), start)
+
+
+def relinearizations(rig: Rig) -> int:
+    """Refits at the scales that the tolerances state, of a rig without contacts, whose resonances bend the residual."""
+    return 0 if rig.contacts else RESONANT
 
 
 def singly_bent(rig: Rig) -> int:

@@ -1,15 +1,16 @@
-"""Free decays of a cantilever without contacts, by finite elements and modal superposition, from the blow on."""
+"""A cantilever without contacts, by finite elements and modal superposition: free decays from the blow on, and hits."""
 
 import numpy as np
 import pytest
 from scipy.linalg import eigh
+from scipy.signal import lsim
 
 import identify
 from identify.gaps.residual.likelihood import reference_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates, scale_of
-from identify.gaps.search.hypothesis import Search, fit_briefly, refined
+from identify.gaps.search.hypothesis import Search, fit_briefly, fit_effects, refined
 from identify.gaps.search.nominal import fit_nuisance
 from identify.gaps.search.ringing_screening import ringing_screening
 from rig.errors import RigError
@@ -18,7 +19,7 @@ from rig.model.description import Rig, Sensor, Station
 from rig.recording import Recording, Signals, channel_groups
 
 BEAM = Beam(name="beam", ends="clamped-free", length_m=1.0, width_m=0.04, thickness_m=0.01, damping_ratio=0.01)
-PLACES_M, RATE_HZ, ELEMENTS = (0.3, 0.55, 0.8, 1.0), 512.0, 20
+PLACES_M, RATE_HZ, HIT_HZ, FINE_HZ, ELEMENTS = (0.3, 0.55, 0.8, 1.0), 512.0, 1024.0, 8192.0, 20
 NOISE = {"displacement": 5e-8, "velocity": 1e-6, "acceleration": 1e-3}
 """One-sided, per sqrt(Hz)."""
 
@@ -38,8 +39,8 @@ def shape_row(position_m):
     return row[2:]
 
 
-def decay(quantity, duration_s, added_kg=0.0, stiffer=1.0, level_n=20.0, seed=1):
-    """Of the beam with a mass at its tip, released from a force there 50 ms before the record begins."""
+def modes(below_hz, added_kg=0.0, stiffer=1.0):
+    """Circular frequencies and shapes of the beam with a mass at its tip, and the tip's row."""
     a, m = BEAM.length_m / ELEMENTS, BEAM.mass_per_length_kg_per_m * BEAM.length_m / ELEMENTS / 420
     bending = stiffer * BEAM.bending_stiffness_n_m2 / a**3
     own_k = np.array(
@@ -54,17 +55,44 @@ def decay(quantity, duration_s, added_kg=0.0, stiffer=1.0, level_n=20.0, seed=1)
         mass[at, at] += m * (np.triu(own_m) + np.triu(own_m, 1).T)
     stiffness, mass, tip = stiffness[2:, 2:], mass[2:, 2:], shape_row(BEAM.length_m)
     square, vectors = eigh(stiffness, mass + added_kg * np.outer(tip, tip))
-    omega = np.sqrt(square[np.sqrt(square) < 0.4 * 2 * np.pi * RATE_HZ])
-    vectors, ratio = vectors[:, : omega.size], BEAM.damping_ratio
+    omega = np.sqrt(square[np.sqrt(square) < 2 * np.pi * below_hz])
+    return omega, vectors[:, : omega.size], tip
+
+
+def decay(quantity, duration_s, added_kg=0.0, stiffer=1.0, level_n=20.0, seed=1):
+    """Of the beam with a mass at its tip, released from a force there 50 ms before the record begins."""
+    omega, vectors, tip = modes(0.4 * RATE_HZ, added_kg, stiffer)
+    ratio = BEAM.damping_ratio
     pole = omega * (-ratio + 1j * np.sqrt(1 - ratio**2))
     start = level_n * (tip @ vectors) / omega**2
     amplitude = start * (1 - 1j * ratio / np.sqrt(1 - ratio**2))
     time_s = 0.05 + np.arange(round(duration_s * RATE_HZ)) / RATE_HZ
     order = ("displacement", "velocity", "acceleration").index(quantity)
     modal = np.real((amplitude * pole**order)[:, None] * np.exp(np.outer(pole, time_s)))
-    noise = NOISE[quantity] * np.sqrt(RATE_HZ / 2) * np.random.default_rng(seed).standard_normal((4, time_s.size))
-    rows = {"force": np.zeros((1, time_s.size))}
-    rows[quantity] = np.array([shape_row(x) for x in PLACES_M]) @ vectors @ modal + noise
+    return recording(quantity, np.zeros(time_s.size), vectors @ modal, seed)
+
+
+def hit(quantity, blows_s, duration_s, stiffer=1.0, seed=1):
+    """Hit at its tip by bells of 12 ms and 100 N, which alias nothing; every mode answers exactly a force that is
+    straight between fine samples."""
+    omega, vectors, tip = modes(0.4 * FINE_HZ, stiffer=stiffer)
+    time_s = np.arange(round(duration_s * FINE_HZ)) / FINE_HZ
+    force_n = sum(100.0 * np.sin(np.pi * np.clip((time_s - at) / 12e-3, 0, 1)) ** 4 for at in blows_s)
+    order = ("displacement", "velocity", "acceleration").index(quantity)
+    modal = []
+    for one, push in zip(omega, tip @ vectors, strict=True):
+        oscillator = np.array([[0, 1], [-(one**2), -2 * BEAM.damping_ratio * one]])
+        shown, direct = np.array([[1, 0], [0, 1], oscillator[1]])[order], push * (order == 2)
+        modal.append(lsim((oscillator, [[0], [push]], shown[None], [[direct]]), force_n, time_s)[1])
+    every = round(FINE_HZ / HIT_HZ)
+    return recording(quantity, force_n[::every], vectors @ np.array(modal)[:, ::every], seed, HIT_HZ)
+
+
+def recording(quantity, force_n, moved, seed, rate_hz=RATE_HZ):
+    """What force and sensors deliver, with noise, of the motion of all coordinates."""
+    noise = NOISE[quantity] * np.sqrt(rate_hz / 2) * np.random.default_rng(seed).standard_normal((4, force_n.size))
+    rows = {"force": force_n[None]}
+    rows[quantity] = np.array([shape_row(x) for x in PLACES_M]) @ moved + noise
     sensors = tuple(
         Sensor(name=f"s{k}", station=Station("beam", x), quantity=quantity) for k, x in enumerate(PLACES_M, 1)
     )
@@ -74,7 +102,7 @@ def decay(quantity, duration_s, added_kg=0.0, stiffer=1.0, level_n=20.0, seed=1)
         contacts=(),
         force_at=Station("beam", BEAM.length_m),
         sensors=sensors,
-        sample_rate_hz=RATE_HZ,
+        sample_rate_hz=rate_hz,
     )
     return Recording(rig, {n: Signals(c, 0.0, rows[n]) for n, c in channel_groups(rig).items()}, {})
 
@@ -96,6 +124,28 @@ def test_of_the_machine_as_it_is_believed_nothing_that_matters_is_left():
         nothing = fitted(record_of(decay(quantity, 3.0)))
         assert not nothing.leaves_something
         assert nothing.misfit.share < 5e-3
+
+
+@pytest.mark.parametrize("quantity", NOISE)
+def test_a_last_blow_where_the_record_fades_leaves_nothing_that_matters(quantity):
+    """And a frequency that is off within its tolerance, by a seventh of the resonance's width."""
+    record = record_of(hit(quantity, (1.2, 5.0, 9.1, 13.7), 14.0, stiffer=1.003))
+    nothing = fitted(record)
+    assert record.forced
+    assert not nothing.leaves_something
+    assert nothing.misfit.share < 5e-3
+
+
+def test_a_first_frequency_26_per_cent_off_is_found_from_hits():
+    record = record_of(hit("displacement", (1.2, 5.0, 9.1, 13.7), 14.0, stiffer=1.26**2))
+    reference = reference_of(linearized(record, record.rig))
+    context = Search(reference, *fit_nuisance(record, record.rig, rounds=1), ())
+    known = candidates(scale_of(record, record.rig), (), record.zero_known)
+    modulus = next(one for one in known if one.kind.name == "youngs_modulus")
+    found = fit_effects(context, (modulus,), modulus.default, context.at).hypothesis
+    assert abs(found.values[0] - 1.26**2) < 3 * np.sqrt(found.covariance[0, 0])
+    assert context.nothing().hypothesis.misfit.share > 0.3
+    assert not found.leaves_something
 
 
 @pytest.mark.parametrize("quantity", ["velocity", "acceleration"])

@@ -30,7 +30,6 @@ NEW = {  # true values beside the typical ones
     "ground_friction:mass": {"force_n": 0.2},
     "force_shift": {"shift_s": -2e-3},
     "force_gain": {"factor": 1.8},
-    "common_gain": {"factor": 0.5},
     "tone:mass": {"cosine_n": 0.1, "sine_n": -0.05, "frequency_hz": 7.3},
 }
 

@@ -68,7 +68,7 @@ def test_effects_of_the_force_and_its_channel_need_a_force(tmp_path):
     given = scale_of(record, record.rig), [s.name for s in record.sensors], record.zero_known
     names, unforced = ({c.kind.name for c in candidates(*given, forced=forced)} for forced in (True, False))
     assert not record.forced
-    channels = {"force_gain", "force_shift", "sensor_gain", "common_gain", "sensor_delay"}
+    channels = {"force_gain", "force_shift", "sensor_gain", "sensor_delay"}
     assert channels <= names
     assert not channels & unforced
     assert {"contact_clearance", "contact_stiffness", "added_mass"} <= unforced
