@@ -55,8 +55,9 @@ def fitted(linearization: Linearization, start: Residual | None = None) -> Fit:
 
 
 def relinearizations(rig: Rig) -> int:
-    """Refits at the scales that the tolerances state, of a rig without contacts, whose resonances bend the residual."""
-    return 0 if rig.contacts else RESONANT
+    """Refits at the scales that the tolerances state: of elastic bodies without contacts, whose resonances bend the
+    residual. Single masses have rounds of their own."""
+    return 0 if rig.contacts or any(b.is_mass for b in rig.bodies) else RESONANT
 
 
 def singly_bent(rig: Rig) -> int:
