@@ -12,12 +12,29 @@ recordings. Each takes recordings or the names of their files, and returns a res
 but `check` also with `figure(name)` and `save(folder)`.
 """
 
+from importlib import import_module
 from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
 
-from identify.api import check, compare, contact, gap, law
-from identify.pages.picture import Picture
-from identify.results import CheckResult, ContactResult, GapResult, HistoryResult, LawResult
+if TYPE_CHECKING:
+    from identify.api import check, compare, contact, gap, law
+    from identify.pages.picture import Picture
+    from identify.results import CheckResult, ContactResult, GapResult, HistoryResult, LawResult
 
+_MODULES = {
+    "CheckResult": "identify.results",
+    "ContactResult": "identify.results",
+    "GapResult": "identify.results",
+    "HistoryResult": "identify.results",
+    "LawResult": "identify.results",
+    "Picture": "identify.pages.picture",
+    "check": "identify.api",
+    "compare": "identify.api",
+    "contact": "identify.api",
+    "gap": "identify.api",
+    "law": "identify.api",
+}
+"""Where each name is, loaded when it is first asked for (PEP 562)."""
 __all__ = [
     "CheckResult",
     "ContactResult",
@@ -32,3 +49,9 @@ __all__ = [
     "law",
 ]
 __version__ = version("rig-identify")
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_MODULES[name]), name)

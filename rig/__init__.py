@@ -11,53 +11,36 @@ Everything is in SI units. A `Rig` describes the machine as its owner believes i
 delivered. What is wrong with a file or a value is a `RigError` of one sentence.
 """
 
-from collections.abc import Callable
+from importlib import import_module
 from importlib.metadata import version
-from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from rig.errors import RigError
-from rig.model.description import Rig
-from rig.recording import Channel, Recording
-from rig.recording import read as _read
-from rig.simulation.excitation import Excitation
-from rig.simulation.reference import BarrelCradle, Sdof
+if TYPE_CHECKING:
+    from rig.api import read, record
+    from rig.errors import RigError
+    from rig.model.description import Rig
+    from rig.recording import Channel, Recording
+    from rig.simulation.excitation import Excitation
+    from rig.simulation.reference import BarrelCradle, Sdof
 
 __all__ = ["BarrelCradle", "Channel", "Excitation", "Recording", "Rig", "RigError", "Sdof", "read", "record"]
 __version__ = version("rig-identify")
 
+_MODULES = {
+    "BarrelCradle": "rig.simulation.reference",
+    "Channel": "rig.recording",
+    "Excitation": "rig.simulation.excitation",
+    "Recording": "rig.recording",
+    "Rig": "rig.model.description",
+    "RigError": "rig.errors",
+    "Sdof": "rig.simulation.reference",
+    "read": "rig.api",
+    "record": "rig.api",
+}
+"""Where each name is, loaded when it is first asked for (PEP 562): the command's first lines then take signals."""
 
-def read(path: str | Path) -> Recording:
-    """The recording in an MCAP file; raises RigError if it is none, or damaged."""
-    return _read(Path(path))
 
-
-def record(
-    machine: Rig,
-    path: str | Path,
-    *,
-    force: Excitation,
-    duration_s: float = 60.0,
-    plant: str = "modal",
-    step_s: float = 2.0**-14,
-    actual: Rig | None = None,
-    progress: Callable[[float], None] = lambda _: None,
-) -> Recording:
-    """Simulates a rig, writes its recording to an MCAP file, and what only a simulator knows to a truth file beside.
-
-    plant is `modal` (fast) or `ancf` (Exudyn's finite elements). With `actual`, that rig is simulated and the recording
-    says that it was `machine`. Raises RigError where the rig cannot be simulated so or the file not written.
-    """
-    from rig.simulation.plants import plant_named
-    from rig.simulation.record import record as recorded
-
-    recorded(
-        machine,
-        force,
-        plant=plant_named(plant),
-        duration_s=duration_s,
-        step_s=step_s,
-        path=Path(path),
-        progress=progress,
-        actual=actual,
-    )
-    return read(path)
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_MODULES[name]), name)

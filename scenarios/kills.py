@@ -106,7 +106,7 @@ def _run_whole(words: Words) -> None:
 
 def _started(words: Words) -> subprocess.Popen[str]:
     name, *rest = map(str, words)
-    program = [sys.executable, "-c", f"from rig_start import {name}; {name}()", *rest]
+    program = [sys.executable, "-c", f"from rig.commands.start import {name}; {name}()", *rest]
     return subprocess.Popen(program, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
 
 

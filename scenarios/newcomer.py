@@ -57,7 +57,7 @@ class Session:
     def run(self, words: str) -> None:
         name, *rest = words.split()
         begin = time.monotonic()
-        program = [sys.executable, "-c", f"from rig_start import {name}; {name}()", *rest]
+        program = [sys.executable, "-c", f"from rig.commands.start import {name}; {name}()", *rest]
         done = subprocess.run(program, cwd=self.folder, capture_output=True, text=True, check=False)
         if done.returncode:
             raise AssertionError(f"{words}\n{done.stdout}{done.stderr}")

@@ -28,6 +28,7 @@ from rig.commands.command_line import (
     say,
     working,
 )
+from rig.commands.doctor import doctor as installation
 from rig.effects import effect_named, effects
 from rig.errors import RigError, meant
 from rig.extras import needs_extra
@@ -38,7 +39,6 @@ from rig.simulation.own import Drive, OwnRig, own_rig, plant_for
 from rig.simulation.plants import PLANTS, plant_named
 from rig.simulation.record import record as record_rig
 from rig.simulation.reference import REFERENCES, BarrelCradle, Sdof, reference
-from rig_start.doctor import doctor as installation
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.interpolate import CubicSpline
-from scipy.signal import resample_poly
 
 from rig.errors import RigError
 
@@ -112,14 +111,15 @@ def _on_grid(
         final = last == clock.samples - 1
         end = grid.shape[1] if final else math.ceil((knots_s[last - low] - start_s) * rate_hz)
         times_s = start_s + np.arange(begin, end) / rate_hz
-        grid[:, begin:end] = CubicSpline(knots_s, values[:, low:high], axis=1)(times_s)
+        grid[:, begin:end] = scipy.interpolate.CubicSpline(knots_s, values[:, low:high], axis=1)(times_s)
         begin = end
     return grid
 
 
 def _filtered(row: Float[np.ndarray, " samples"], ratio: Fraction) -> Float[np.ndarray, " fewer"]:
     return np.asarray(
-        resample_poly(row, ratio.numerator, ratio.denominator, window=("kaiser", 8.0), padtype="line"), dtype=float
+        scipy.signal.resample_poly(row, ratio.numerator, ratio.denominator, window=("kaiser", 8.0), padtype="line"),
+        dtype=float,
     )
 
 

@@ -5,8 +5,8 @@ from typing import ClassVar, Literal
 
 import msgspec
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.optimize import brentq
 
 from rig.errors import RigError
 
@@ -156,5 +156,5 @@ def _roots(ends: str) -> tuple[float, ...]:
         return float(np.cos(beta) + sign / np.cosh(beta))
 
     centres = (first + np.arange(MAX_MODES)) * np.pi
-    elastic = [brentq(characteristic, c - 0.4, c + 0.4, xtol=1e-14, rtol=1e-15) for c in centres]
+    elastic = [scipy.optimize.brentq(characteristic, c - 0.4, c + 0.4, xtol=1e-14, rtol=1e-15) for c in centres]
     return tuple(([] if ends == "clamped-free" else [0.0, 0.0]) + elastic)

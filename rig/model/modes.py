@@ -5,9 +5,9 @@ from typing import Protocol, runtime_checkable
 
 import msgspec
 import numpy as np
+import scipy
 from jaxtyping import Float
 from numpy.polynomial.legendre import leggauss
-from scipy.linalg import eigh
 
 from rig.errors import RigError
 from rig.model.beam import Beam
@@ -160,7 +160,7 @@ def _solved(
     """
     lost = f"the modes of {body.name!r} are lost in rounding; check it and the masses, springs and clamps it carries"
     try:
-        squares, vectors = eigh(stiffness, mass, subset_by_index=[0, body.max_modes - 1])
+        squares, vectors = scipy.linalg.eigh(stiffness, mass, subset_by_index=[0, body.max_modes - 1])
     except np.linalg.LinAlgError as error:
         raise RigError(lost) from error
     squares[:floating] = 0.0  # rounding would give them a frequency

@@ -5,8 +5,8 @@ from typing import ClassVar
 
 import msgspec
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.interpolate import CubicSpline
 
 from rig.errors import RigError
 
@@ -212,5 +212,5 @@ def structure_of(
 
 
 @lru_cache(maxsize=64)
-def _spline(rows: tuple[ShapeRow, ...]) -> CubicSpline:
-    return CubicSpline([row.position_m for row in rows], [row.values for row in rows])
+def _spline(rows: tuple[ShapeRow, ...]) -> "scipy.interpolate.CubicSpline":
+    return scipy.interpolate.CubicSpline([row.position_m for row in rows], [row.values for row in rows])

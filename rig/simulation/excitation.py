@@ -6,8 +6,8 @@ from functools import cached_property, lru_cache, partial
 
 import msgspec
 import numpy as np
+import scipy
 from jaxtyping import Complex, Float
-from scipy.signal import chirp
 
 from rig.errors import RigError
 from rig.simulation.motion import ForceSignal
@@ -68,7 +68,7 @@ class Sweep(_Band, frozen=True, tag="sweep"):
 
     def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
         time_s = np.arange(samples) * step_s
-        return _scaled(chirp(time_s, self.low_hz, samples * step_s, self.high_hz, phi=-90), self.rms_n)
+        return _scaled(scipy.signal.chirp(time_s, self.low_hz, samples * step_s, self.high_hz, phi=-90), self.rms_n)
 
 
 class Multisine(_Band, frozen=True, tag="multisine"):

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.interpolate import CubicSpline
 from threadpoolctl import threadpool_limits
 
 from rig.model.description import Rig
@@ -22,7 +22,7 @@ from rig.simulation.sensors import digitised, needed_duration_s
 class _Interpolated:
     """A force at a plant's steps, had slice by slice."""
 
-    force_n: CubicSpline
+    force_n: "scipy.interpolate.CubicSpline"
     until_s: float
     step_s: float
     steps: int
@@ -38,7 +38,7 @@ class _Interpolated:
 def finer(forces_n: Float[np.ndarray, "forces samples"], sample_rate_hz: float, step_s: float, steps: int) -> Forces:
     """Forces given at the sampling rate, at a plant's steps: by a cubic, and behind the end as they are there."""
     samples = forces_n.shape[1]
-    splines = (CubicSpline(np.arange(samples) / sample_rate_hz, row) for row in forces_n)
+    splines = (scipy.interpolate.CubicSpline(np.arange(samples) / sample_rate_hz, row) for row in forces_n)
     return Forces(tuple(_Interpolated(spline, (samples - 1) / sample_rate_hz, step_s, steps) for spline in splines))
 
 

@@ -4,9 +4,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.signal import bilinear, lfilter
-from scipy.signal.windows import kaiser
 
 from rig.errors import RigError
 from rig.model.description import Rig, Sensor
@@ -93,11 +92,13 @@ class _HighPass:
     def of(cls, sensor: Sensor, sample_rate_hz: float) -> "_HighPass | None":
         if not sensor.high_pass_hz:
             return None
-        numerator, denominator = bilinear([1.0, 0.0], [1.0, 2 * np.pi * sensor.high_pass_hz], sample_rate_hz)
+        numerator, denominator = scipy.signal.bilinear(
+            [1.0, 0.0], [1.0, 2 * np.pi * sensor.high_pass_hz], sample_rate_hz
+        )
         return cls(numerator, denominator, np.zeros(1))
 
     def passed(self, row: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
-        values, self.state = lfilter(self.numerator, self.denominator, row, zi=self.state)
+        values, self.state = scipy.signal.lfilter(self.numerator, self.denominator, row, zi=self.state)
         return np.asarray(values)
 
 
@@ -157,7 +158,7 @@ def _taps(factor: int, reach: int, delay_samples: float) -> Float[np.ndarray, " 
     inside = np.abs(time) < half
     window = np.zeros(time.size)
     grid = np.linspace(-half, half, 4096)
-    window[inside] = np.interp(time[inside], grid, kaiser(grid.size, 10.0))
+    window[inside] = np.interp(time[inside], grid, scipy.signal.windows.kaiser(grid.size, 10.0))
     taps = window * np.sinc(time)
     if factor == 1 and delay_samples == 0:
         return (time == 0).astype(float)

@@ -31,7 +31,7 @@ def test_a_command_that_is_ended_says_so_and_leaves_nothing_half(sound, tmp_path
         out.mkdir()
         name, *words = map(str, COMMANDS[command_name](sound, out))
         begun = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"  # as a terminal has it
-        program = [sys.executable, "-c", f"{begun}; from rig_start import {name}; {name}()", *words]
+        program = [sys.executable, "-c", f"{begun}; from rig.commands.start import {name}; {name}()", *words]
         with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
             time.sleep(after_s)
             running.send_signal(ending)

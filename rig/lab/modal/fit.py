@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Complex, Float
-from scipy.optimize import least_squares
 
 from rig.errors import RigError
 
@@ -192,7 +192,9 @@ def _refined(
 
     near, scales = np.tile(REFINED, len(modes)), np.tile([1e-3, 1e-1], len(modes))
     start = modes.ravel()
-    found = least_squares(residual, start, bounds=(start - near, start + near), x_scale=scales, max_nfev=30)
+    found = scipy.optimize.least_squares(
+        residual, start, bounds=(start - near, start + near), x_scale=scales, max_nfev=30
+    )
     refined = found.x.reshape(-1, 2)
     return np.asarray(refined[np.argsort(refined[:, 0])])
 

@@ -4,10 +4,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from jaxtyping import Complex, Float
-from scipy.fft import irfft, next_fast_len, rfft
-from scipy.signal import csd, welch
-from scipy.stats import gamma
 
 from rig.errors import RigError
 from rig.lab.modal.fit import ModalFit, fit_modes
@@ -100,7 +98,7 @@ def free_run(measured: MeasuredResponse, modes: ModalFit) -> Float[np.ndarray, "
     """The responses of the modes to the measured force from rest, with silence behind the record."""
     force, hz, powers = _spectrum(measured, modes)
     parts = powers * accelerances(hz, modes.frequencies_hz, modes.ratios)
-    return np.asarray(modes.residues @ irfft(force * parts, 2 * (hz.size - 1))[:, : measured.force_n.size])
+    return np.asarray(modes.residues @ scipy.fft.irfft(force * parts, 2 * (hz.size - 1))[:, : measured.force_n.size])
 
 
 def _spectrum(
@@ -111,11 +109,11 @@ def _spectrum(
     The means are left out, as accelerometers do not see them.
     """
     samples, rate = measured.force_n.size, measured.sample_rate_hz
-    length = 2 * next_fast_len(samples // 2 + round(min(_ringing_s(modes), samples / rate) * rate / 2) + 1)
+    length = 2 * scipy.fft.next_fast_len(samples // 2 + round(min(_ringing_s(modes), samples / rate) * rate / 2) + 1)
     hz = np.fft.rfftfreq(length, 1 / rate)
     powers = np.zeros(hz.size, dtype=complex)
     powers[1:] = (2j * np.pi * hz[1:]) ** (measured.order - 2)
-    return rfft(measured.force_n, length), hz, powers
+    return scipy.fft.rfft(measured.force_n, length), hz, powers
 
 
 def _outputs(
@@ -134,10 +132,10 @@ def _outputs(
     force, powers = force[near], powers[near]
 
     def through(parts: Complex[np.ndarray, "parts all"]) -> Complex[np.ndarray, "parts lines"]:
-        moved = irfft(force * powers * parts, 2 * (hz.size - 1))[:, counted:samples]
-        return np.asarray(rfft(moved)[:, inside])
+        moved = scipy.fft.irfft(force * powers * parts, 2 * (hz.size - 1))[:, counted:samples]
+        return np.asarray(scipy.fft.rfft(moved)[:, inside])
 
-    return rfft(measured.responses[:, counted:])[:, inside], through, hz[near]
+    return scipy.fft.rfft(measured.responses[:, counted:])[:, inside], through, hz[near]
 
 
 def _frfs(
@@ -157,12 +155,14 @@ def _frfs(
         averages = force_n.size // period - 1
         force_n, responses = force_n[-averages * period :], responses[:, -averages * period :]
         block = {"nperseg": period, "noverlap": 0, "window": "boxcar"}
-    hz, force_density = welch(force_n, measured.sample_rate_hz, **block)
-    _, cross = csd(force_n, responses, measured.sample_rate_hz, **block)
-    _, density = welch(responses, measured.sample_rate_hz, **block)
+    hz, force_density = scipy.signal.welch(force_n, measured.sample_rate_hz, **block)
+    _, cross = scipy.signal.csd(force_n, responses, measured.sample_rate_hz, **block)
+    _, density = scipy.signal.welch(responses, measured.sample_rate_hz, **block)
     still = force_density <= EXCITED * force_density.max()
     still[0] = False
-    usual = gamma.median(averages) / averages  # of the mean of so many powers, each distributed exponentially
+    usual = (
+        scipy.stats.gamma.median(averages) / averages
+    )  # of the mean of so many powers, each distributed exponentially
     noise = np.sqrt(np.median(density[:, still], axis=1) / usual) if still.any() else np.zeros(len(responses))
     with np.errstate(divide="ignore", invalid="ignore"):
         return hz, force_density, cross / force_density, noise

@@ -5,8 +5,8 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
+import scipy
 from jaxtyping import Complex, Float
-from scipy.optimize import least_squares
 
 from rig.lab.modal.fit import ModalFit
 
@@ -162,7 +162,7 @@ def _descended(
     high[:, 0] = np.where(below, first, np.where(above, last + np.log(FARTHEST[1]), modes[:, 0] + NEAR))
     low[:, 1], high[:, 1] = np.log(RATIOS)
     begin = np.clip(modes, low + 1e-9, high - 1e-9)
-    found = least_squares(
+    found = scipy.optimize.least_squares(
         error.of, begin.ravel(), error.slope, bounds=(low.ravel(), high.ravel()), x_scale="jac", max_nfev=MOST_STEPS
     )
     return np.asarray(found.x.reshape(modes.shape))

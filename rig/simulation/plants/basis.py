@@ -1,8 +1,8 @@
 """The modal basis of a beam of several sections, from its finite elements in Exudyn."""
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.linalg import eigh
 
 from rig.extras import needs_extra
 from rig.model.beam import Beam
@@ -61,7 +61,7 @@ def _bending_modes(
     finally:
         container.Reset()
     free = free_coordinates(alone, mesh)
-    squares, shapes = eigh(stiffness[np.ix_(free, free)], mass[np.ix_(free, free)])
+    squares, shapes = scipy.linalg.eigh(stiffness[np.ix_(free, free)], mass[np.ix_(free, free)])
     held = np.zeros((held_coordinates(alone, beam), squares.size))
     return mesh, squares, np.concatenate([held, shapes])
 

@@ -5,9 +5,9 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
 from msgspec.structs import replace
-from scipy.linalg import eigh
 
 from rig.errors import RigError
 from rig.model.beam import Beam
@@ -143,7 +143,7 @@ def _add_damping(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
         if not mesh.body.is_mass:
             free = free_coordinates(rig, mesh)
             inside = np.ix_(first + free, first + free)
-            squares, shapes = eigh(stiffness[inside], mass[inside])
+            squares, shapes = scipy.linalg.eigh(stiffness[inside], mass[inside])
             rate = 2 * mesh.body.damping_ratio * np.sqrt(np.maximum(squares, 0))
             rate[: mesh.body.rigid_modes] = 0
             momentum = mass[inside] @ shapes

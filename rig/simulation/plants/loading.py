@@ -1,9 +1,8 @@
 """What acts on a rig beside its measured force: true force, base motion, cubic springs, dampers, static loads."""
 
 import numpy as np
+import scipy
 from jaxtyping import Complex, Float
-from scipy.interpolate import CubicSpline
-from scipy.linalg import null_space
 
 from rig.errors import RigError
 from rig.model.contact_laws import ContactLaw
@@ -30,7 +29,7 @@ def true_force(
     shifted = np.arange(first, stop) - sensor.lag_s / step_s
     inside = np.clip(shifted, 0, len(measured_n) - 1)
     known = np.arange(max(0, int(inside[0]) - SPLINED), min(len(measured_n), int(inside[-1]) + SPLINED))
-    between = CubicSpline(known, measured_n[known[0] : known[-1] + 1])(inside)
+    between = scipy.interpolate.CubicSpline(known, measured_n[known[0] : known[-1] + 1])(inside)
     return np.where(shifted < 0, measured_n[:1], between) / sensor.gain
 
 
@@ -122,7 +121,7 @@ def equilibrium(
     q, unheld, stiffness = _least_energy(squares, across, laws, load)
     if np.linalg.norm(unheld) < small:
         return q
-    motions = null_space(stiffness, rcond=1e-12)
+    motions = scipy.linalg.null_space(stiffness, rcond=1e-12)
     resisting = across[[law.acts_in_the_gap for law in laws]] @ motions
     pushing = unheld @ motions
     if np.linalg.norm(pushing - pushing @ np.linalg.pinv(resisting) @ resisting) > small:

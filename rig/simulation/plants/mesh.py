@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.linalg import block_diag, eigh
 
 from rig.model.beam import Beam
 from rig.model.description import Rig, Sensor, Station, contact_stations
@@ -114,7 +114,7 @@ def coordinates_at_rest(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " coo
 def _at_rest(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
     load = static_load(rig, meshes)
     pairs = [matrices(rig, mesh.body, mesh.positions_m) for mesh in meshes]
-    mass, stiffness = (block_diag(*parts) for parts in zip(*pairs, strict=True))
+    mass, stiffness = (scipy.linalg.block_diag(*parts) for parts in zip(*pairs, strict=True))
     held, first = [], 0
     for mesh in meshes:
         held += list(range(first, first + held_coordinates(rig, mesh.body)))
@@ -124,7 +124,7 @@ def _at_rest(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
     across = np.array(
         [station_row(meshes, c.at) - (station_row(meshes, c.against) if c.against else 0) for c in both]
     ).reshape(len(both), load.size)
-    squares, shapes = eigh(stiffness[np.ix_(free, free)], mass[np.ix_(free, free)])
+    squares, shapes = scipy.linalg.eigh(stiffness[np.ix_(free, free)], mass[np.ix_(free, free)])
     squares = np.where(squares > ROUNDING * squares.max(), squares, 0.0)
     laws = tuple(c.law for c in both)
     found = np.zeros(load.size)

@@ -6,8 +6,8 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.linalg import expm
 
 from rig.errors import RigError
 from rig.model.contact_laws import ContactLaw
@@ -285,7 +285,7 @@ def _propagator(
     augmented[:, 1, 1] = -2 * zeta * omega * step_s
     augmented[:, 1, 2] = step_s
     augmented[:, 2, 3] = augmented[:, 3, 4] = 1.0
-    powers = expm(augmented)
+    powers = scipy.linalg.expm(augmented)
     constant, linear, quadratic = powers[:, :2, 2:].transpose(2, 1, 0)
     propagate = np.ascontiguousarray(powers[:, :2, :2].transpose(1, 2, 0))
     return propagate, np.stack([constant - linear, linear, 6 * linear - 12 * quadratic])

@@ -320,7 +320,7 @@ def test_a_browser_is_served_until_the_command_is_ended(tmp_path, ending, in_bac
     """A shell has the commands that it runs in the background ignore SIGINT."""
     sound(tmp_path / "r.mcap")
     handler = "SIG_IGN" if in_background else "default_int_handler"  # whatever these tests are run in
-    begun = f"import signal; signal.signal(signal.SIGINT, signal.{handler}); from rig_start import rig; rig()"
+    begun = f"import signal; signal.signal(signal.SIGINT, signal.{handler}); from rig.commands.start import rig; rig()"
     program = [sys.executable, "-c", begun]
     with (tmp_path / "said").open("wb") as said:
         running = subprocess.Popen([*program, "view", str(tmp_path / "r.mcap"), "--web"], stdout=said, stderr=said)

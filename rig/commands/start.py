@@ -71,6 +71,6 @@ def _check_date(name: str) -> None:
 
 
 def _doctor() -> None:
-    from rig_start.doctor import doctor
+    from rig.commands.doctor import doctor
 
     sys.exit(doctor())

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from rig.commands import doctor
 from rig.commands.cli import main
-from rig_start import doctor
 
 SCRIPTS = Path(sys.executable).parent
 LACKING = {
@@ -90,7 +90,7 @@ def test_what_lacks_an_extra_says_which(package, tmp_path, monkeypatch, capsys):
     ],
 )
 def test_one_command_has_both(words, status, said):
-    program = [sys.executable, "-c", "from rig_start import both; both()", *words]
+    program = [sys.executable, "-c", "from rig.commands.start import both; both()", *words]
     path = f"{SCRIPTS}{os.pathsep}{os.environ['PATH']}"
     done = subprocess.run(program, capture_output=True, text=True, check=False, env=os.environ | {"PATH": path})
     assert (done.returncode, done.stderr) == (status, "")
