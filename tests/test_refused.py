@@ -17,7 +17,7 @@ from rig.simulation.fmu import export_fmu
 from rig.simulation.plants import ancf
 from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle, Sdof
-from scenarios import laboratory_tests, topologies
+from tests.campaigns import laboratory_tests, topologies
 from tests.readme_tables import ROOT
 from tests.rig.lab.modal import test_uff as uff
 
@@ -55,7 +55,7 @@ def gap(rig, **given):
 
 
 def laboratory(name):
-    """A test of `scenarios.laboratory_tests`."""
+    """A test of `tests.campaigns.laboratory_tests`."""
     return lambda folder: identify.contact(
         laboratory_tests.recorded(laboratory_tests.REFUSED[name], folder / "r.mcap", duration_s=14.0)
     )
@@ -75,7 +75,7 @@ def stops(believed, true, rms_n=12.0):
 
 
 def laboratory_gap(test, **given):
-    """A test of `scenarios.laboratory_tests` whose force channel is zero, diagnosed."""
+    """A test of `tests.campaigns.laboratory_tests` whose force channel is zero, diagnosed."""
 
     def run(folder):
         recorded = laboratory_tests.recorded(dataclasses.replace(test, **given), folder / "r.mcap", duration_s=26.0)

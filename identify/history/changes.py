@@ -15,8 +15,8 @@ from rig.errors import RigError
 LEVEL = 0.05
 """The chance that anything at all is said to have changed of a machine that did not."""
 SHORT = 1.5
-"""Own errors may be so many times too short: of the machines of `scenarios.wear --seed 3` the scatter of a clearance is
-1.17 times (root mean square) what they say, at most 2.06 times; 1.5 is set by hand."""
+"""Own errors may be so many times too short: of the machines of `tests.campaigns.wear --seed 3` the scatter of a
+clearance is 1.17 times (root mean square) what they say, at most 2.06 times; 1.5 is set by hand."""
 FEWEST = 4
 """A trend is tested from so many recordings on."""
 UNITS = {"clearance_m": "m", "stiffness_n_per_m": "N/m", "damping_n_s_per_m": "N s/m"}

@@ -11,7 +11,7 @@ from rig.simulation.plants import modal
 from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle
 from scenarios.jitter import jittered
-from scenarios.topologies import RIGS, Topology, one_mass
+from tests.campaigns.topologies import RIGS, Topology, one_mass
 
 FRAME = RIGS["frame, free"].rig
 FLOORS = [s.station for s in FRAME.sensors]

@@ -7,9 +7,9 @@ from msgspec.structs import replace
 from identify.checks import check_recording, naming
 from rig.errors import RigError
 from rig.recording import Recording, Signals
-from scenarios.spoiling.alteration import delayed, mapped, with_rows, with_sensors
-from scenarios.spoiling.alterations import alterations
-from scenarios.spoilt import names_it
+from tests.campaigns.spoiling.alteration import delayed, mapped, with_rows, with_sensors
+from tests.campaigns.spoiling.alterations import alterations
+from tests.campaigns.spoilt import names_it
 
 NAMED = (
     "one polarity turned",

@@ -8,7 +8,7 @@ from identify.contacts import identify_contact
 from identify.contacts.refusals import RefusalCode
 from rig.model.description import Contact, Rig
 from rig.recording import read
-from scenarios.topologies import Topology, chain, progressive_stop, recorded
+from tests.campaigns.topologies import Topology, chain, progressive_stop, recorded
 
 STOPS = ((5e-4, 8e3), (1e-3, 1e5))
 

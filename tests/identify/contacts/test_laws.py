@@ -14,12 +14,12 @@ from identify.contacts.identified_rig import identified_rig
 from rig.model.contact_laws import DeadZone
 from rig.model.tolerances import LABORATORY
 from rig.recording import read
-from scenarios.topologies import Topology, cantilever, one_mass, recorded
-from scenarios.worlds.bench import BENCHES
-from scenarios.worlds.describing import described
-from scenarios.worlds.instruments import measured
-from scenarios.worlds.making import write
-from scenarios.worlds.tolerances import built
+from tests.campaigns.topologies import Topology, cantilever, one_mass, recorded
+from tests.campaigns.worlds.bench import BENCHES
+from tests.campaigns.worlds.describing import described
+from tests.campaigns.worlds.instruments import measured
+from tests.campaigns.worlds.making import write
+from tests.campaigns.worlds.tolerances import built
 
 CLEARANCE_M = 5e-4
 MASS = Topology(one_mass(CLEARANCE_M), 12.0, "")

@@ -14,7 +14,7 @@ from rig.model.description import Rig, Station
 from rig.model.structure import ShapeRow, Structure
 from rig.recording import read
 from rig.simulation.reference import Sdof
-from scenarios.topologies import Topology, recorded, rig_of, stop
+from tests.campaigns.topologies import Topology, recorded, rig_of, stop
 
 CLEARANCE_M, STIFFNESS = 1e-4, 1e6
 

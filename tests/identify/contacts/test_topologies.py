@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from identify.contacts.identification import identify_contact
 from rig.errors import RigError
 from rig.recording import read
-from scenarios.topologies import RIGS, chain, recorded
+from tests.campaigns.topologies import RIGS, chain, recorded
 
 
 @pytest.mark.parametrize("name", RIGS)

@@ -17,7 +17,7 @@ from rig.recording import Recording, Signals, channel_groups
 from rig.simulation.excitation import BandLimitedGaussian, force_history
 from rig.simulation.reference import BarrelCradle
 from rig.simulation.replay import modal
-from scenarios.topologies import RIGS
+from tests.campaigns.topologies import RIGS
 
 pytestmark = pytest.mark.long
 

@@ -12,7 +12,7 @@ from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates, scale_of
 from rig.errors import RigError
 from rig.simulation.replay import modal
-from scenarios.laboratory_tests import STIFFER, TESTS, VALIDATES, recorded
+from tests.campaigns.laboratory_tests import STIFFER, TESTS, VALIDATES, recorded
 
 ACCELEROMETER, DISPLACEMENT = "one mass, free decay, no force measured", "one mass, free decay, displacement"
 

@@ -9,7 +9,7 @@ from identify.gaps.residual.likelihood import reference_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
 from rig.simulation.excitation import excitation_of, force_history
-from scenarios.laboratory_tests import TESTS, recorded
+from tests.campaigns.laboratory_tests import TESTS, recorded
 
 
 @pytest.mark.parametrize(

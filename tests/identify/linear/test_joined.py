@@ -6,7 +6,7 @@ from msgspec.structs import replace
 from identify.linear.joined import joined, joined_contacts, joined_laws
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Contact, Station
-from scenarios.topologies import chain
+from tests.campaigns.topologies import chain
 
 ONE, OTHER = Station("mass 1"), Station("mass 2")
 SOFT = DeadZone(lower_clearance_m=1e-3, upper_clearance_m=2e-3, stiffness_n_per_m=1e3)

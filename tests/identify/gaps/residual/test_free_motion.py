@@ -13,7 +13,7 @@ from identify.gaps.search.hypothesis import Search, fit_effects
 from identify.gaps.search.nominal import fit_nuisance
 from identify.linear.free_motion import free_motion
 from rig.effects import effect_named
-from scenarios.laboratory_tests import TESTS, recorded
+from tests.campaigns.laboratory_tests import TESTS, recorded
 
 DECAY = TESTS["two beams, free decay, displacements"]
 

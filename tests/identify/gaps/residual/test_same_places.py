@@ -11,7 +11,7 @@ from identify.gaps.search.hypothesis import straightened
 from identify.gaps.search.nominal import fitted
 from rig.effects.contact_clearance import ContactClearance
 from rig.recording import read
-from scenarios.topologies import Topology, chain, progressive_stop, recorded
+from tests.campaigns.topologies import Topology, chain, progressive_stop, recorded
 
 FACTOR = 1.2
 

@@ -16,7 +16,7 @@ from rig.simulation.excitation import QUIET_S, BandLimitedGaussian, force_histor
 from rig.simulation.motion import Forces, joined
 from rig.simulation.plants import PLANTS, ancf, modal, plant_named
 from rig.simulation.reference import BarrelCradle, Sdof
-from scenarios.engines import tip_difference, young_motion
+from tests.campaigns.engines import tip_difference, young_motion
 
 
 def simulated(plant, rig, force_n, step_s):
