@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 import typer
 from jaxtyping import Float
+from matplotlib.figure import Figure
 from msgspec.structs import replace
 from rich.console import Console
 from rich.table import Table
@@ -22,9 +23,10 @@ from rich.table import Table
 from identify.gaps.decision.answer import diagnose
 from identify.gaps.page.report import write_all
 from identify.gaps.results import Matters
+from identify.pages.style import BLUE, GREY, RED, picture
 from rig.commands.command_line import Force, progress_bar, refuse_existing, run
 from rig.errors import RigError
-from rig.files import write_json
+from rig.files import write_bytes, write_json
 from rig.lab.importing import import_file
 from rig.lab.modal.record import MeasuredResponse, fit_record
 from rig.lab.starting import write_start
@@ -32,7 +34,6 @@ from rig.lab.starting.measured import MeasuredRig
 from rig.model.description import Rig
 from rig.model.modes import modes_of
 from rig.recording import Recording, read
-from scenarios.f16_figures import drawn
 from scenarios.free_runs import SIMULATOR, free_run
 
 FILE = "F16Data_FullMSine_Level{}.mat"
@@ -211,6 +212,37 @@ def table(judged: Judged, fitted: str) -> Table:
         for name in ("believed", "corrected", "equivalent_linear"):
             found.add_row(f"level {one.level}, {name.replace('_', ' ')}", *(f"{x:.1f}" for x in getattr(one, name)))
     return found
+
+
+BAND_HZ = (2.0, 15.0)
+EXCITED = 0.05
+"""Lines of less than this share of the force's largest are left out."""
+
+
+def drawn(recording: Recording, runs: Mapping[str, Recording], period: int, path: Path) -> None:
+    """The lines that the force excites, of the last period, of the record and of free runs under its force."""
+    force = _lines(recording.force_n, period)
+    hz = np.fft.rfftfreq(period, 1 / recording.rig.sample_rate_hz)
+    excited = (hz >= BAND_HZ[0]) & (hz <= BAND_HZ[1]) & (force > EXCITED * force.max())
+    shown = [("measured", recording, GREY, 2.5)]
+    shown += [(name, one, colour, 1.0) for (name, one), colour in zip(runs.items(), (BLUE, RED), strict=True)]
+
+    def draw(figure: Figure) -> None:
+        panels = figure.subplots(len(recording.rig.sensors), 1, sharex=True)
+        for row, (axes, sensor) in enumerate(zip(panels, recording.rig.sensors, strict=True)):
+            for name, one, colour, width in shown:
+                size = _lines(one.signals["acceleration"].values[row], period)
+                axes.semilogy(hz[excited], size[excited], color=colour, lw=width, label=name)
+            axes.set(ylabel="m/s²", title=sensor.name)
+        panels[-1].set(xlabel="frequency, Hz")
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=3)
+
+    write_bytes(picture(draw, 7.2, 6.0).png, path)
+
+
+def _lines(values: Float[np.ndarray, " samples"], period: int) -> Float[np.ndarray, " lines"]:
+    return np.asarray(2 / period * np.abs(np.fft.rfft(values[-period:])))
 
 
 if __name__ == "__main__":

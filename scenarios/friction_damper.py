@@ -7,6 +7,7 @@ FOLDER holds the files 0.5Hz20lbtension.json and so on of ARTS-Laboratory/Datase
 """
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -14,20 +15,22 @@ import msgspec
 import numpy as np
 import typer
 from jaxtyping import Float
+from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
 import identify
+from identify.laws import FoundLaw
 from identify.laws.results import ContactLawEstimate
+from identify.pages.style import GREY, RED, picture
 from identify.pages.wording import interval
 from rig.commands.command_line import Force, progress_bar, refuse_existing, run
 from rig.errors import RigError
-from rig.files import write_json
+from rig.files import write_bytes, write_json
 from rig.model.contact_laws.dead_zone import equal_sides
 from rig.model.description import Contact, Rig, Sensor, Station
 from rig.model.oscillator import Oscillator
 from rig.recording import Recording, Signals, channel_groups, read, writing
-from scenarios.friction_damper_figures import drawn
 
 NAME = re.compile(r"(?P<hz>[0-9.]+)Hz(?P<tension>[0-9.]+)lbtension\.json")
 METRES_PER_INCH, NEWTONS_PER_KIP, NEWTONS_PER_POUND = 0.0254, 4448.2216, 4.4482216
@@ -147,6 +150,32 @@ def table(laws: list[DamperLaw]) -> Table:
             cells += [interval(x * e.value, x * e.standard_error, "1") for e, x in scaled]
         found.add_row(*cells, f"{100 * best / one.law.force_rms_n:.1f}")
     return found
+
+
+COLUMNS = 3
+
+
+def drawn(laws: Sequence[DamperLaw], curves: Sequence[FoundLaw], path: Path) -> None:
+    """A panel a record."""
+    lines = -(-len(laws) // COLUMNS)
+
+    def draw(figure: Figure) -> None:
+        panels = figure.subplots(lines, COLUMNS, sharex=True, sharey=True, squeeze=False)
+        for axes, one, curve in zip(panels.ravel(), laws, curves, strict=False):
+            record = curve.record
+            axes.plot(1e3 * record.at_force_m, 1e-3 * record.force_n, color=GREY, lw=0.5, label="measured")
+            if curve.sliding is not None:
+                force = record.low_passed(curve.sliding)
+                axes.plot(1e3 * record.at_force_m, 1e-3 * force, color=RED, lw=0.9, label="friction behind a backlash")
+            axes.set(title=f"{one.frequency_hz:g} Hz, band {one.tension_n:.0f} N")
+        for axes in panels[-1]:
+            axes.set(xlabel="displacement, mm")
+        for axes in panels[:, 0]:
+            axes.set(ylabel="force, kN")
+        handles, labels = panels[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=2)
+
+    write_bytes(picture(draw, 9.0, 3.0 * lines).png, path)
 
 
 if __name__ == "__main__":

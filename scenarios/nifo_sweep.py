@@ -1,30 +1,121 @@
-"""Tables and figures of the studies of NIFO: its errors over one thing that is varied."""
+"""Errors of NIFO over one thing that is varied, as the paper studies them: a table and a figure.
 
-from collections.abc import Callable, Sequence
+python -m scenarios.nifo_sweep resolution     table 3 and figure 17: 40 averages of blocks up to 1200 s
+python -m scenarios.nifo_sweep stiffness      figure 18
+python -m scenarios.nifo_sweep force          figure 19, with displacements known exactly and with noise
+python -m scenarios.nifo_sweep clearance      figure 20
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import matplotlib as mpl
 import numpy as np
 import typer
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from msgspec.structs import replace
 from rich.console import Console
 from rich.table import Table
 
 from identify.pages.wording import COVERED
-from scenarios.nifo_study import NifoEstimate, NifoOutcome, Study, estimated
-from scenarios.tasks import run_tasks
+from rig.commands.command_line import run
+from rig.simulation.reference import BarrelCradle
+from scenarios.nifo_study import LONG, NifoEstimate, NifoOutcome, Study, estimated
+from scenarios.tasks import Dask, run_tasks
 
 BLOCK_S = 1200.0
 """The paper's longest block, for a resolution of 0.000833 Hz."""
-Block = Annotated[float, typer.Option("--block", min=1.0, help="Longest block, s; a record is 20.5 times as long.")]
-Rate = Annotated[float, typer.Option("--sample-rate", min=1024.0, help="Of the sensors, Hz.")]
+BLOCK_SHARES = (1 / 6, 1 / 3, 2 / 3, 1)
+"""Of the longest block: 0.005, 0.0025, 0.00125 and 0.000833 Hz."""
+STIFFNESSES_N_PER_M = (1e4, 3e4, 1e5, 3e5, 1e6)
+RMS_N = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
+NOISE_M = 2e-7
+"""Of the displacements, m/sqrt(Hz): 6 um rms at 2048 samples a second."""
+CLEARANCES_M = (1e-3, 2e-3, 5e-3, 1e-2, 2e-2)
 NAMES = {"paper": "the paper's NIFO", "weak": "weak form"}
 COLOURS = {"paper": "#b4540a", "weak": "#1f5fa8"}
 STATED = (0.115, 2.65)
 """The paper's stated errors of the two stiffnesses, per cent."""
+
+app = typer.Typer(pretty_exceptions_enable=False)
+Varied = Literal["resolution", "stiffness", "force", "clearance"]
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What is varied, for title and axis, and the studies of a setting and a longest block (s) with its values."""
+
+    title: str
+    axis: str
+    studies: Callable[[BarrelCradle, float, int], list[tuple[float, Study]]]
+
+
+def _of_resolution(settings: BarrelCradle, block_s: float, records: int) -> list[tuple[float, Study]]:
+    """Of which every record gives a value for each of its blocks."""
+    blocks_s = tuple(block_s * share for share in BLOCK_SHARES)
+    return [(0.0, Study(settings=replace(settings, seed=1 + k), block_s=blocks_s)) for k in range(records)]
+
+
+def _of_stiffness(settings: BarrelCradle, block_s: float, _records: int) -> list[tuple[float, Study]]:
+    return [
+        (k, Study(settings=replace(settings, stiffness_1_n_per_m=k, stiffness_2_n_per_m=k), block_s=(block_s,)))
+        for k in STIFFNESSES_N_PER_M
+    ]
+
+
+def _of_force(settings: BarrelCradle, block_s: float, _records: int) -> list[tuple[float, Study]]:
+    return [
+        (rms_n, Study(settings=replace(settings, rms_n=rms_n), block_s=(block_s,), noise_densities=(0.0, NOISE_M)))
+        for rms_n in RMS_N
+    ]
+
+
+def _of_clearance(settings: BarrelCradle, block_s: float, _records: int) -> list[tuple[float, Study]]:
+    return [
+        (1e3 * c, Study(settings=replace(settings, clearance_1_m=c, clearance_2_m=c), block_s=(block_s,)))
+        for c in CLEARANCES_M
+    ]
+
+
+SWEEPS: Mapping[str, Sweep] = {
+    "resolution": Sweep("NIFO against its frequency resolution", "resolution, Hz", _of_resolution),
+    "stiffness": Sweep("NIFO against the contact stiffness", "contact stiffness, N/m", _of_stiffness),
+    "force": Sweep("NIFO against the force", "force, N rms", _of_force),
+    "clearance": Sweep("NIFO against the clearance", "clearance, mm", _of_clearance),
+}
+
+
+@app.command()
+def nifo_sweep(
+    varied: Annotated[Varied, typer.Argument(help="What is varied.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the results and the figure; out/nifo_VARIED by default.")
+    ] = None,
+    block: Annotated[
+        float, typer.Option("--block", min=1.0, help="Longest block, s; a record is 20.5 times as long.")
+    ] = BLOCK_S,
+    sample_rate: Annotated[float, typer.Option(min=1024.0, help="Of the sensors, Hz.")] = LONG.sample_rate_hz,
+    records: Annotated[
+        int, typer.Option(min=1, help="So many records, each under a force of its own; of the resolution alone.")
+    ] = 2,
+    dask: Dask = None,
+) -> None:
+    """Record the barrel in its cradle while one thing is varied, and find the contact stiffnesses by NIFO."""
+    folder, sweep = out or Path("out") / f"nifo_{varied}", SWEEPS[varied]
+    points = points_of(sweep.studies(replace(LONG, sample_rate_hz=sample_rate), block, records), folder, dask)
+    if varied == "resolution":
+        points = [Point(1 / p.found.block_s, p.found, p.closed, p.free) for p in points]
+    noisy = [p for p in points if p.found.noise_density]
+    ideal = ideal_range(noisy) if noisy else None
+    shown(sweep.title, sweep.axis, points, folder / f"{varied}.png", ideal)
+    if ideal:
+        Console().print(
+            f"with noise the errors are within three times the least from {ideal[0]:g} to {ideal[1]:g} N rms"
+        )
 
 
 @dataclass(frozen=True)
@@ -145,3 +236,7 @@ def _drawn(axes: Axes, points: Sequence[Point], what: Callable[[NifoEstimate], f
     values = sorted({p.value for p in points})
     axes.set_xticks(values, [f"{float(f'{value:.3g}'):g}" for value in values])
     axes.set_xticks([], minor=True)
+
+
+if __name__ == "__main__":  # under its own name, by which other processes find its tasks
+    run(import_module("scenarios.nifo_sweep").app, "scenarios.nifo_sweep")

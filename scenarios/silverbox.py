@@ -6,6 +6,9 @@ FOLDER holds SNLS80mV.csv; without it the package nonlinear_benchmarks fetches t
 free data sets for development and benchmarking in nonlinear system identification", ECC 2013.
 """
 
+from dataclasses import replace as with_fields
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
@@ -13,40 +16,36 @@ import msgspec
 import numpy as np
 import typer
 from jaxtyping import Float
+from matplotlib.figure import Figure
 from msgspec.structs import replace
 from rich.console import Console
 from rich.table import Table
+from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 from scipy.signal import welch
 
 from identify.gaps.decision.answer import diagnose
 from identify.gaps.page.report import write_all
+from identify.pages.style import BLUE, GREY, RED, picture
 from identify.signals.kinematics import kinematics
 from identify.signals.spectra import force_band
 from rig.commands.command_line import Force, progress_bar, refuse_existing, run
-from rig.files import write_json
+from rig.errors import RigError
+from rig.files import write_bytes, write_json
 from rig.model.description import Rig, Sensor, Station
 from rig.model.modes import modes_of
 from rig.model.oscillator import Oscillator
-from rig.recording import Recording
+from rig.recording import Recording, Signals, channel_groups, read, writing
 from scenarios.free_runs import SIMULATOR, free_run
-from scenarios.silverbox_data import (
-    ARROW,
-    DISPLACEMENT_M_PER_V,
-    FILE,
-    FIT,
-    FORCE_N_PER_V,
-    MILLIVOLTS,
-    SAMPLE_RATE_HZ,
-    VALIDATION,
-    displacement_m,
-    mass_of,
-    measured,
-    recording_of,
-    written,
-)
-from scenarios.silverbox_figures import drawn
 
+FILE = "SNLS80mV.csv"
+SAMPLE_RATE_HZ = 610.35
+SAMPLES = 131072
+FORCE_N_PER_V, DISPLACEMENT_M_PER_V = 1e4, 0.1
+"""What a volt of the input and one of the output stand for: these make a rig of half a kilogram that moves by 5 mm."""
+ARROW, FIT, VALIDATION = slice(0, 40575), slice(40575, 84000), slice(84000, 127400)
+"""Noise that grows; then ten multisines, of which one half is for searching and the other for deciding."""
+MILLIVOLTS = 1e3 / DISPLACEMENT_M_PER_V
 SETTLED = 150
 """Samples at the start of the arrow that do not count, as is the custom with this benchmark."""
 app = typer.Typer(pretty_exceptions_enable=False)
@@ -182,6 +181,105 @@ def table(judged: JudgedRig) -> Table:
         numbers = (error, natural_hz, body.damping_ratio, mass_kg, cubic)
         found.add_row(name, *(f"{n:.4g}" for n in numbers))
     return found
+
+
+def measured(folder: Path | None) -> Float[np.ndarray, "2 samples"]:
+    """Input and output, V, all of the record; raises RigError where it is not to be had."""
+    if folder is not None:
+        path = folder / FILE
+        try:
+            volts = np.loadtxt(path, delimiter=",", skiprows=1, usecols=(0, 1)).T
+        except OSError as error:
+            raise RigError(f"{path}: cannot be opened ({error.strerror}); give the folder that holds it") from error
+        except ValueError as error:
+            raise RigError(f"{path}: is not the benchmark's file ({error}); fetch it again") from error
+    else:
+        try:
+            nonlinear_benchmarks = import_module("nonlinear_benchmarks")
+        except ImportError as error:
+            raise RigError(
+                f"no data: give --data FOLDER with {FILE}, or pip install nonlinear_benchmarks, which fetches it"
+            ) from error
+        try:
+            whole = nonlinear_benchmarks.Silverbox(train_test_split=False)
+        except Exception as error:  # whatever a download raises
+            raise RigError(
+                f"nonlinear_benchmarks could not fetch the data ({error}); give --data FOLDER with {FILE}"
+            ) from error
+        volts = np.stack([whole.u, whole.y])
+    if volts.shape[1] != SAMPLES:
+        raise RigError(f"{FILE}: has {volts.shape[1]} samples instead of {SAMPLES}; give the benchmark's own file")
+    return volts
+
+
+def recording_of(rig: Rig, signals: Float[np.ndarray, "2 samples"]) -> Recording:
+    """Of a force (N) and a displacement (m)."""
+    rows = zip(channel_groups(rig).items(), signals, strict=True)
+    named = {name: Signals(channels, 0.0, row[None]) for (name, channels), row in rows}
+    return Recording(rig, named, {"source": f"Silverbox benchmark, {FILE}"})
+
+
+def displacement_m(recording: Recording) -> Float[np.ndarray, " samples"]:
+    return recording.signals["displacement"].values[0]
+
+
+def mass_of(rig: Rig) -> Oscillator:
+    (body,) = rig.bodies
+    assert isinstance(body, Oscillator)
+    return body
+
+
+def written(recording: Recording, path: Path) -> Recording:
+    """What is read back from the file."""
+    with writing(path, recording.rig, channel_groups(recording.rig), recording.provenance) as file:
+        for name, signals in recording.signals.items():
+            file.append(name, signals.values)
+    return read(path)
+
+
+def drawn(
+    validation: Recording,
+    corrected: Rig,
+    arrow: Recording,
+    errors: dict[str, Float[np.ndarray, " later"]],
+    folder: Path,
+) -> None:
+    """Writes where.png and arrow.png; errors (mV) end with the arrow."""
+    write_bytes(picture(partial(_where, validation, corrected)).png, folder / "where.png")
+    write_bytes(picture(partial(_arrow, arrow, errors)).png, folder / "arrow.png")
+
+
+def _where(recording: Recording, corrected: Rig, figure: Figure) -> None:
+    """The force beyond mass, damping and linear spring, F - m a - c v - k x, over the displacement."""
+    motion, body = kinematics(with_fields(recording, rig=corrected)), mass_of(corrected)
+    (x,), (v,), (a,) = motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2
+    beyond = motion.force_n - body.mass_kg * a - body.damping_n_s_per_m * v - body.stiffness_n_per_m * x
+    at = np.linspace(x.min(), x.max(), 200)
+    cubic = sum(s.cubic_n_per_m3 for s in corrected.springs)
+    edges = np.quantile(x, np.linspace(0, 1, 31))
+    cell = np.clip(np.searchsorted(edges, x) - 1, 0, 29)
+    count = np.bincount(cell, minlength=30)
+    centre, mean = (np.bincount(cell, values, minlength=30) / count for values in (x, beyond))
+    axes = figure.subplots()
+    axes.plot(1e3 * x, beyond, ".", ms=1, color=GREY, alpha=0.3, rasterized=True, label="measured")
+    axes.plot(1e3 * centre, mean, "o", ms=4, color=BLUE, label="its means")
+    axes.plot(1e3 * at, cubic * at**3, color=RED, label="cubic spring, as found")
+    axes.set(xlabel="displacement, mm", ylabel="force beyond the linear part, N")
+    axes.legend(markerscale=1.5)
+
+
+def _arrow(arrow: Recording, errors: dict[str, Float[np.ndarray, " later"]], figure: Figure) -> None:
+    """The displacement, and the errors of both rigs."""
+    above, below = figure.subplots(2, 1, sharex=True)
+    rate = arrow.rig.sample_rate_hz
+    moved_m = arrow.signals["displacement"].values[0]
+    above.plot(np.arange(moved_m.size) / rate, 1e3 * moved_m, color=GREY, lw=0.4)
+    for (name, error), colour in zip(errors.items(), (BLUE, RED), strict=True):
+        time_s = np.arange(arrow.samples - error.size, arrow.samples) / rate
+        below.semilogy(time_s, np.sqrt(uniform_filter1d(error**2, round(rate))), color=colour, label=name)
+    above.set(ylabel="displacement, mm")
+    below.set(xlabel="time, s", ylabel="error of the free run, mV\n(rms over 1 s)")
+    below.legend()
 
 
 if __name__ == "__main__":

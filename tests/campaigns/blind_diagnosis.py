@@ -18,6 +18,7 @@ from identify.gaps.decision.null_reference import null_key, null_reference_of
 from identify.gaps.decision.prepare import simulator_named
 from identify.gaps.decision.recordings import sound
 from identify.gaps.decision.release import released
+from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Gap
 from rig.errors import RigError
 from rig.files import write_json
@@ -199,13 +200,16 @@ def without_curves(gap: Gap) -> Gap:
     return replace(gap, curves=(), attribution=attribution)
 
 
+def _null_key(recording: Recording, tolerances: Tolerances) -> str:
+    counted_until_s = record_of(recording, tolerances=tolerances).counted_until_s
+    return null_key(recording, counted_until_s, tolerances, SIMULATOR.name)
+
+
 def _task(fit: Path, null_reference: Path, tolerances: Tolerances | None) -> ToDiagnose | Refused:
     validate = fit.with_name(f"{fit.stem}_validate.mcap")
     sha256 = {path.name: sha256_of(path) for path in (fit, validate)}
     try:
-        fitted, validation = (
-            null_key(one, _believed(one, tolerances), SIMULATOR.name) for one in sound(read(fit), read(validate))[0]
-        )
+        fitted, validation = (_null_key(one, _believed(one, tolerances)) for one in sound(read(fit), read(validate))[0])
     except RigError as error:
         return Refused(case=fit.stem, sha256=sha256, sentence=str(error))
     return ToDiagnose(

@@ -5,9 +5,9 @@ import pytest
 from msgspec.structs import replace
 
 from identify.signals.spectra import Averaging, blocks
-from scenarios import excitation_sweep, frequency_resolution, nifo_study
+from scenarios import nifo_study, nifo_sweep
 from scenarios.nifo_study import LONG, Study, estimated, incoherent_shares, needed_s
-from scenarios.nifo_sweep import Point, ideal_range, shown
+from scenarios.nifo_sweep import NOISE_M, Point, ideal_range, shown
 
 STUDY = Study(settings=LONG, block_s=(1.0, 2.5))
 
@@ -45,7 +45,7 @@ def test_the_weak_form_is_right_where_the_papers_leaks(outcome):
 
 
 def test_noise_spoils_weak_contact():
-    both = Study(settings=replace(LONG, rms_n=0.5), block_s=(2.5,), noise_densities=(0.0, excitation_sweep.NOISE))
+    both = Study(settings=replace(LONG, rms_n=0.5), block_s=(2.5,), noise_densities=(0.0, NOISE_M))
     alone = Study(settings=replace(LONG, rms_n=0.5), block_s=(2.5,))
     found, quiet = estimated(both).estimates, estimated(alone).estimates
     assert found[: len(quiet)] == quiet
@@ -63,10 +63,10 @@ def test_the_table_and_the_figure(outcome, tmp_path, capsys, monkeypatch):
 
 
 def test_the_command_goes_on_where_it_was(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(frequency_resolution, "SHARES", (1.0,))
-    frequency_resolution.frequency_resolution(tmp_path, block=1.0, seeds=1)
+    monkeypatch.setattr(nifo_sweep, "BLOCK_SHARES", (1.0,))
+    nifo_sweep.nifo_sweep("resolution", tmp_path, block=1.0, records=1)
     before = {p: p.stat().st_mtime_ns for p in (tmp_path / "tasks").iterdir()}
-    frequency_resolution.frequency_resolution(tmp_path, block=1.0, seeds=1)
+    nifo_sweep.nifo_sweep("resolution", tmp_path, block=1.0, records=1)
     assert {p: p.stat().st_mtime_ns for p in (tmp_path / "tasks").iterdir()} == before
     assert np.count_nonzero([p.suffix == ".png" for p in tmp_path.iterdir()]) == 1
     assert "1" in capsys.readouterr().out

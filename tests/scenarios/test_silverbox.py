@@ -17,8 +17,7 @@ from rig.errors import RigError
 from rig.model.description import PointSpring
 from rig.simulation.excitation import BandLimitedGaussian, force_history
 from scenarios.free_runs import SIMULATOR, free_run, simulated
-from scenarios.silverbox import JudgedRig, app, identified, one_mass, rms
-from scenarios.silverbox_data import FILE, SAMPLES, measured
+from scenarios.silverbox import FILE, SAMPLES, JudgedRig, app, identified, measured, one_mass, rms
 
 DATA = Path(os.environ.get("SILVERBOX", "silverbox"))
 CUBIC_N_PER_M3, NOISE_DENSITY = 4e7, 1e-7

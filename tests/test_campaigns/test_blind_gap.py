@@ -2,6 +2,7 @@
 
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -74,6 +75,7 @@ def quick(monkeypatch):
 
     monkeypatch.setattr(blind_diagnosis, "run_tasks", run_here)
     monkeypatch.setattr(blind_diagnosis, "gap_of", diagnosed)
+    monkeypatch.setattr(blind_diagnosis, "record_of", lambda *_, **__: SimpleNamespace(counted_until_s=1.5))
     monkeypatch.setattr(blind_diagnosis, "null_reference_made", lambda task: NullReferenceMade(task.key, 30.0, 400.0))
     return calls
 

@@ -19,7 +19,7 @@ from scipy.stats import t as student
 from identify.gaps.decision.null_machine import drawn, standard_normals, with_crosstalk
 from identify.gaps.residual.likelihood import Misfit, misfit, reference_of
 from identify.gaps.residual.residual import Linearization, Residual, linearized
-from identify.gaps.residual.spectra import record_of
+from identify.gaps.residual.spectra import Record, record_of
 from identify.gaps.rollout.results import NullErrors
 from identify.gaps.rollout.windows import Predict, null_errors
 from identify.gaps.search.nominal import fit_nuisance
@@ -149,7 +149,8 @@ def null_reference_of(
     Each null simulation is also predicted from its measured states, if a predictor is given. Of a folder it is the
     file named after the key, so that many rigs and levels have theirs in one.
     """
-    key = null_key(measured, tolerances, simulator, simulations)
+    seen = record_of(measured, tolerances=tolerances)
+    key = null_key(measured, seen.counted_until_s, tolerances, simulator, simulations)
     if kept and kept.is_dir():
         kept = kept / f"{key[:16]}.json"
     others = _read(kept) if kept else ()
@@ -157,7 +158,6 @@ def null_reference_of(
         return replace(found, checksum="")
     if kept:
         check_target(kept, new_folder=True)
-    seen = record_of(measured, tolerances=tolerances)
     densities = np.sqrt(seen.force_noise / seen.samples)
     gain = tolerances.force_gain if len(densities) > 1 else 0.0  # of one force the rig that is drawn has it
     start = round(seen.excited_s * seen.sample_rate_hz)
@@ -173,7 +173,8 @@ def null_reference_of(
         )
         made = simulate(measured.rig, actual, forces_n, seed)
         shown = with_crosstalk(_instrumented(made, densities, gain, rng), tolerances.crosstalk, rng)
-        rows.append(_null_simulation(shown, tolerances, predict))
+        record = record_of(shown, tolerances=tolerances, counted_until_s=seen.counted_until_s)
+        rows.append(_null_simulation(shown, record, predict))
         progress((seed + 1) / simulations)
     reference = NullReference(key, tuple(rows))
     if kept:
@@ -214,8 +215,7 @@ def _instrumented(
     return with_fields(made, signals={**made.signals, "force": with_fields(group, values=values)})
 
 
-def _null_simulation(recording: Recording, tolerances: Tolerances, predict: Predict | None) -> NullSimulation:
-    record = record_of(recording, tolerances=tolerances)
+def _null_simulation(recording: Recording, record: Record, predict: Predict | None) -> NullSimulation:
     linearization = linearized(record, record.rig)
     reference = reference_of(linearization)
     residual = fit_nuisance(record, record.rig, rounds=1)[1]
@@ -242,19 +242,26 @@ def _prediction(recording: Recording, residual: Residual, predict: Predict | Non
         return None
 
 
-def null_key(measured: Recording, tolerances: Tolerances, simulator: str, simulations: int = NULL_SIMULATIONS) -> str:
-    """Of the rig, its tolerances, the simulator, the force's (in a free decay the motion's) level and length, and the
-    program."""
+def null_key(
+    measured: Recording,
+    counted_until_s: float,
+    tolerances: Tolerances,
+    simulator: str,
+    simulations: int = NULL_SIMULATIONS,
+) -> str:
+    """Of the rig, its tolerances, the simulator, the force's (in a free decay the motion's) level and length, how long
+    the record counts (in halves of a second), and the program."""
     driven = (
         measured.forces_n if np.any(measured.forces_n) else measured.signals[measured.rig.sensors[-1].quantity].values
     )
     level = round(float(np.log(max(np.std(driven), 1e-300)) / np.log(LEVEL)))
     version = importlib.metadata.version("rig-identify")
+    counted = round(2 * counted_until_s)
     kind = " blows" * any(of_blows(row) for row in measured.forces_n)
     parts = (
         to_json(replace(measured.rig, tolerances=None)),
         msgspec.json.encode(tolerances),
-        f"{simulator} {level} {measured.samples} {simulations} {version}{kind}".encode(),
+        f"{simulator} {level} {measured.samples} {counted} {simulations} {version}{kind}".encode(),
     )
     return hashlib.sha256(b"\n".join(parts)).hexdigest()
 

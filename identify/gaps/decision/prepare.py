@@ -124,7 +124,7 @@ def prepare(
     simulates = [
         simulator.simulate if one.record.forced else released(one.recording, simulator.simulate) for one in observations
     ]
-    keys = [null_key(one.recording, believed, simulator.name) for one in observations]
+    keys = [null_key(one.recording, one.record.counted_until_s, believed, simulator.name) for one in observations]
     known: dict[str, NullReference] = {}
     first = {key: k for k, key in reversed(list(enumerate(keys)))}
     for number, (key, k) in enumerate(first.items()):

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from identify.gaps.residual.law import ContactResidual
 from identify.gaps.residual.lines import cost_of_lines
@@ -25,6 +25,9 @@ from identify.gaps.residual.observation import ContactObservation
 from identify.gaps.residual.residual import Linearization, Residual
 from identify.gaps.residual.scales import band_of_lines, by_band, measured_levels, posterior_level, second_levels
 from identify.gaps.residual.spectra import Record
+
+NOISY = 0.5
+"""Where noise is more than this share of the power, a band tells no share of the motion."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,11 @@ class Reference:
     power: Float[np.ndarray, "bands sensors"]
     lines: Float[np.ndarray, " bands"]
     seen: tuple[ContactObservation, ...]
+
+    @property
+    def has_signal(self) -> Bool[np.ndarray, "bands sensors"]:
+        """Where more than half of the power is no noise."""
+        return self.noise < NOISY * self.power
 
 
 def reference_of(linearization: Linearization) -> Reference:
@@ -121,8 +129,10 @@ class Misfit:
 
     @property
     def beyond_noise(self) -> Float[np.ndarray, "bands sensors"]:
-        """Mean square of what is left by line, beyond noise, in the sensors' unit."""
-        return np.maximum(self.left.mean(axis=0) * self.measured - self.reference.noise, 0.0)
+        """Mean square of what is left by line, beyond noise, in the sensors' unit; zero where noise is most of the
+        signal, so that it decides nothing."""
+        left = np.maximum(self.left.mean(axis=0) * self.measured - self.reference.noise, 0.0)
+        return np.asarray(left * self.reference.has_signal)
 
     @property
     def shares(self) -> Float[np.ndarray, " bands"]:
@@ -131,14 +141,17 @@ class Misfit:
 
     @property
     def share(self) -> float:
-        """The same over all bands, of which those of noise alone add nothing on average."""
-        return float(np.sqrt(max(self.share_by_second.mean(), 0.0)))
+        """The same over all bands."""
+        beyond = self.beyond_noise.sum(axis=1)
+        whole = max(float(self.reference.lines @ self.reference.power.sum(axis=1)), 1e-300)
+        return float(np.sqrt(self.reference.lines @ beyond / whole))
 
     @property
     def share_by_second(self) -> Float[np.ndarray, " seconds"]:
         """Its square as each second alone has it, beyond noise; below zero where a second is quieter than noise."""
         whole = max(float(self.reference.lines @ self.reference.power.sum(axis=1)), 1e-300)
-        return np.einsum("sbi,b->s", self.left * self.measured - self.reference.noise, self.reference.lines) / whole
+        beyond = (self.left * self.measured - self.reference.noise) * self.reference.has_signal
+        return np.einsum("sbi,b->s", beyond, self.reference.lines) / whole
 
     @property
     def contact_shares(self) -> Float[np.ndarray, " contacts"]:

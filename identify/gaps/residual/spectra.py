@@ -99,6 +99,10 @@ class Record:
         return bool(np.any(self.forces))
 
     @property
+    def counted_until_s(self) -> float:
+        return self.taken.stop / self.rate_hz
+
+    @property
     def rate_hz(self) -> float:
         """Of the residuals over time."""
         return self.sample_rate_hz / self.factor
@@ -203,10 +207,16 @@ class _Transform:
         return np.asarray(rfft(signal * self.window, self.length))
 
 
-def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Tolerances | None = None) -> Record:
+def record_of(
+    recording: Recording,
+    low_hz: float = CORNER_HZ,
+    tolerances: Tolerances | None = None,
+    counted_until_s: float | None = None,
+) -> Record:
     """The spectra of a recording's accelerometers; without any, of its velocity or else its displacement sensors.
 
-    In a free decay its displacement sensors come first, or else those of the velocity.
+    In a free decay its displacement sensors come first, or else those of the velocity. It counts until it has decayed,
+    or as long as another record does.
 
     Raises RigError if it is too short or has no sensors.
     """
@@ -255,7 +265,7 @@ def record_of(recording: Recording, low_hz: float = CORNER_HZ, tolerances: Toler
         tolerances=tolerances,
         from_the_blow=beginning.from_the_blow,
         modes=modes,
-        taken=_taken(samples, transform, beginning, delivered),
+        taken=_taken(samples, transform, beginning, delivered, counted_until_s),
     )
 
 
@@ -350,14 +360,20 @@ def _faded(
 
 
 def _taken(
-    samples: int, transform: _Transform, beginning: Beginning, delivered: Complex[np.ndarray, "sensors lines"]
+    samples: int,
+    transform: _Transform,
+    beginning: Beginning,
+    delivered: Complex[np.ndarray, "sensors lines"],
+    counted_until_s: float | None,
 ) -> slice:
     """The samples that count, of every `factor`-th: neither the ends nor what follows when the rig has come to rest."""
     rate_hz = transform.sample_rate_hz / transform.factor
     duration_s = samples / transform.sample_rate_hz
     begin_s, at_end_s = beginning.left_out_s
-    rows = irfft(delivered, transform.length // transform.factor)[:, : int(duration_s * rate_hz)]
-    end_s = min(duration_s - at_end_s, max(decayed_s(rows, rate_hz), begin_s + LEAST_S))
+    if counted_until_s is None:
+        rows = irfft(delivered, transform.length // transform.factor)[:, : int(duration_s * rate_hz)]
+        counted_until_s = decayed_s(rows, rate_hz)
+    end_s = min(duration_s - at_end_s, max(counted_until_s, begin_s + LEAST_S))
     return slice(round(begin_s * rate_hz), int(end_s * rate_hz))
 
 

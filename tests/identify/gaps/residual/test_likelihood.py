@@ -58,14 +58,6 @@ def test_shares_are_beyond_noise_and_relative_to_the_motion():
     np.testing.assert_allclose(left(1.0, contact_n=0.5).contact_shares, 0.05)
 
 
-def test_bands_of_noise_alone_add_nothing_to_the_share_on_average():
-    rng = np.random.default_rng(1)
-    levels = 0.5 * rng.chisquare(100, (SECONDS, BANDS, SENSORS)) / 100
-    noisy = replace(left(0.5), left=levels)
-    assert noisy.shares.max() > 0
-    assert noisy.share < 0.2 * np.sqrt(np.mean(noisy.shares**2)) + 1e-4
-
-
 def test_the_size_of_a_gap_counts_in_what_matters():
     matters = Matters(motion=0.01, contact=0.05)
     assert size(left(1.5), matters) == pytest.approx(1.0)
