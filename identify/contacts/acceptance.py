@@ -146,7 +146,7 @@ def widened(found: JointEstimate, parameters: Sequence[Nuisance], in_gaps: float
 
 
 def fit_findings(estimates: Mapping[str, JointEstimate], parameters: Sequence[Nuisance]) -> Iterator[Finding]:
-    """What of the fits cannot be: parameters beyond their tolerances, and each contact's faults of its own."""
+    """Findings on the fits: parameters beyond their tolerances, and the faults of each contact."""
     for k, parameter in enumerate(parameters):
         pull = max((estimate.pulls[k] for estimate in estimates.values()), key=abs, default=0.0)
         if parameter.kind in CAUSES and abs(pull) > BROKEN:

@@ -1,4 +1,4 @@
-"""What an identification took for granted, and what would make its answer surer, in sentences."""
+"""Assumptions of an identification, and recommendations that would narrow its intervals, as sentences."""
 
 from collections.abc import Iterator
 
@@ -105,7 +105,7 @@ def recommendations(found: Identification) -> Iterator[str]:
 
 
 def variance_shares(answer: JointEstimate) -> dict[str, dict[str, float]]:
-    """Of the clearance and the stiffness, the shares of their variance by source; each sums to one."""
+    """Shares of the variance of clearance and stiffness by source; each sums to one."""
     parts = {"tolerances": answer.of_tolerances, "drift": answer.of_drift, "law": answer.of_misfit}
     found = {}
     for quantity, along in (("clearance", answer.clearance), ("stiffness", STIFFNESS)):
@@ -116,7 +116,7 @@ def variance_shares(answer: JointEstimate) -> dict[str, dict[str, float]]:
 
 
 def _sides_known(found: Identification) -> bool:
-    """Whether every estimate tells the two sides of its contact apart."""
+    """True if every estimate tells the two sides of its contact apart."""
     return all(estimate.sides_known for estimate in found.outcomes.estimates.values())
 
 

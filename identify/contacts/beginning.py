@@ -17,7 +17,7 @@ SETTLED_S = 0.5
 
 
 def settled_s(rig: Rig, slow_n_per_m: Float[np.ndarray, "contacts contacts"]) -> float:
-    """What to leave out of forces at the start of a record that does not begin at rest, s.
+    """Seconds of the forces left out at the start of a record that does not begin at rest.
 
     Where springs of an elastic body act on high-passed displacements, until these have forgotten the start.
     """

@@ -70,12 +70,12 @@ class ContactRecord:
     initial: Bool[np.ndarray, " nuisances"]
 
     def rate_of(self, moved_m: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
-        """By differences, m/s."""
+        """Rate of the relative displacement by differences, m/s."""
         return np.asarray(np.gradient(moved_m, 1 / self.sample_rate_hz))
 
     @property
     def sample_ratio(self) -> float:
-        """How much more the tolerances weigh than samples do, as errors of a model last."""
+        """Weight of the tolerances over that of a sample, as errors of a model last."""
         return max(1.0, self.sample_rate_hz / self.factor / COUNTED_HZ)
 
     @property
@@ -92,14 +92,14 @@ class ContactRecord:
 
 
 def clearly_closed(record: ContactRecord, share: float = CLEAR_SHARE) -> Bool[np.ndarray, " fewer"]:
-    """Where the contact is clearly closed."""
+    """Mask of the samples at which the contact is clearly closed."""
     size = np.abs(record.force_n)
     noise_n = min(record.noise_n, float(quietest(record.force_n)))
     return size > max(share * float(np.quantile(size, 0.995)), ABOVE_QUIET * record.quiet_n, ABOVE_NOISE * noise_n)
 
 
 def touched_stops(record: ContactRecord) -> tuple[bool, bool]:
-    """Whether the lower stop is clearly touched, and the upper one.
+    """Flags: the lower stop is clearly touched; the upper one is.
 
     Raises ContactRefusedError if the relative displacement stands still, if neither is, or one alone where nothing
     shows how far it stands from the rest position.

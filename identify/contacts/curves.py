@@ -15,7 +15,7 @@ def curves(found: Identification) -> dict[str, Table]:
 
 
 def _motion(found: Identification) -> Table:
-    """At the rate of the separated forces; of all contacts between the same places together."""
+    """Curves over time at the rate of the separated forces; contacts between the same places have one in common."""
     factor = found.factor
     force = found.separated_n
     eta = found.eta_m[[place.members[0] for place in found.same_place], ::factor]

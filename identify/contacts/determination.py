@@ -44,7 +44,7 @@ class Outcomes:
         return Outcomes({}, dict.fromkeys(names, refusal))
 
     def beside(self, others: "Outcomes") -> "Outcomes":
-        """Those of further contacts along."""
+        """Determination with those of further contacts."""
         return Outcomes({**self.estimates, **others.estimates}, {**self.refusals, **others.refusals})
 
 
@@ -52,7 +52,7 @@ NOTHING = Outcomes({}, {})
 
 
 def determine(separation: Separation, forms: Sequence[FormName] = ()) -> Outcomes:
-    """Of every contact, each force by itself; where springs couple their slow motion, again with that of the others.
+    """Determination of every contact, each force by itself; where springs couple slow motions, again with the others.
 
     Beside the dead zone these forms of a law are tried.
     """
@@ -92,7 +92,7 @@ def _slow_m(rig: Rig, place: Joined, record: ContactRecord, outcomes: Outcomes) 
 
 
 def determine_place(rig: Rig, place: Joined, record: ContactRecord, forms: Sequence[FormName] = ()) -> Outcomes:
-    """Of the contacts between two places."""
+    """Determination of the contacts between two places."""
     names = [rig.contacts[j].name for j in place.members]
     try:
         outcomes = _determined(names, _believed(rig, place), record, forms)
@@ -104,14 +104,14 @@ def determine_place(rig: Rig, place: Joined, record: ContactRecord, forms: Seque
 
 
 def _believed(rig: Rig, place: Joined) -> Believed:
-    """In the direction of the first."""
+    """Nominal contacts in the direction of the first."""
     laws = [rig.contacts[j].law for j in place.members]
     rows = np.array([LAW.vector({name: getattr(law, name) for name in LAW.names}) for law in laws])
     return np.array([row if sign > 0 else row[[1, 0, 2, 3]] for row, sign in zip(rows, place.signs, strict=True)])
 
 
 def _determined(names: Sequence[str], believed: Believed, record: ContactRecord, forms: Sequence[FormName]) -> Outcomes:
-    """Of one contact, or of several that share a relative displacement, in the direction of the first.
+    """Estimates of one contact, or of several that share a relative displacement, in the direction of the first.
 
     Raises ContactRefusedError if none is determined, for one reason.
     """
@@ -168,7 +168,7 @@ def _those_in_reach(
 
 
 def _of_several(refusal: Refusal) -> Refusal:
-    """That closures tell no law of several contacts means that they cannot be told apart."""
+    """Refusal of several contacts: closures that tell no law of them mean that they cannot be told apart."""
     return refused(RefusalCode.NOT_SEPARABLE).refusal if refusal.code == RefusalCode.NO_LAW else refusal
 
 
@@ -190,7 +190,7 @@ def _together(
 
 
 def _assigned(estimates: tuple[JointEstimate, ...], believed: Believed) -> tuple[JointEstimate, ...]:
-    """To each contact the knee that comes nearest to what is believed of it, among those that touch on its sides.
+    """Knee of each contact: the nearest to its nominal clearance among those on the sides that it touches.
 
     Raises ContactRefusedError if they may as well be exchanged.
     """

@@ -39,7 +39,7 @@ def drawn(found: Identification, marks: Marks, marks_name: str, notes: list[str]
 
 
 def segments_drawn(report: ContactReport, parts: Sequence[Segment]) -> Picture:
-    """What every segment of a long record says of each contact with its 95 % interval, and all together."""
+    """Figure of each contact's estimate by segment of a long record with its 95 % interval, and of all together."""
 
     def draw(figure: Any) -> None:
         rows = figure.subplots(2, len(report.contacts), squeeze=False, sharex=True)

@@ -42,7 +42,7 @@ class ContactForces:
     slow_n_s_per_m: Float[np.ndarray, "contacts contacts"]
 
     def after(self, fewer: int) -> "ContactForces":
-        """Without the first samples, so many of the forces."""
+        """Separation without this number of first samples of the forces."""
         return replace(self, force_n=self.force_n[:, fewer:], nuisances=self.nuisances.after(fewer))
 
 
@@ -137,7 +137,7 @@ def _observed(
     by_force: Complex[np.ndarray, "forces stations lines"],
     from_rest: bool,
 ) -> Observed:
-    """What was measured: accelerations, in_metres displacements."""
+    """Measured spectra: accelerations; displacements where `in_metres`."""
     displaced = lines.spectra(motion.displacement_m)
     accelerations = lines.spectra(motion.acceleration_m_per_s2) if from_rest else as_sensed(motion, lines)
     measured = np.where(in_metres, displaced, accelerations)

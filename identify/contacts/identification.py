@@ -62,7 +62,7 @@ class Identification:
 
     @property
     def surface(self) -> Surface:
-        """That of the main equation; raises RigError if there is none."""
+        """Surface of the main equation; raises RigError if there is none."""
         for surface in self.methods.main_surfaces:
             return surface
         raise RigError("; ".join(self.methods.notes) or "no modal equation has a restoring force surface")
@@ -82,7 +82,7 @@ class Identification:
 
 @dataclass(frozen=True)
 class _Answers:
-    """What the first three stages leave for the paper's methods and the report."""
+    """Results of the first three stages, for the paper's methods and the report."""
 
     motion: Kinematics
     same_place: tuple[Joined, ...]
@@ -148,7 +148,7 @@ def identify_contact(
 
 
 def _answers(recording: Recording, use: Use, tolerances: Tolerances | None) -> _Answers:
-    """Without the nuisance parameters over time, which take much memory."""
+    """Results without the nuisance signals over time, which take much memory."""
     contacts = checked_contacts(recording, use, tolerances, FORMS)
     separation = contacts.separation
     return _Answers(

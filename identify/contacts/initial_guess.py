@@ -103,7 +103,7 @@ def closed_fit(
 
 
 def reach_m(record: ContactRecord) -> Float[np.ndarray, "2"]:
-    """How far the relative displacement goes to either side.
+    """Reach of the relative displacement to either side, m.
 
     Raises ContactRefusedError as `regressed` does.
     """
@@ -203,5 +203,5 @@ def first_pulls(record: ContactRecord) -> Float[np.ndarray, " nuisances"]:
 
 
 def contact_alone(record: ContactRecord, pulls: Float[np.ndarray, " nuisances"]) -> ContactRecord:
-    """Without what a first guess adds to its force."""
+    """Contact without what a first guess adds to its force."""
     return replace(record, force_n=record.force_n - pulls @ record.nuisance_n) if pulls.any() else record

@@ -79,13 +79,13 @@ class JointEstimate:
         return self.form.force_n(self.law, eta_m, rate_m_per_s)
 
     def spring_m(self, eta_m: Signal) -> Signal:
-        """What the stiffness is multiplied by: the depth, or what a power law makes of it."""
+        """Factor of the stiffness: the depth (m), or what a power law makes of it."""
         unit = np.concatenate([self.values[:2], [1.0, 0.0], self.law[len(LAW) :]])
         return self.form.force_n(unit, eta_m, np.zeros_like(eta_m))
 
     @property
     def clearance(self) -> Law:
-        """As a linear function of the parameters: half the total play, or the clearance of the one stop touched."""
+        """Clearance as a linear function of the parameters: half the total play, or that of the one stop touched."""
         return _clearance(self.touched)
 
     @property
@@ -115,7 +115,7 @@ class JointEstimate:
 
     @property
     def reversed(self) -> "JointEstimate":
-        """Of the contact counted the other way round."""
+        """Estimate of the contact counted in the other direction."""
         swapped = np.eye(len(LAW))[[1, 0, 2, 3]]
         lower, upper = self.touched
         return replace(
@@ -139,7 +139,7 @@ def _clearance(touched: tuple[bool, bool]) -> Law:
 def fit_joint(
     record: ContactRecord, believed: Believed, touched: Touched, forms: Sequence[FormName] = ()
 ) -> tuple[JointEstimate, ...]:
-    """Of every contact that is believed, by one fit.
+    """Estimates of all nominal contacts by one fit.
 
     Gauss-Newton on the low-passed residual, with a cubic spline b(t) for the drift, a spring to the ground, and
     nuisance parameters theta with a prior of one:
@@ -226,7 +226,7 @@ def _unexplained(record: ContactRecord, state: State) -> float:
 
 
 def _halves(by_parts: Float[np.ndarray, "parts 4"], of: tuple[Law, Law]) -> tuple[float, float]:
-    """What the parts of the first half do to estimates less what those of the second do, over their scatter."""
+    """Influence of the first half's parts on the estimates less that of the second's, over their scatter."""
     told = by_parts @ np.stack(of, axis=1)
     scatter = np.maximum(np.sqrt(np.sum(told**2, axis=0)), 1e-300)
     first, second = told[: len(told) // 2].sum(axis=0), told[len(told) // 2 :].sum(axis=0)

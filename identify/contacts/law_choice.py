@@ -135,7 +135,7 @@ def _numbers_by(
     samples: Bool[np.ndarray, " fewer"],
     begins: Int[np.ndarray, " parts"],
 ) -> Float[np.ndarray, "parts free"] | None:
-    """How far these samples alone would move the law's free numbers: what each part of the record adds to that."""
+    """Scores of the law's free numbers by part of the record: how far these samples alone would move them."""
     if samples.sum() < LEAST_SAMPLES:
         return None
     weights = np.where(samples, fit.weights, 0.0)[:, None] ** 2

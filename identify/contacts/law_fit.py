@@ -34,7 +34,7 @@ class LawFit:
 
     @property
     def squares(self) -> Float[np.ndarray, " fewer"]:
-        """Of the weighted residuals."""
+        """Sum of squares of the weighted residuals."""
         return np.asarray((self.weights * self.state.residual) ** 2)
 
     @property

@@ -33,7 +33,7 @@ class LawForm:
 
     @property
     def shapes(self) -> int:
-        """So many numbers of its law stand behind those of the contacts."""
+        """Count of the law's numbers behind those of the contacts."""
         return int(self.name == "power law")
 
     def contacts(self, law: Law) -> Float[np.ndarray, "contacts 4"]:
@@ -44,7 +44,7 @@ class LawForm:
         return float(law[-1]) if self.shapes else 1.0
 
     def is_possible(self, law: Law) -> bool:
-        """Whether every number lies in its range, and each stop has a stiffness."""
+        """True if every number lies in its range and each stop has a stiffness."""
         contacts, (least, most) = self.contacts(law), EXPONENTS
         inside = np.all(contacts >= LAW.bounds[0]) and np.all(contacts[:, 2] > 0)
         return bool(inside and least <= self.exponent(law) <= most)

@@ -41,14 +41,14 @@ class State:
 
     @property
     def stiffness_n_per_m(self) -> float:
-        """Of the contact that closes first."""
+        """Stiffness of the contact that closes first, N/m."""
         lower, upper, stiffness, _ = self.form.contacts(self.law).T
         return float(stiffness[np.argmin(np.minimum(lower, upper))])
 
 
 @dataclass(frozen=True)
 class Jacobian:
-    """Of the fitted force: by the drift's knots, the nuisance parameters, and the law.
+    """Jacobian of the fitted force by the drift's knots, the nuisance parameters, and the law.
 
     The low-pass acts on the slope of the law; the drift is slow against it.
     """
@@ -71,7 +71,7 @@ def parts(samples: int) -> Iterator[slice]:
 
 
 def state_at(record: ContactRecord, curve: Spline, form: LawForm, law: Law, knots: Knots, pulls: Pulls) -> State:
-    """Without a cost, which takes weights."""
+    """State without a cost, which takes weights."""
     eta, velocity = moved(record, curve, knots, pulls)
     fitted = evaluated(partial(form.force_n, law), np.stack([eta, velocity]), record.sample_rate_hz, record.factor)
     unfitted = record.force_n - _summed(pulls, record.nuisance_n) - fitted[: record.force_n.size]
@@ -91,7 +91,7 @@ def moved(
 def drift_of(
     record: ContactRecord, curve: Spline, knots: Knots, pulls: Pulls
 ) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
-    """What the knots and the nuisance parameters add to the relative displacement, and to its rate."""
+    """Drift: what knots and nuisance parameters add to the relative displacement, and to its rate."""
     moving = pulls[record.moving]
     kept, nuisance_m = 1 - moving @ record.noise_in_m, _summed(moving, record.nuisance_m)
     return kept * (curve.value @ knots) - nuisance_m, kept * (curve.rate @ knots) - record.rate_of(nuisance_m)
@@ -108,7 +108,7 @@ def _summed(
 
 
 def jacobian(record: ContactRecord, curve: Spline, state: State) -> Jacobian:
-    """At a state."""
+    """Jacobian at a state."""
     eta, velocity = moved(record, curve, state.knots, state.pulls)
     by_stiffness, by_damping = state.form.slopes(state.law, eta, velocity)
     by_law = state.form.derivatives(state.law, eta, velocity)
@@ -139,7 +139,7 @@ def held_n(record: ContactRecord, curve: Spline) -> csr_matrix:
 
 
 def _fewer(record: ContactRecord, signal: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " fewer"]:
-    """As the separated force was low-passed."""
+    """Rows low-passed as the separated force was."""
     return decimated(signal, record.factor)[: record.force_n.size]
 
 
@@ -171,7 +171,7 @@ def normal_equations(
     to_law: Float[np.ndarray, "laws free"],
     weights: Float[np.ndarray, " fewer"],
 ) -> tuple[Normal, Float[np.ndarray, "knots 1"], Float[np.ndarray, "others 1"]]:
-    """And the descent's right-hand side. The others are the nuisance parameters, then the law's free ones.
+    """Normal equations with the descent's right-hand side: nuisance parameters, then the law's free ones.
 
     Raises ContactRefusedError if they are singular.
     """

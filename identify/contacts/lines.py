@@ -31,7 +31,7 @@ class Lines:
         return self.omega < 2 * np.pi * CORNER_HZ
 
     def spectra(self, signals: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows lines"]:
-        """With the end tapered off and silence behind, so that what rings on after it does not wrap to the start."""
+        """Spectra with the end tapered off and silence behind, so that what rings on does not wrap to the start."""
         if self.tapered:
             signals = signals * taper(signals.shape[-1], round(TAPER_S * self.rate_hz))
         return np.asarray(np.fft.rfft(signals, self.length)[..., : self.omega.size])
@@ -42,5 +42,5 @@ class Lines:
 
     @property
     def alike(self) -> int:
-        """So many neighbouring lines are taken to be alike."""
+        """Count of neighbouring lines that are taken to be alike."""
         return max(1, round(SMOOTHED_HZ * self.length / self.rate_hz))

@@ -1,4 +1,4 @@
-"""How the modes of the bodies accelerate: those that the stations tell, and the others as the forces found ask for."""
+"""Modal accelerations of the bodies: of modes that the stations tell, and of the others by the separated forces."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ def told_motion(
 
 
 def has_hidden_modes(response: Response, motion: Kinematics) -> bool:
-    """Whether modes near the band are more than the stations on the body."""
+    """True if a body has more modes near the band than stations."""
     return _near(response) > sum(s.body == response.body.name for s in motion.stations)
 
 

@@ -1,4 +1,4 @@
-"""What the nuisance parameters add to the contact forces and to the relative displacements, over time."""
+"""Nuisance signals: contact forces and relative displacements over time by one standard deviation of each parameter."""
 
 from dataclasses import dataclass, replace
 
@@ -29,7 +29,7 @@ class NuisanceSignals:
     noise_in_m: Float[np.ndarray, "nuisances contacts"]
 
     def beside(self, kind: NuisanceKind, force_n: Float[np.ndarray, "more contacts fewer"]) -> "NuisanceSignals":
-        """With further ones of the record itself, which move no displacement."""
+        """Signals with further ones of the record itself, which move no displacement."""
         none = np.zeros(force_n.shape[:2])
         return NuisanceSignals(
             (*self.parameters, *(Nuisance(kind, THE_RECORD, i + 1) for i in range(len(force_n)))),
@@ -40,11 +40,11 @@ class NuisanceSignals:
         )
 
     def after(self, fewer: int) -> "NuisanceSignals":
-        """Without the first samples."""
+        """Signals without the first samples."""
         return replace(self, force_n=self.force_n[..., fewer:], eta_m=self.eta_m[..., fewer:])
 
     def of_contact(self, contact: int) -> "NuisanceSignals":
-        """Those of one alone."""
+        """Signals of one contact."""
         return replace(
             self,
             force_n=self.force_n[:, [contact]],
@@ -82,7 +82,7 @@ def nuisance_signals(
 def drawn_noise(
     power: Float[np.ndarray, "stations lines"], least: float, lines: Lines
 ) -> Complex[np.ndarray, "stations lines"]:
-    """Of that power and of random phase, above what the drift's knots can follow."""
+    """Noise of a power spectrum and random phase, above what the drift's knots can follow."""
     phase = np.random.default_rng(0).uniform(0, 2 * np.pi, power.shape)
     followed = lines.omega < 2 * np.pi * 0.5 / KNOT_S
     return np.asarray(np.sqrt(np.maximum(power, least)) * np.exp(1j * phase) * ~followed)

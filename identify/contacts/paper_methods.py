@@ -47,7 +47,7 @@ class SignalsByLaw:
 
 @dataclass(frozen=True)
 class PaperMethods:
-    """What could be made of the paper's methods; notes say what could not, and why.
+    """Results of the paper's methods; notes say which could not be computed, and why.
 
     motion and eta_m are those that they were applied to, transformations those of the bodies. histogram has the stops
     of each contact, None where its density does not tell them. main_equation is what the figures show; forms are NIFO's
@@ -66,12 +66,12 @@ class PaperMethods:
 
     @property
     def main_surfaces(self) -> tuple[Surface, ...]:
-        """That of the main equation, if it could be made."""
+        """Surfaces of the main equation, as far as they could be computed."""
         return tuple(s for s in self.surfaces if s.equation.name == self.main_equation)
 
 
 def attempted(notes: list[str], what: str, items: Mapping[str, Item], make: Callable[[Item], Made]) -> dict[str, Made]:
-    """What `make` returns of each item, by its name; where it cannot be made of these numbers, a note instead."""
+    """Results of `make` for each item, by its name; where these numbers allow none, a note instead."""
     made = {}
     for name, item in items.items():
         try:
@@ -94,7 +94,7 @@ def check_asked(recording: Recording, averaging: Averaging, equation: str | None
 
 
 def signals_by_law(separation: Separation, outcomes: Outcomes) -> SignalsByLaw:
-    """Of contacts between the same places, whose estimates share the drift, each in its own direction."""
+    """Signals of contacts between the same places, whose estimates share the drift, each in its own direction."""
     names = [c.name for c in separation.rig.contacts]
     eta = np.empty((len(names), separation.records[0].eta_m.size))
     force, depth = np.zeros_like(eta), np.zeros_like(eta)
@@ -114,7 +114,7 @@ def signals_by_law(separation: Separation, outcomes: Outcomes) -> SignalsByLaw:
 
 
 def stops_of(rig: Rig, outcomes: Outcomes) -> tuple[Stops | None, ...]:
-    """Of each contact of the rig; None where the record does not determine it."""
+    """Stops of each contact of the rig; None where the record does not determine it."""
     return tuple(_stops(outcomes.estimates[c.name]) if c.name in outcomes.estimates else None for c in rig.contacts)
 
 
@@ -194,7 +194,7 @@ def _equations(
 
 
 def _blocks(rig: Rig, motion: Kinematics, kept: int, averaging: Averaging, notes: list[str]) -> dict[str, Blocks]:
-    """By body the blocks of NIFO, in the band of the forces on it; of bodies on which none acts there are none."""
+    """Blocks of NIFO by body, in the band of the forces on it; none of a body on which no force acts."""
     acting = {}
     for body in dict.fromkeys(station.body for station in rig.forces):
         forces_n = motion.forces_n[[station.body == body for station in rig.forces]]
@@ -221,7 +221,7 @@ def _by_histogram(of: tuple[Float[np.ndarray, " samples"], tuple[bool, bool]]) -
 
 
 def _decimation(rig: Rig, motion: Kinematics) -> int:
-    """So that a surface is fitted below four fifths of the first frequency that the stations cannot resolve."""
+    """Decimation by which a surface is fitted below four fifths of the first frequency that stations do not resolve."""
     limits = [motion.trusted_hz[1]]
     for body in rig.bodies:
         stations = sum(s.body == body.name for s in motion.stations)

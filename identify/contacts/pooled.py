@@ -39,7 +39,7 @@ def identify_long(
     tolerances: Tolerances | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> tuple[ContactReport, tuple[Segment, ...]]:
-    """As `identify_contact`, of a recording that need not fit into memory: pooled, and from every segment by itself.
+    """Identification of a recording that need not fit into memory: pooled, and from every segment by itself.
 
     A segment is read with the seconds before it in which the beams ring of what was earlier. One that allows no
     identification is left out. Raises RigError if none does, or the recording cannot be read.

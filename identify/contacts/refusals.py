@@ -11,7 +11,7 @@ Evidence = Mapping[str, float | int | str]
 
 
 class RemedyCode(StrEnum):
-    """What to do about a refusal."""
+    """Remedies of refusals."""
 
     DESCRIBE_CONTACTS = "describe_contacts"
     LEAVE_OUT_ATTACHMENTS = "leave_out_attachments"
@@ -176,7 +176,7 @@ class Refusal:
 
     @property
     def advice(self) -> str:
-        """What to do, as a part of a sentence."""
+        """Remedy as a part of a sentence."""
         return REMEDIES[self.remedy]
 
     @property

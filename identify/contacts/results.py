@@ -1,4 +1,4 @@
-"""What an identification says: the structure of contact.json."""
+"""Structure of contact.json: the result of an identification."""
 
 import msgspec
 
@@ -42,7 +42,7 @@ class ContactEstimate(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
 
     @property
     def law_sentence(self) -> str:
-        """Which law the record asks for in place of a dead zone, with its numbers, without a full stop; else empty."""
+        """Sentence on the law that the record asks for in place of a dead zone, without a full stop; else empty."""
         biased = "clearance, stiffness and damping of a dead zone would be biased"
         if self.exponent is not None and self.reference_depth_m is not None:
             depth_mm = number(1e3 * self.reference_depth_m)
@@ -81,7 +81,7 @@ class Mode(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def flag(self) -> str:
-        """What is in it, in words; empty if nothing is."""
+        """Finding in words; empty if there is none."""
         names = " and ".join(self.undetermined)
         return f"with {names} in it, not determined" if self.undetermined else ""
 
@@ -132,7 +132,7 @@ class Surfaces(msgspec.Struct, frozen=True):
 
 
 class TransformationResult(msgspec.Struct, frozen=True):
-    """How well the stations of a body give its modal coordinates."""
+    """Quality of the transformation from a body's stations to its modal coordinates."""
 
     body: str
     stations: int
@@ -163,7 +163,7 @@ class ContactReport(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Segment(msgspec.Struct, frozen=True):
-    """What a segment of a long record says by itself."""
+    """Result of one segment of a long record."""
 
     start_s: float
     end_s: float

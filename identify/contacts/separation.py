@@ -77,7 +77,7 @@ def separate(recording: Recording, use: Use, tolerances: Tolerances) -> Separati
 
 
 def is_unforced(motion: Kinematics) -> bool:
-    """Whether the exciting force is zero throughout, as of a free decay after a release or an unmeasured blow."""
+    """True if the exciting force is zero throughout, as in a free decay after a release or an unmeasured blow."""
     return not np.any(motion.forces_n)
 
 
@@ -112,7 +112,7 @@ def vibrates_to_hz(motion: Kinematics) -> float:
 def _settled(
     recording: Recording, places: Rig, motion: Kinematics, forces: ContactForces, from_rest: bool
 ) -> tuple[Kinematics, ContactForces]:
-    """Without the start, in which the beams ring of what was before.
+    """Separation without the start, in which the beams ring of what was before.
 
     Raises ContactRefusedError if too little is left.
     """
@@ -169,7 +169,7 @@ def _records(
     forces: ContactForces,
     tolerances: Tolerances,
 ) -> tuple[ContactRecord, ...]:
-    """Of each pair of places."""
+    """Contact records of each pair of places."""
     samples = forces.force_n.shape[1] * forces.factor
     samples = min(samples, motion.samples)
     eta, velocity = relative_displacements(rig, motion), relative_velocities(rig, motion)
@@ -219,7 +219,7 @@ def drift_of(
     tolerances: Tolerances,
     samples: int,
 ) -> Drift | None:
-    """What is known of the slow part of a contact's relative displacement; None where nothing of it is lost.
+    """Drift: the slow part of a contact's relative displacement, as far as it is known; None where none is lost.
 
     Raises ContactRefusedError if no sensor stands at the contact.
     """

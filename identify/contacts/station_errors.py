@@ -1,4 +1,4 @@
-"""How the stations err, line by line, and what each of them then adds to every contact force."""
+"""Errors of the stations, line by line, and what each of them adds to every contact force."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ class StationErrors:
     alike: int
 
     def covariance(self, begin: int, end: int) -> Complex[np.ndarray, "some stations stations"]:
-        """On the lines from `begin` to before `end`."""
+        """Covariance on the lines from `begin` to before `end`."""
         stations, lines = self.noise.shape
         first, last = max(begin - self.alike, 0), min(end + self.alike, lines)
         inner = slice(begin - first, end - first)
@@ -46,7 +46,7 @@ class StationErrors:
 
     @cached_property
     def _mean(self) -> float:
-        """Of the variance over stations and lines."""
+        """Mean of the variance over stations and lines."""
         changed = sum(np.linalg.norm(change.delivered) ** 2 for change in self.changes)
         return float(np.sum(self.noise) + changed) / self.noise.size
 
@@ -61,7 +61,7 @@ class StationErrors:
 def forces_by_stations(
     by_contacts: Complex[np.ndarray, "contacts stations lines"], errors: StationErrors
 ) -> Complex[np.ndarray, "contacts stations lines"]:
-    """What each station's A - G_F F adds to each contact force, line by line, with its accelerations by each.
+    """Contact forces by each station's A - G_F F, line by line, with its accelerations by each force.
 
     Raises RigError if the stations cannot tell the contact forces apart.
     """

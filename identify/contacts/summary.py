@@ -1,4 +1,4 @@
-"""From what the steps of the identification found to the report."""
+"""Report of an identification, made of the results of its steps."""
 
 from collections.abc import Mapping, Sequence
 
@@ -49,7 +49,7 @@ def contact_report(
 
 
 def unanswered(refusals: Mapping[str, Refusal]) -> tuple[results.Unanswered, ...]:
-    """As the reports have them."""
+    """Refusals as the reports have them."""
     return tuple(
         results.Unanswered(name, refusal.sentence, refusal.code, refusal.remedy, dict(refusal.evidence))
         for name, refusal in refusals.items()

@@ -1,4 +1,4 @@
-"""Whether a clearance, a stiffness or a mode of a machine changed from recording to recording."""
+"""Tests for changes of a machine's clearances, stiffnesses and modes from recording to recording."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -147,7 +147,7 @@ def _known(row: Row) -> tuple[float | None, ...]:
 
 @dataclass(frozen=True)
 class Tests:
-    """Of one quantity: see `QuantityHistory`."""
+    """Tests of one quantity: see `QuantityHistory`."""
 
     p_different: float | None
     p_trend: float | None
@@ -180,7 +180,7 @@ def tested(at: Row, values: Row, weights: Row, known: bool) -> Tests:
 
 
 def corrected(quantities: Sequence[QuantityHistory]) -> tuple[QuantityHistory, ...]:
-    """With p-values for all tests together (Holm, "A simple sequentially rejective multiple test procedure", 1979)."""
+    """Tests with p-values for all together (Holm, "A simple sequentially rejective multiple test procedure", 1979)."""
     places = [
         (p, i, name)
         for i, q in enumerate(quantities)

@@ -1,4 +1,4 @@
-"""What each recording of a machine tells: identified now, or read from the contact.json that is there already."""
+"""Observations of a machine by recording: identified now, or read from a contact.json that is there already."""
 
 import re
 from collections.abc import Callable, Iterator, Sequence

@@ -26,7 +26,7 @@ WORDS = {
 
 
 def sentence(history: History) -> str:
-    """What changed, by how much and how probable that is by chance."""
+    """Sentence on what changed, by how much and how probable that is by chance."""
     told = "; ".join(f"{name_of(q)} {_changed(q)}" for q in history.quantities if q.changed)
     count = f"{len(history.used)} recordings of {history.rig}"
     return f"{count}: {told}." if told else f"{count}: nothing changed by more than chance."

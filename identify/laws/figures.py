@@ -15,13 +15,13 @@ SHOWN = 400
 
 
 def drawn(laws: Sequence[FoundLaw]) -> dict[str, Picture]:
-    """By name; none of no law."""
+    """Figures by name; none where there is no law."""
     draws = {"law": _law, "law_over_time": _time} if laws else {}
     return {name: picture(partial(draw, laws=laws)) for name, draw in draws.items()}
 
 
 def _law(figure: Any, laws: Sequence[FoundLaw]) -> None:
-    """For every contact: the points searched, the formula found, and the straight pieces fitted, with their knees.
+    """Figure of every contact's law: points searched, formula, and straight pieces with their knees.
 
     Where friction behind a backlash is the best law, that along the course of eta, and what it leaves.
     """
@@ -46,7 +46,7 @@ def _law(figure: Any, laws: Sequence[FoundLaw]) -> None:
 
 
 def _time(figure: Any, laws: Sequence[FoundLaw]) -> None:
-    """Of every contact the separated force and that of the law, around the largest, and the relative displacement."""
+    """Figure over time: separated force and that of the law around the largest, and the relative displacement."""
     upper, lower = figure.subplots(2, len(laws), squeeze=False, sharex="col", sharey="row")
     for axes, below, law in zip(upper, lower, laws, strict=True):
         force = law.record.force_n

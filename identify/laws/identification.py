@@ -151,7 +151,7 @@ class _Samples:
 
     @property
     def values(self) -> Float[np.ndarray, " laws"]:
-        """Of the joint estimates' laws."""
+        """Values of the joint estimates' laws."""
         return np.array([estimate.values for estimate in self.estimates]).ravel()
 
 
@@ -205,7 +205,7 @@ def _law(contacts: Contacts, place: Joined, seen: ContactRecord, seconds: float,
 
 
 def _samples(contacts: Contacts, place: Joined, seen: ContactRecord) -> _Samples:
-    """Of several contacts without the damping of their estimates, which hides a soft stop's knee before a hard one.
+    """Samples of several contacts without their estimates' damping, which hides a soft stop's knee before a hard one.
 
     Raises RigError if too little of the record is excited.
     """

@@ -75,7 +75,7 @@ class Sampled:
 
     @cached_property
     def course(self) -> Course:
-        """For laws with a memory."""
+        """Course of the displacement, for laws with a memory."""
         return course_of(interpolated(self.eta_m, self.sample_rate_hz))
 
     def low_passed(
@@ -138,7 +138,7 @@ class PiecewiseLinear:
 
 
 def slope_jumps(law: Function, low_m: float, high_m: float, share: float = 0.03) -> Float[np.ndarray, " knees"]:
-    """Where the slope of a law changes within a few thousandths of the range by more than a share of its own range.
+    """Places where a law's slope changes within some thousandths of the range by more than a share of its own range.
 
     The largest of them, where there are many: the slope of a law that is nearly constant is all rounding.
     """

@@ -70,7 +70,7 @@ def write_page(
 
 
 def _found(law: ContactLawEstimate) -> str:
-    """What was tried, and the values of the best law and of the straight pieces, with 95 % intervals."""
+    """Table of what was tried, and values of the best law and of the straight pieces with 95 % intervals."""
     tried = [
         (
             one.law + (" (the best)" if one.law == law.best else ""),

@@ -1,4 +1,4 @@
-"""What is said of contact laws: the structure of law.json."""
+"""Structure of law.json: the results on contact laws."""
 
 import msgspec
 
@@ -26,7 +26,7 @@ class SlidingLaw(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ContactLawEstimate(msgspec.Struct, frozen=True, kw_only=True):
-    """What was found of one contact; eta is its relative displacement.
+    """Law of one contact; eta is its relative displacement.
 
     knees_m and slopes_n_per_m are those of the formula; fitted_knees_m and fitted_slopes_n_per_m those of the
     piecewise-linear law fitted from them, with standard errors of the scatter alone: not of the drift, nor of what

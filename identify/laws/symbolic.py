@@ -50,7 +50,7 @@ class Formula:
 
     @property
     def length(self) -> int:
-        """How many operations and leaves it has."""
+        """Count of operations and leaves."""
         return 1 + sum(part.length for part in self.parts)
 
     def scaled(self, x_unit: float, y_unit: float) -> "Formula":
@@ -185,7 +185,7 @@ def search(
 
 
 def _formula(tree: Any) -> Formula:
-    """From pyoperon's postfix notation, in which an operation's first argument stands right before it."""
+    """Formula of pyoperon's postfix notation, in which an operation's first argument stands right before it."""
     names = {"fmin": "min", "fmax": "max"}  # the node's type has these two the wrong way round
     stack: list[Formula] = []
     for node in tree.Nodes:

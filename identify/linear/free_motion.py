@@ -130,7 +130,7 @@ def free_motions(
 
 @dataclass(frozen=True)
 class InitialStates:
-    """What is known of the free motion that a record begins with, in what the sensors deliver.
+    """Free motion that a record begins with, as the sensors deliver it.
 
     delivered is the best estimate of it; the columns of root are the directions in which it is uncertain, each a
     standard deviation long: columns = sum_i spectra_i root_ij, of the spectra of a unit of every initial value.
@@ -151,7 +151,7 @@ class Estimated:
     def of(
         self, spectra: Complex[np.ndarray, "values stations lines"], wanted: Int[np.ndarray, " some"]
     ) -> InitialStates:
-        """Of some of the values, the first of which have these spectra."""
+        """Free motion of some of the initial values, the first of which have these spectra."""
         own = self.covariance[np.ix_(wanted, wanted)]
         scale = np.sqrt(np.diag(own))
         sizes, directions = np.linalg.eigh(own / (scale[:, None] * scale))
@@ -226,12 +226,12 @@ class FreeMode:
 
     @property
     def shown(self) -> Complex[np.ndarray, "sensors lines"]:
-        """What the sensors show of it, as an acceleration."""
+        """Acceleration that the sensors show of the free motion."""
         return np.outer(self.shape, self.state @ self.shown_units)
 
     @property
     def not_shown(self) -> Complex[np.ndarray, "sensors lines"]:
-        """What they do not."""
+        """Acceleration of the free motion that the sensors do not show."""
         return np.outer(self.shape, self.state @ (self.units - self.shown_units))
 
 
@@ -252,7 +252,7 @@ def free_modes(
     places: Sequence[Station | None],
     sampling: Sampling | None,
 ) -> tuple[FreeMode, ...]:
-    """Those of some modes of each body, with nothing in them, as sensors show them; whole without a sampling."""
+    """Free modes of each body at zero amplitude, as sensors show them; whole without a sampling."""
     free = []
     for k, (response, chosen) in enumerate(zip(responses, modes, strict=True)):
         turning = 1j * response.dynamics.omega
@@ -360,7 +360,7 @@ def state_changes(
     sensor_response: Complex[np.ndarray, "sensors lines"],
     size: float,
 ) -> Iterator[Change]:
-    """Of each mode's displacement and velocity at the beginning, as much as moves the sensors by this norm."""
+    """Changes of each mode's initial displacement and velocity, sized to move the sensors by this norm."""
     for motion in motions:
         parameter = Nuisance(NuisanceKind.INITIAL_STATE, bodies[motion.body], motion.mode + 1)
         for unit in motion.shown_units:

@@ -23,7 +23,7 @@ class Joined:
 
 
 def joined_contacts(rig: Rig) -> tuple[Joined, ...]:
-    """In the order of the first of each."""
+    """Contacts joined by pair of places, in the order of the first of each."""
     found: list[list[int]] = []
     contacts = rig.contacts
     for j, contact in enumerate(contacts):
@@ -57,7 +57,7 @@ class JoinedLaw:
 
     @property
     def clearances_m(self) -> tuple[float, float]:
-        """How far away the nearest stop is, below and above."""
+        """Clearances of the nearest stops below and above, m."""
         sides = [
             (law.lower_clearance_m, law.upper_clearance_m)[::sign]
             for law, sign in zip(self.laws, self.signs, strict=True)
@@ -71,5 +71,5 @@ class JoinedLaw:
 
 
 def joined_laws(rig: Rig) -> tuple[JoinedLaw, ...]:
-    """Of every pair of places."""
+    """Laws of every pair of places."""
     return tuple(JoinedLaw(tuple(rig.contacts[j].law for j in p.members), p.signs) for p in joined_contacts(rig))

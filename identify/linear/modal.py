@@ -134,7 +134,7 @@ def pushing_force(
 
 
 def until(motion: Kinematics) -> int:
-    """So many samples have modal coordinates from which the higher modes can be taken off."""
+    """Count of samples with modal coordinates from which the higher modes can be taken off."""
     return motion.samples - round(0.25 * motion.sample_rate_hz)
 
 
@@ -182,7 +182,7 @@ def receptance(
 
 
 def contact_shapes(rig: Rig, body: Body, contact: int, modes: int) -> Float[np.ndarray, " modes"]:
-    """How the body's modes enter the relative displacement of a contact: plus at its station, minus against it."""
+    """Mode shapes in the relative displacement of a contact: plus at its station, minus against it."""
     both = rig.contacts[contact]
     against = shape_at(body, both.against, modes) if both.against else 0.0
     return np.asarray(shape_at(body, both.at, modes) - against)
@@ -194,7 +194,7 @@ def relative_displacements(rig: Rig, motion: Kinematics) -> Float[np.ndarray, "c
 
 
 def relative_velocities(rig: Rig, motion: Kinematics) -> Float[np.ndarray, "contacts samples"]:
-    """As `relative_displacements`, of the velocities."""
+    """Relative velocities at the contacts, as `relative_displacements`."""
     return _relative(rig, motion, motion.velocity_m_per_s)
 
 

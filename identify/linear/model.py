@@ -157,19 +157,19 @@ class Response:
         return self.cache.transfer(self.dynamics, outputs, inputs)
 
     def tuned(self, frequencies: Float[np.ndarray, " modes"], damping: Float[np.ndarray, " modes"]) -> "Response":
-        """With factors on the frequency and on the damping ratio of each mode."""
+        """Response with factors on the frequency and on the damping ratio of each mode."""
         hz, zeta = self.dynamics.natural_hz * frequencies, self.dynamics.damping_ratios * damping
         return replace(self, dynamics=self.cache.dynamics(hz, zeta, self.dynamics.high_passed))
 
     def with_high_passed(self, modes: tuple[int, ...]) -> "Response":
-        """With springs of some modes that act on the high-passed displacement alone."""
+        """Response with springs of some modes that act on the high-passed displacement alone."""
         return replace(
             self, dynamics=self.cache.dynamics(self.dynamics.natural_hz, self.dynamics.damping_ratios, modes)
         )
 
 
 def response_of(rig: Rig, body: Body, cache: ResponseCache) -> Response:
-    """Of a body with what the rig attaches to it."""
+    """Response of a body with what the rig attaches to it."""
     modes, count = modes_of(rig, body), body.max_modes
     return Response(body, modes, count, cache.dynamics(modes.frequencies_hz(count), modes.damping_ratios(count)), cache)
 
@@ -203,19 +203,19 @@ def accelerances(
 
 
 def input_shapes(rig: Rig, response: Response, forces: Sequence[Station]) -> Float[np.ndarray, "inputs modes"]:
-    """How forces at some places, and contact forces, drive a body's modes."""
+    """Mode shapes by which forces at some places, and contact forces, drive a body."""
     return np.concatenate([response.shapes([*forces]), -across(rig, response)])
 
 
 def across(rig: Rig, response: Response) -> Float[np.ndarray, "contacts modes"]:
-    """How a body's modes enter the relative displacements."""
+    """Mode shapes of a body in the relative displacements."""
     return response.shapes([c.at for c in rig.contacts]) - response.shapes([c.against for c in rig.contacts])
 
 
 def weights_of(
     response: Response, places: list[Station | None], stations: list[Station | None]
 ) -> Float[np.ndarray, "stations sensors"]:
-    """From the body's sensors to other places on it, by as many of its modes as it has sensors."""
+    """Weights from a body's sensors to other places on it, by as many of its modes as it has sensors."""
     rows = [i for i, place in enumerate(places) if place is not None and place.body == response.body.name]
     weights = np.zeros((len(stations), len(places)))
     if rows:
@@ -273,7 +273,7 @@ def _loose_modes(responses: Sequence[Response], over: Float[np.ndarray, "contact
 
 
 def _rank(over: Float[np.ndarray, "contacts modes"], modes: Sequence[int]) -> int:
-    """How many contact forces some modes tell apart."""
+    """Count of contact forces that some modes tell apart."""
     return int(np.linalg.matrix_rank(over[:, list(modes)], RANK * float(np.max(np.abs(over), initial=0.0))))
 
 

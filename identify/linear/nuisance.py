@@ -23,7 +23,7 @@ THE_RECORD = "the record"
 
 
 class NuisanceKind(StrEnum):
-    """What is not known exactly: of a sensor, of a force, of a body or one of its modes, of a record."""
+    """Kinds of what is not known exactly: of a sensor, a force, a body or one of its modes, a record."""
 
     GAIN = "gain"
     POSITION = "position"
@@ -90,13 +90,13 @@ class Observed:
 
     @property
     def is_read(self) -> bool:
-        """Whether it is known how all bodies' motion follows from the sensors."""
+        """True if the motion of all bodies follows from the sensors."""
         return all(body.by_sensors is not None for body in self.bodies)
 
 
 @dataclass(frozen=True)
 class Reading:
-    """How a change follows from what was measured: `pattern` times the sensors' accelerations, weighted."""
+    """Reading of a change from what was measured: `pattern` times the sensors' accelerations, weighted."""
 
     pattern: Complex[np.ndarray, "some lines"]
     weights: Float[np.ndarray, " sensors"]
@@ -104,7 +104,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class Change:
-    """What one standard deviation of a parameter adds to what some sensors deliver, and to the displacements there.
+    """Change by one standard deviation of a parameter in what some sensors deliver, and in the displacements there.
 
     reading is None where nothing measured enters, or where it is not known how.
     """
@@ -121,7 +121,7 @@ class Change:
         return replace(self, delivered=self.delivered.astype(np.complex64), displaced=displaced)
 
     def at_all(self, sensors: int) -> Complex[np.ndarray, "sensors lines"]:
-        """What all sensors deliver of it, so many."""
+        """Change at all sensors, of this count."""
         delivered = np.zeros((sensors, self.delivered.shape[1]), dtype=complex)
         delivered[self.sensors] = self.delivered
         return delivered
@@ -134,7 +134,7 @@ def elastic_modes(response: Response, count: int) -> Int[np.ndarray, " some"]:
 
 
 def changes_of(observed: Observed, common: bool = True) -> Iterator[Change]:
-    """Of every tolerance above zero; those that all modes of a body have in common only if asked for."""
+    """Changes of every tolerance above zero; those that all modes of a body have in common only if asked for."""
     yield from _of_sensors(observed)
     yield from _of_forces(observed)
     for body in observed.bodies:
@@ -144,7 +144,7 @@ def changes_of(observed: Observed, common: bool = True) -> Iterator[Change]:
 
 
 def _of_sensors(observed: Observed) -> Iterator[Change]:
-    """Of each sensor's chain."""
+    """Changes of each sensor's chain."""
     single = np.eye(len(observed.sensors))
     for i, (sensor, displacement) in enumerate(zip(observed.sensors, observed.displaced_by, strict=True)):
         for channel in dict.fromkeys((sensor, displacement)):

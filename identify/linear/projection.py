@@ -44,14 +44,14 @@ class Projection:
         return np.concatenate([residual, inputs[self.free :]]), inputs[: self.free]
 
     def single(self) -> "Projection":
-        """In single precision, half as large: enough for derivatives."""
+        """Projection in single precision, half as large: enough for derivatives."""
         return replace(self, by_input=self.by_input.astype(np.complex64), to_inputs=self.to_inputs.astype(np.complex64))
 
 
 def projection(
     by_input: Complex[np.ndarray, "inputs sensors lines"], deviation: Float[np.ndarray, "sensors lines"], free: int
 ) -> Projection:
-    """With `by_input` in standard deviations."""
+    """Projection of unknown inputs, with `by_input` in standard deviations."""
     to_inputs = _solved(_normal(by_input, by_input, free), by_input.conj())
     return Projection(by_input, to_inputs, deviation, free)
 

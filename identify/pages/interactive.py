@@ -75,7 +75,7 @@ def _row_of(axes: Any) -> int:
 
 
 def _is_plain(axes: Any) -> bool:
-    """Whether all that it shows is what `_draw` can draw."""
+    """True if the figure shows nothing that `_draw` cannot draw."""
     from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.patches import Rectangle, StepPatch
     from matplotlib.ticker import FixedFormatter, FuncFormatter
@@ -216,7 +216,7 @@ def _segments(lines: Any, _axes: Any, plot: Any, _figure: Any) -> Iterator[Any]:
 
 
 def _hexagons(cells: Any, _axes: Any, plot: Any, figure: Any) -> Iterator[Any]:
-    """Of matplotlib's hexbin: one form at many places, coloured by a value, with a bar that says which."""
+    """Hexagons of matplotlib's hexbin: one form at many places, coloured by a value, with a bar that says which."""
     from bokeh.models import ColorBar, LinearColorMapper
     from bokeh.transform import transform
     from matplotlib.colors import to_hex
@@ -236,7 +236,7 @@ def _hexagons(cells: Any, _axes: Any, plot: Any, figure: Any) -> Iterator[Any]:
 def _fewer(
     x: Float[np.ndarray, " points"], y: Float[np.ndarray, " points"], joined: bool
 ) -> tuple[Float[np.ndarray, " fewer"], Float[np.ndarray, " fewer"]]:
-    """At most MOST_POINTS, in single precision: of a line the extremes of every bucket, of dots every so many."""
+    """Points, at most MOST_POINTS, in single precision: of a line the extremes of every bucket, of dots every n-th."""
     kept = np.arange(0, x.size, -(-x.size // MOST_POINTS) or 1)
     if x.size > MOST_POINTS and joined:
         buckets = np.array_split(np.arange(x.size), MOST_POINTS // 2)

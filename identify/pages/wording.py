@@ -1,4 +1,4 @@
-"""How numbers are written on the pages, in the pictures and on the screen."""
+"""Numbers as they are written on the pages, in the pictures and on the screen."""
 
 import math
 

@@ -17,7 +17,7 @@ Form = Literal["weak", "paper"]
 
 @dataclass(frozen=True)
 class Nifo:
-    """What NIFO finds in one modal equation.
+    """Result of NIFO in one modal equation.
 
     frf is q over the modal force (s^2), stiffness the complex contact stiffness of each visible contact; contacts are
     the indices of the visible contacts. stiffness_error is the standard error of the spectral means.

@@ -60,7 +60,7 @@ class Surface:
 
 
 def restoring_force(equation: ModalEquation, force_n: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
-    """What the mass and the exciting force leave: r = shape_at_force F - q''."""
+    """Restoring force r = shape_at_force F - q'': what mass and exciting force leave."""
     return equation.shape_at_force * force_n - equation.acceleration
 
 

@@ -1,4 +1,4 @@
-"""How a record begins: whether at rest, and from when on it is excited."""
+"""Beginning of a record: at rest or in motion, and when the excitation starts."""
 
 from collections.abc import Iterable
 
@@ -35,13 +35,13 @@ def at_rest_until(
     channels: Iterable[Float[np.ndarray, " samples"]],
     sample_rate_hz: float,
 ) -> int:
-    """As `force_begins`; 0 also where a channel scatters before it by more than 2 % of what it does over the record."""
+    """First excited sample, as `force_begins`; 0 also where a channel scatters before it by over 2 % of its record."""
     begun = force_begins(force_n, sample_rate_hz)
     moving = begun and any(np.std(channel[:begun]) > STILL * np.std(channel) for channel in channels)
     return 0 if moving else begun
 
 
 def led_in(signal: Float[np.ndarray, " samples"], before: int) -> Float[np.ndarray, " before"]:
-    """What to put before a signal so that its value and slope are continuous there: its point reflection, faded in."""
+    """Lead-in that keeps a signal's value and slope continuous at its start: its point reflection, faded in."""
     mirrored = 2 * signal[0] - signal[before:0:-1]
     return np.asarray(mirrored * np.sin(np.pi / 2 * (np.arange(before) + 0.5) / before) ** 2)

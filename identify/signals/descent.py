@@ -12,7 +12,7 @@ TRIES = 6
 
 @runtime_checkable
 class Costly(Protocol):
-    """What is fitted: its parameters, and the sum of squares at them."""
+    """State of a fit: its parameters, and the sum of squares at them."""
 
     @property
     def cost(self) -> float: ...
@@ -23,7 +23,7 @@ State = TypeVar("State", bound=Costly)
 
 @dataclass(frozen=True)
 class Step(Generic[State]):
-    """Of a linearisation: the state after a share of its step, None where there is no such state.
+    """Step of a linearisation: the state after a share of it, None where there is no such state.
 
     promised is what the whole step takes off the cost if the linearisation holds.
     """

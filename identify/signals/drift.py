@@ -12,7 +12,7 @@ KNOT_S = 0.1
 
 @dataclass(frozen=True)
 class Drift:
-    """What the accelerometers say of the drift b(t).
+    """Prior of the drift b(t) by the accelerometers.
 
     acceleration_m_per_s2 is b'' as measured, below the corner of the integration; noise_density (m/s^2/sqrt(Hz)) is
     its one-sided noise. spring_n_per_m is a spring to the ground under the contact, which holds the zero, and

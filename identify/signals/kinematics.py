@@ -1,4 +1,4 @@
-"""From what was measured at a station to its displacement, velocity and acceleration."""
+"""Displacement, velocity and acceleration at each station from what was measured there."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -57,12 +57,12 @@ class Kinematics:
     start_s: float = 0.0
 
     def time_s(self, samples: int, factor: int = 1) -> Float[np.ndarray, " samples"]:
-        """When every `factor`-th of the first samples was taken."""
+        """Times of every `factor`-th of the first samples, s."""
         return self.start_s + np.arange(samples) * factor / self.sample_rate_hz
 
     @property
     def force_n(self) -> Float[np.ndarray, " samples"]:
-        """Of a rig with one."""
+        """Exciting force of a rig that has one, N."""
         (only,) = self.forces_n
         return np.asarray(only)
 
@@ -72,7 +72,7 @@ class Kinematics:
 
     @property
     def quiet_samples(self) -> int:
-        """So many at the start tell the noise; 0 where they are too few."""
+        """Count of samples at the start that tell the noise; 0 where they are too few."""
         before = self.excited_from - round(0.05 * self.sample_rate_hz)
         return before if before > QUIET_S * self.sample_rate_hz else 0
 
@@ -94,14 +94,14 @@ class Kinematics:
 
     @property
     def without_rows(self) -> "Kinematics":
-        """With no station's motion, which takes much memory."""
+        """Kinematics without any station's motion, which takes much memory."""
         none = np.empty((0, self.samples))
         return replace(self, displacement_m=none, velocity_m_per_s=none, acceleration_m_per_s2=none, lost_m_per_s2=none)
 
 
 @dataclass(frozen=True)
 class _PaddedTransform:
-    """How a record is transformed: its samples times `ending`, silence behind them, `length` samples in all.
+    """Transform of a record: its samples times `ending`, silence behind them, `length` samples in all.
 
     The silence keeps the record's end, which integration falsifies, from wrapping round to its start. usable is how
     many samples of the motion are right; lead is how many before the first are made up for a derivative.
@@ -118,7 +118,7 @@ class _PaddedTransform:
     def spectrum(
         self, sensor: Sensor, delivered: Float[np.ndarray, " samples"], lead: int
     ) -> Complex[np.ndarray, " lines"]:
-        """Of the motion that made the sensor deliver this: its chain taken out, where it lets anything pass.
+        """Spectrum of the motion behind a sensor's signal: its chain taken out, where it lets anything pass.
 
         So many samples of a lead-in stand before the first sample, at the end of what the transform takes.
         """

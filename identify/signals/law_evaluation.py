@@ -31,7 +31,7 @@ Law = Callable[..., Float[np.ndarray, "*results blocks fine"]]
 
 
 def oversampling(sample_rate_hz: float) -> int:
-    """How many times as often as it was sampled a signal is taken for a law."""
+    """Oversampling factor of a signal on which a law is evaluated."""
     return min(max(1, round(LAW_RATE_HZ / sample_rate_hz)), FINEST)
 
 
@@ -65,7 +65,7 @@ def interpolated(signal: Float[np.ndarray, " samples"], sample_rate_hz: float) -
 
 
 def low_passed(fine: Float[np.ndarray, " fine"], sample_rate_hz: float, factor: int) -> Float[np.ndarray, " fewer"]:
-    """From the finer rate to every `factor`-th sample of the recording."""
+    """Signals low-passed from the finer rate to every `factor`-th sample of the recording."""
     return decimated(fine, factor * oversampling(sample_rate_hz))
 
 
@@ -83,7 +83,7 @@ def _finer(blocks: Float[np.ndarray, "rows blocks length"], times: int) -> Float
 
 
 def _coarser(fine: Float[np.ndarray, "*results fine"], times: int) -> Float[np.ndarray, "*results length"]:
-    """At 1 / times the rate."""
+    """Rows at 1 / times the rate."""
     lines = rfft(fine)[..., : LENGTH // 2 + 1] / times
     lines[..., -1] *= 2
     return np.asarray(irfft(lines, LENGTH))

@@ -36,7 +36,10 @@ def acceleration_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stat
     if source == "noise_density in rig.json":
         return np.array([_described(s, motion.sample_rate_hz) for s in motion.sensors])
     return np.array(
-        [_heard(row, s, motion) for s, row in zip(motion.sensors, motion.acceleration_m_per_s2, strict=True)]
+        [
+            _noise_from_high_band(row, s, motion)
+            for s, row in zip(motion.sensors, motion.acceleration_m_per_s2, strict=True)
+        ]
     )
 
 
@@ -50,15 +53,15 @@ def noise_source(motion: Kinematics, rig: Rig) -> Source:
 
 
 def _described(sensor: Sensor, rate_hz: float) -> float:
-    """Of white noise s in the d-th derivative, differentiated n = 2 - d times: s (2 pi)^n sqrt(f^(2n+1) / (2n+1))."""
+    """Rms of white noise s in the d-th derivative, differentiated n = 2 - d times: s (2 pi)^n sqrt(f^(2n+1)/(2n+1))."""
     times = max(0, 2 - sensor.measures.order)
     return float(
         sensor.noise_density * (2 * np.pi) ** times * np.sqrt((rate_hz / 2) ** (2 * times + 1) / (2 * times + 1))
     )
 
 
-def _heard(row: Float[np.ndarray, " samples"], sensor: Sensor, motion: Kinematics) -> float:
-    """What white noise would make the quietest parts of a high band as loud as they are; it may be too much."""
+def _noise_from_high_band(row: Float[np.ndarray, " samples"], sensor: Sensor, motion: Kinematics) -> float:
+    """Density of white noise that makes the quietest parts of a high band as loud as they are: an upper bound."""
     rate, times = motion.sample_rate_hz, max(0, 2 - sensor.measures.order)
     low, high = (share * 2 for share in BAND)
     high_passed = sosfilt(butter(4, (low, high), "bandpass", output="sos"), row)

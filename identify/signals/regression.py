@@ -62,7 +62,7 @@ def influences(
     inverse: Complex[np.ndarray, "lines inputs inputs"],
     summed: Callable[[Complex[np.ndarray, "some blocks inputs"], slice], Float[np.ndarray, "blocks quantities"]],
 ) -> Float[np.ndarray, "chosen quantities"]:
-    """What leaving out each of some blocks would change, to first order (jackknife).
+    """Influence of each block on the estimate: the change by leaving it out, to first order (jackknife).
 
     `summed` makes the changes of the weights at some lines into those of the quantities asked for, linearly.
     """

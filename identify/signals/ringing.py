@@ -18,7 +18,7 @@ DAMPED = 0.3
 
 @dataclass(frozen=True)
 class RingingMode:
-    """Of a free decay, with its share of the signals' energy."""
+    """Mode of a free decay, with its share of the signals' energy."""
 
     frequency_hz: float
     damping_ratio: float

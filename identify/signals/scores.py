@@ -26,12 +26,12 @@ def part_scores(
 
 
 def even_parts(samples: int) -> Int[np.ndarray, " parts"]:
-    """Where sixteenths begin."""
+    """Beginnings of sixteenths of the record."""
     return np.array([part[0] if part.size else samples for part in np.array_split(np.arange(samples), PARTS)])
 
 
 def telling_parts(influence: Float[np.ndarray, " samples"]) -> Int[np.ndarray, " parts"]:
-    """Where sixteenths begin, or, where a few of them tell nearly all, as of a decay, parts that tell as much each.
+    """Beginnings of sixteenths or, where a few of them tell nearly all, as of a decay, of parts that tell as much each.
 
     A part tells w, its share of the influence's square; the number of those that tell is 1 / sum(w^2).
     """

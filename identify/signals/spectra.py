@@ -17,7 +17,7 @@ RAMP = 512
 
 
 class Averaging(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How a record is cut into blocks.
+    """Division of a record into blocks.
 
     The window is sin^p(pi t / T) over a block of length T; p = 2 is the Hann window. Without a block length the record
     is cut into `averages` overlapping blocks.
@@ -53,7 +53,7 @@ class Term:
 
 @dataclass(frozen=True)
 class Blocks:
-    """Where the blocks of a record start, their length in samples, and the spectral lines that are looked at."""
+    """Blocks of a record: their starts, their length in samples, and the spectral lines looked at."""
 
     starts: tuple[int, ...]
     length: int

@@ -32,7 +32,7 @@ def _say_version(asked: bool) -> bool:
 
 
 Version = Annotated[
-    bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Say the version, and no more.")
+    bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Show the version and exit.")
 ]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
 

@@ -45,10 +45,8 @@ def attribution(linearization: Linearization, at: Residual, left: Misfit) -> Att
             for t, part in zip(np.array_split(record.time_s, PARTS), np.array_split(total, PARTS), strict=True)
         ),
         surface={
-            c.name: _surface(
-                at.laid[j].eta_m[:: at.laid[j].factor], at.laid[j].rate_m_per_s[:: at.laid[j].factor], squares
-            )
-            for j, (c, squares) in enumerate(zip(linearization.model.rig.contacts, contacts, strict=True))
+            contact.name: _surface(moved.eta_m[:: moved.factor], moved.rate_m_per_s[:: moved.factor], squares)
+            for contact, moved, squares in zip(linearization.model.rig.contacts, at.signals, contacts, strict=True)
         }
         or _of_masses(record, at),
     )

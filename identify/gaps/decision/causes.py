@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from identify.gaps.decision.comparison import Judged, closed, closed_interval
+from identify.gaps.decision.identifiability import identifiable_change
 from identify.gaps.decision.null_reference import NullReference, p_value
 from identify.gaps.decision.phrases import phrase
-from identify.gaps.decision.untold import untold
 from identify.gaps.decision.verdict import ALIKE, Weighed, strengths_of
 from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.residual.scales import BAND_HZ
@@ -44,7 +44,7 @@ def cause_of(
         own = slice(first, first + len(part.parameters))
         first = own.stop
         values, errors = hypothesis.values[own], deviations[own]
-        instead = untold(record.rig, part, values, hypothesis.covariance[own, own], record.highest_hz)
+        instead = identifiable_change(record.rig, part, values, hypothesis.covariance[own, own], record.highest_hz)
         words.append(phrase(part, values, record.rig, told=not instead))
         for p, value, error in zip(part.parameters, values.tolist(), errors.tolist(), strict=True):
             margin = AT_LIMIT * (p.high - p.low)

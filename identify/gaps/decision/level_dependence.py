@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from identify.gaps.decision.identifiability import LEAST_RATIO, ratios_by_dampers
 from identify.gaps.decision.null_reference import LEVEL
-from identify.gaps.decision.untold import LEAST_RATIO, ratios_by_dampers
 from identify.gaps.results import Compared, LevelDependence
 from rig.model.description import Body, Rig
 from rig.model.modes import modes_of, modes_wanted

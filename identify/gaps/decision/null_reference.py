@@ -167,7 +167,7 @@ def null_reference_of(
         actual = drawn(measured.rig, tolerances, normals)
         forces_n = np.array(
             [
-                row if of_blows(row) else phase_randomized(row, start, measured.rig.sample_rate_hz, rng)
+                row if is_impulsive(row) else phase_randomized(row, start, measured.rig.sample_rate_hz, rng)
                 for row in measured.forces_n
             ]
         )
@@ -184,7 +184,7 @@ def null_reference_of(
     return reference
 
 
-def of_blows(force_n: Float[np.ndarray, " samples"]) -> bool:
+def is_impulsive(force_n: Float[np.ndarray, " samples"]) -> bool:
     """Whether a force is a hammer's, or none: then it is taken as it is; noise of its spectrum is another test."""
     energy = np.cumsum(np.sort(force_n**2)[::-1])
     return bool(np.searchsorted(energy, MOST * energy[-1]) < BLOWS * force_n.size)
@@ -257,7 +257,7 @@ def null_key(
     level = round(float(np.log(max(np.std(driven), 1e-300)) / np.log(LEVEL)))
     version = importlib.metadata.version("rig-identify")
     counted = round(2 * counted_until_s)
-    kind = " blows" * any(of_blows(row) for row in measured.forces_n)
+    kind = " blows" * any(is_impulsive(row) for row in measured.forces_n)
     parts = (
         to_json(replace(measured.rig, tolerances=None)),
         msgspec.json.encode(tolerances),

@@ -55,7 +55,7 @@ class ContactSignals:
         return evaluated(law, np.stack(signals), self.sample_rate_hz, self.factor)
 
 
-def laid_out(record: Record, model: Linear) -> tuple[ContactSignals, ...]:
+def contact_signals_of(record: Record, model: Linear) -> tuple[ContactSignals, ...]:
     """What every contact's law is to be laid against."""
     eta, rate = record.sampled(model.eta_m), record.sampled(model.eta_m, 1)
     time_s = record.taken.start / record.rate_hz + np.arange(eta.shape[1]) / record.sample_rate_hz
@@ -67,7 +67,7 @@ def laid_out(record: Record, model: Linear) -> tuple[ContactSignals, ...]:
 
 
 def start_of(
-    laid: ContactSignals, seen: ContactObservation, law: JoinedLaw, rate_hz: float
+    signals: ContactSignals, seen: ContactObservation, law: JoinedLaw, rate_hz: float
 ) -> Float[np.ndarray, " unknowns"]:
     """The drift by the samples at which the contact is clearly closed; zero where they do not tell it.
 
@@ -75,8 +75,8 @@ def start_of(
     """
     start = np.zeros(seen.curve.knots + len(seen.trusted) * len(law.laws))
     first, (lower, upper) = law.laws[0], law.clearances_m
-    eta, rate, time_s = (x[:: laid.factor] for x in (laid.eta_m, laid.rate_m_per_s, laid.time_s))
-    force = laid.force_n - law.force_n(np.zeros_like(eta), rate)  # what acts in the gap too
+    eta, rate, time_s = (x[:: signals.factor] for x in (signals.eta_m, signals.rate_m_per_s, signals.time_s))
+    force = signals.force_n - law.force_n(np.zeros_like(eta), rate)  # what acts in the gap too
     shifted = (upper - lower) / 2 + np.sign(force) * first.wear_m_per_s * time_s
     depth = _depth_m(law, force)
     if len(law.laws) > 1:  # what rings while they are open would be deep in a soft one
@@ -127,7 +127,7 @@ class ContactResidual:
     """
 
     seen: ContactObservation
-    laid: ContactSignals
+    signals: ContactSignals
     law: JoinedLaw
     within: JoinedLaw
     unknowns: Float[np.ndarray, " unknowns"]
@@ -153,7 +153,7 @@ class ContactResidual:
             ]
             return np.stack([tangents, tangents * np.sign(eta), np.stack(per_stiffness)])
 
-        return self.laid.low_passed(of, self.eta_m, *_times(self.within, self.laid))
+        return self.signals.low_passed(of, self.eta_m, *_times(self.within, self.signals))
 
     def sloped_n(self, more_m: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " times"]:
         """What the law makes of a little more relative displacement, by its slope."""
@@ -161,7 +161,7 @@ class ContactResidual:
         def of(eta: Signal, more: Signal, *time_s: Signal) -> Signal:
             return np.asarray(self._tangents(eta, *time_s).sum(axis=0) * more)
 
-        return self.laid.low_passed(of, self.eta_m, more_m, *_times(self.within, self.laid))
+        return self.signals.low_passed(of, self.eta_m, more_m, *_times(self.within, self.signals))
 
     def _tangents(self, eta: Signal, *time_s: Signal) -> Float[np.ndarray, "laws *shape"]:
         return np.stack(
@@ -185,7 +185,7 @@ class ContactResidual:
                 ]
             )
 
-        return self.laid.low_passed(of, self.eta_m, self.rate_m_per_s, *_times(self.within, self.laid))
+        return self.signals.low_passed(of, self.eta_m, self.rate_m_per_s, *_times(self.within, self.signals))
 
     @property
     def pulls(self) -> Float[np.ndarray, " pulls"]:
@@ -216,7 +216,7 @@ class ContactResidual:
     @cached_property
     def by_eta(self) -> Float[np.ndarray, " times"]:
         """The law's derivative by slow changes of the relative displacement, N/m."""
-        return np.asarray(self.slopes[0].sum(axis=0) + self.laid.spring_n_per_m)
+        return np.asarray(self.slopes[0].sum(axis=0) + self.signals.spring_n_per_m)
 
     @cached_property
     def columns(self) -> csr_matrix:
@@ -246,7 +246,7 @@ class ContactResidual:
 
 
 def contact_residual(
-    laid: ContactSignals,
+    signals: ContactSignals,
     seen: ContactObservation,
     law: JoinedLaw,
     unknowns: Float[np.ndarray, " unknowns"],
@@ -256,8 +256,8 @@ def contact_residual(
     """The residual at some drift and tolerances; added_n and added_m come on top of force and relative displacement."""
     curve, knots = seen.curve, unknowns[: seen.curve.knots]
     slow, slow_rate = curve.value @ knots + added_m, curve.rate @ knots
-    eta = laid.eta_m + _between(np.broadcast_to(slow, laid.force_n.shape), laid.factor)
-    rate = laid.rate_m_per_s + _between(slow_rate, laid.factor)
+    eta = signals.eta_m + _between(np.broadcast_to(slow, signals.force_n.shape), signals.factor)
+    rate = signals.rate_m_per_s + _between(slow_rate, signals.factor)
     pulls = unknowns[seen.tolerances]
     *_, damping_s = seen.trusted
     laws, more_damping = [], []
@@ -278,12 +278,12 @@ def contact_residual(
         each = zip(within.signs, within.laws, more_damping, strict=True)
         return np.asarray(sum(sign * damped_n(one, more, sign * eta, sign * rate, *time_s) for sign, one, more in each))
 
-    force = laid.low_passed(force_n, eta, rate, *_times(within, laid))
-    residual = laid.force_n + added_n - force - laid.spring_n_per_m * slow
+    force = signals.low_passed(force_n, eta, rate, *_times(within, signals))
+    residual = signals.force_n + added_n - force - signals.spring_n_per_m * slow
     held = -seen.firm * (pulls + WALL * _beyond(pulls))
     return ContactResidual(
         seen=seen,
-        laid=laid,
+        signals=signals,
         law=law,
         within=within,
         unknowns=unknowns,
@@ -310,9 +310,9 @@ def more_n(
     return more.force_n(eta_m, rate_m_per_s, time_s) - law.force_n(eta_m, rate_m_per_s, time_s)
 
 
-def _times(law: JoinedLaw, laid: ContactSignals) -> list[Float[np.ndarray, " samples"]]:
+def _times(law: JoinedLaw, signals: ContactSignals) -> list[Float[np.ndarray, " samples"]]:
     """The time, where a law wears; else it is left out."""
-    return [laid.time_s] if any(one.wear_m_per_s for one in law.laws) else []
+    return [signals.time_s] if any(one.wear_m_per_s for one in law.laws) else []
 
 
 def _beside(

@@ -205,5 +205,5 @@ def _of_contact(seen: ContactObservation, contact: ContactResidual, seconds: int
     moving = weights > 0
     left_n = np.divide(contact.residual[: weights.size], weights, out=np.zeros(weights.size), where=moving)
     usual_n = np.divide(1.0, seen.weights, out=np.zeros(weights.size), where=moving)
-    rows = (left_n * seen.weights) ** 2, left_n**2 - usual_n**2, contact.laid.force_n**2
+    rows = (left_n * seen.weights) ** 2, left_n**2 - usual_n**2, contact.signals.force_n**2
     return [[float(np.mean(part)) for part in np.array_split(row, seconds)] for row in rows]

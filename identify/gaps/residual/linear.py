@@ -165,7 +165,9 @@ def linear_model(
     contacts = len(rig.contacts)
     made = accelerances(rig, responses, [station for station, _ in pushes], places)
     by_contacts, per_newton = made[len(pushes) :], made[: len(rig.forces)]
-    by_push = [_by_push(record, rig, per_push, force_n) for per_push, (_, force_n) in zip(made, pushes, strict=False)]
+    by_push = [
+        _response_to_force(record, rig, per_push, force_n) for per_push, (_, force_n) in zip(made, pushes, strict=False)
+    ]
     by_force, known = np.stack(by_push[: len(rig.forces)]), sum(by_push[1:], by_push[0])
     deviation = np.sqrt(record.noise + model_error**2 * record.power)
     deviation = np.maximum(deviation, 1e-9 * deviation.max())
@@ -241,10 +243,10 @@ def _pushes(
     return (*zip(rig.forces, lagged, strict=True), *tones, *_loads(record, rig), *held)
 
 
-def _by_push(
+def _response_to_force(
     record: Record, rig: Rig, per_newton: Complex[np.ndarray, "sensors lines"], force_n: Complex[np.ndarray, " lines"]
 ) -> Complex[np.ndarray, "sensors lines"]:
-    """Accelerations at the sensors by a windowed force.
+    """Accelerations at the sensors under a force, which is given windowed.
 
     What is held rings on where the window falls, and does not fade with the force: without contacts it is the answer
     to the force as it acted that is windowed. Weights by frequency reach back from there by seconds.
@@ -253,7 +255,7 @@ def _by_push(
     if rig.contacts or not record.has_every_line:
         return by_window
     held = np.array([not is_free(rig, s.station.body) for s in record.sensors])[:, None]
-    return np.where(held, record.faded_out(per_newton * record.to_the_end(force_n)), by_window)
+    return np.where(held, record.windowed_response(per_newton * record.unwindowed_force(force_n)), by_window)
 
 
 def _loads(record: Record, rig: Rig) -> list[tuple[Station, Complex[np.ndarray, " lines"]]]:
@@ -290,7 +292,7 @@ def _holding(rig: Rig, responses: tuple[Response, ...]) -> Float[np.ndarray, " c
     return held
 
 
-def bent(
+def ground_spring_correction(
     record: Record, model: Linear, displaced: Complex[np.ndarray, "sensors lines"]
 ) -> Complex[np.ndarray, "sensors lines"]:
     """What the sensors give beside, as springs and dampers to the ground are displaced less than the sensors say."""

@@ -7,7 +7,7 @@ from jaxtyping import Complex, Float, Int
 from msgspec.structs import replace
 
 from identify.gaps.residual.grounded import pushed_by_motion
-from identify.gaps.residual.linear import Linear, bent
+from identify.gaps.residual.linear import Linear, ground_spring_correction
 from identify.gaps.residual.spectra import Record
 from identify.linear.free_motion import detuned, state_changes
 from identify.linear.model import Response, times
@@ -103,7 +103,7 @@ def _projected(
         return projection.of(change.delivered, change.sensors)
     displaced, delivered = np.zeros_like(model.sensor_response), np.zeros_like(model.sensor_response)
     displaced[change.sensors], delivered[change.sensors] = change.displaced, change.delivered
-    return projection.of(delivered + bent(record, model, displaced))
+    return projection.of(delivered + ground_spring_correction(record, model, displaced))
 
 
 def _observed(record: Record, model: Linear) -> Observed:

@@ -15,7 +15,7 @@ from identify.gaps.residual.law import (
     ContactResidual,
     ContactSignals,
     contact_residual,
-    laid_out,
+    contact_signals_of,
     start_of,
 )
 from identify.gaps.residual.linear import Linear, linear_model
@@ -107,7 +107,7 @@ class Residual:
 
     rig: Rig
     model: Linear
-    laid: tuple[ContactSignals, ...]
+    signals: tuple[ContactSignals, ...]
     bare: Float[np.ndarray, "rows times"]
     linear: Float[np.ndarray, "rows times"]
     quiet: Float[np.ndarray, "rows times"]
@@ -209,14 +209,14 @@ def residual_of(
     record, parameters, laws = linearization.record, linearization.columns.parameters, joined_laws(rig)
     nuisance = linearization.expansion_point if nuisance is None else nuisance
     if like is not None and same_but_laws(like.rig, rig):
-        model, laid, bare = like.model, like.laid, like.bare
+        model, signals, bare = like.model, like.signals, like.bare
     else:
         model = linearization.model if same_but_laws(linearization.rig, rig) else linear_of(linearization, rig)
-        laid = laid_out(record, model)
+        signals = contact_signals_of(record, model)
         bare = counted(record, model.residual)
     if unknowns is None:
         unknowns = tuple(
-            start_of(at, s, law, record.rate_hz) for at, s, law in zip(laid, linearization.seen, laws, strict=True)
+            start_of(at, s, law, record.rate_hz) for at, s, law in zip(signals, linearization.seen, laws, strict=True)
         )
     beside = nuisance - linearization.expansion_point
     same = like if like is not None and model is like.model and nuisance is like.nuisance else None
@@ -234,10 +234,10 @@ def residual_of(
             return same.contacts[j]
         more_n, more_m = (-beside @ c[:, j] for c in (linearization.columns.contact_n, linearization.columns.eta_m))
         more_n -= sum(others[j, i] * slow_m[i] for i in told_by)
-        return contact_residual(laid[j], linearization.seen[j], law, unknowns[j], more_n, more_m)
+        return contact_residual(signals[j], linearization.seen[j], law, unknowns[j], more_n, more_m)
 
     contacts = tuple(contact(j) for j in range(len(laws)))
-    return Residual(rig, model, laid, bare, linear, quiet, contacts, nuisance, parameters, record.sample_ratio)
+    return Residual(rig, model, signals, bare, linear, quiet, contacts, nuisance, parameters, record.sample_ratio)
 
 
 def same_but_sensors(one: Rig, other: Rig) -> bool:

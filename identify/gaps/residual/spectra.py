@@ -34,7 +34,7 @@ from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 from rig.recording.period import period_of
 
-RING_S, RINGS_S, RINGS_OUT = 12.0, 60.0, 20.0
+RING_S, LONGEST_RING_S, DECAY_TIMES = 12.0, 60.0, 20.0
 """Silence behind the record in which the beams ring down before the transform wraps round; where no contacts take part
 until the slowest mode, of two fifths of its damping, is 3e-4 of what it was, but no longer than the second."""
 LEAST = 1e-2
@@ -155,23 +155,27 @@ class Record:
         return self.omega.size == self.length // self.factor // 2 + 1
 
     @cached_property
-    def _fall(self) -> Float[np.ndarray, " times"]:
+    def _falling_window(self) -> Float[np.ndarray, " times"]:
         """The window's fall over the padded record, at `rate_hz`."""
         window = self.window[:: self.factor]
         fall = np.zeros(self.length // self.factor)
         fall[: window.size] = np.where(np.arange(window.size) < window.size // 2, 1.0, window)
         return fall
 
-    def to_the_end(self, forces: Complex[np.ndarray, "*rows lines"]) -> Complex[np.ndarray, "*rows lines"]:
-        """Windowed forces as they acted up to the record's end."""
-        acted = self._fall > LEAST
-        whole = irfft(forces, self._fall.size)
-        return np.asarray(rfft(np.divide(whole, self._fall, out=np.zeros_like(whole), where=acted)))
+    def unwindowed_force(self, forces: Complex[np.ndarray, "*rows lines"]) -> Complex[np.ndarray, "*rows lines"]:
+        """Forces as they acted up to the record's end, of windowed ones: F(t) / w(t) where w > LEAST."""
+        acted = self._falling_window > LEAST
+        whole = irfft(forces, self._falling_window.size)
+        return np.asarray(rfft(np.divide(whole, self._falling_window, out=np.zeros_like(whole), where=acted)))
 
-    def faded_out(self, accelerations: Complex[np.ndarray, "sensors lines"]) -> Complex[np.ndarray, "sensors lines"]:
-        """What sensors deliver, under the window's fall, of a motion that does not fade, as accelerations again."""
+    def windowed_response(
+        self, accelerations: Complex[np.ndarray, "sensors lines"]
+    ) -> Complex[np.ndarray, "sensors lines"]:
+        """Accelerations as windowed sensors deliver them, w(t) y(t), of a motion that does not fade."""
         turned = np.stack([integrated(self.omega, 2 - s.measures.order, 0.0) for s in self.sensors])
-        return np.asarray(rfft(irfft(accelerations / turned, self._fall.size) * self._fall) * turned)
+        return np.asarray(
+            rfft(irfft(accelerations / turned, self._falling_window.size) * self._falling_window) * turned
+        )
 
     def in_time(self, spectra: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows times"]:
         """Back to time, at `rate_hz`, the samples that count."""
@@ -273,7 +277,7 @@ def _transform(recording: Recording, beginning: Beginning, high_hz: float) -> _T
     """With the lines up to a frequency; the record fades in, unless it begins quiet or with a blow, and out."""
     rate, samples = recording.rig.sample_rate_hz, recording.samples
     factor = max(1, int(rate / (2 * high_hz)))
-    length = factor * next_fast_len(-(-(samples + round(_rings_s(recording.rig) * rate)) // factor), real=True)
+    length = factor * next_fast_len(-(-(samples + round(_ring_down_s(recording.rig) * rate)) // factor), real=True)
     window = taper(samples, max(2, round(beginning.faded_s * rate)))
     if beginning.zero_known and not beginning.from_the_blow:  # differentiated twice, a kink in w'' would ring
         window = np.sin(np.pi / 2 * window) ** 2
@@ -284,8 +288,8 @@ def _transform(recording: Recording, beginning: Beginning, high_hz: float) -> _T
     return _Transform(rate, length, factor, window)
 
 
-def _rings_s(rig: Rig) -> float:
-    """How long a rig may ring on behind the record: without contacts until its slowest decay is over."""
+def _ring_down_s(rig: Rig) -> float:
+    """Seconds that a rig may ring on behind the record: without contacts until its slowest decay is over."""
     if rig.contacts:
         return RING_S
     rates = []
@@ -293,7 +297,7 @@ def _rings_s(rig: Rig) -> float:
         modes, count = modes_of(rig, body), body.max_modes
         rates += (2 * np.pi * modes.frequencies_hz(count) * modes.damping_ratios(count)).tolist()
     slowest = min((rate for rate in rates if rate > 0), default=np.inf)
-    return float(np.clip(RINGS_OUT / slowest, RING_S, RINGS_S))
+    return float(np.clip(DECAY_TIMES / slowest, RING_S, LONGEST_RING_S))
 
 
 def _drifts(

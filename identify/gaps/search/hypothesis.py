@@ -16,7 +16,7 @@ from identify.gaps.residual.scales import Scales, prior_scales
 from identify.gaps.residual.tuning import KINDS
 from identify.gaps.search.base_excitation import fit_base_excitation
 from identify.gaps.search.candidates import Candidate
-from identify.gaps.search.nominal import fitted, relinearizations, singly_bent
+from identify.gaps.search.nominal import extra_relinearizations, fitted, relinearizations
 from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
 from rig.model.description import Rig
@@ -130,7 +130,7 @@ def fit_effects(
     least: float = np.inf,
 ) -> Tried:
     """Effects fitted to the end from some values, and from the nuisance parameters and drifts of a residual."""
-    return refined(context, fit_briefly(context, parts, values, straightened(start)), least)
+    return refined(context, fit_briefly(context, parts, values, reset_saturated_nuisance(start)), least)
 
 
 def fit_briefly(
@@ -172,13 +172,15 @@ def refined(context: Search, one: Tried, least: float = np.inf) -> Tried:
     parts, rig = one.hypothesis.parts, context.linearization.rig
     if any(p.kind.stochastic for p in parts):
         return one
-    return relinearised(context, partial(applied, rig, parts), one, ROUNDS + singly_bent(rig), least)
+    return relinearised(context, partial(applied, rig, parts), one, ROUNDS + extra_relinearizations(rig), least)
 
 
 def fit_from(context: Search, build: Build, parts: tuple[Candidate, ...], values: Values, rounds: int) -> Tried:
     """Effects fitted to the end in rigs that `build` makes of values, from where a fit of another rig has come to."""
     linearization = context.linearization.about(build(values), None, context.linearization.scales)
-    done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds, straightened(context.at))
+    done = fit(
+        linearization, build, values, steps_of(parts), parameters_of(parts).bounds, reset_saturated_nuisance(context.at)
+    )
     return relinearised(
         context, build, _tried(context, parts, done.values, done.covariance, linearization, done.residual), rounds
     )
@@ -197,7 +199,7 @@ def relinearised(context: Search, build: Build, first: Tried, rounds: int, least
         return refit_at(before, scales_at(before.linearization, before.residual))
 
     def refit_at(before: Tried, scales: Scales) -> Tried:
-        values, start = before.hypothesis.values, modes_straightened(before.residual) if resonant else before.residual
+        values, start = before.hypothesis.values, reset_mode_nuisance(before.residual) if resonant else before.residual
         linearization = before.linearization.about(build(values), start, scales)
         done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds, start)
         fits.append(_tried(context, parts, done.values, done.covariance, linearization, done.residual))
@@ -254,7 +256,7 @@ def fit_spectrum(context: Search, nothing: Tried, candidate: Candidate) -> Tried
     return _tried(context, (candidate,), values, np.diag(deviations**2), linearization, at)
 
 
-def straightened(at: Residual) -> Residual:
+def reset_saturated_nuisance(at: Residual) -> Residual:
     """Where to start with an effect: nuisance parameters that were bent to do without it are straight again.
 
     They stay as they are where none is at its limit.
@@ -265,10 +267,11 @@ def straightened(at: Residual) -> Residual:
     return replace(at, nuisance=np.zeros_like(at.nuisance), contacts=straight)
 
 
-def modes_straightened(at: Residual) -> Residual:
-    """Where to start again with an effect on frequencies: those that tolerances went far to meet are where they were.
+def reset_mode_nuisance(at: Residual) -> Residual:
+    """The residual with frequencies and damping of all modes at their nominal values, if a tolerance went far for one.
 
-    Together the two move along a valley that is as bent as the resonance is sharp, in steps of a part of its width.
+    An effect on frequencies and these tolerances together move along a valley that is as bent as the resonance is
+    sharp, in steps of a part of its width.
     """
     of_modes = np.array([p.kind in KINDS for p in at.parameters], dtype=bool)
     if np.max(np.abs(at.nuisance[of_modes]), initial=0.0) < PULLED:

@@ -37,7 +37,9 @@ def fit_nuisance(record: Record, rig: Rig, rounds: int = ROUNDS) -> tuple[Linear
 
     estimate = fit_in(linearization, None)
     estimate = refit_until_settled(estimate, relinearize, rounds=relinearizations(rig))
-    estimate = refit_until_settled(estimate, refit, settled, rounds=MOST, at_least=max(rounds, singly_bent(rig)))
+    estimate = refit_until_settled(
+        estimate, refit, settled, rounds=MOST, at_least=max(rounds, extra_relinearizations(rig))
+    )
     return estimate.linearization, estimate.residual
 
 
@@ -60,6 +62,6 @@ def relinearizations(rig: Rig) -> int:
     return 0 if rig.contacts or any(b.is_mass for b in rig.bodies) else RESONANT
 
 
-def singly_bent(rig: Rig) -> int:
+def extra_relinearizations(rig: Rig) -> int:
     """So many linearisations more, as the resonance of a single mass is no linear matter."""
     return 3 if any(b.is_mass for b in rig.bodies) else 0

@@ -17,7 +17,7 @@ from identify.gaps.search.hypothesis import (
     fit_effects,
     fit_spectrum,
     refined,
-    straightened,
+    reset_saturated_nuisance,
 )
 from identify.gaps.search.ringing_screening import ringing_screening
 from identify.gaps.search.screening import Screened, grid_screening, law_screening, of_laws, score_screening
@@ -49,7 +49,7 @@ class _Kept:
 
 def single_effects(context: Search, nothing: Tried) -> list[Tried]:
     """Single effects fitted to the end, the likeliest first."""
-    linearization, residual = context.linearization, straightened(context.at)
+    linearization, residual = context.linearization, reset_saturated_nuisance(context.at)
     fresh = residual_of(linearization, linearization.rig, residual.nuisance)
     steady = [c for c in context.known if not c.kind.stochastic]
     laws = of_laws(linearization.rig, steady)

@@ -35,7 +35,7 @@ from identify.gaps.search.hypothesis import (
     fit_briefly,
     fit_spectrum,
     refined,
-    straightened,
+    reset_saturated_nuisance,
 )
 from identify.gaps.search.local_model import CandidateTerm, LocalModel, Solution, local_model
 from identify.gaps.search.nominal import fitted
@@ -164,7 +164,7 @@ def _fitted_beside(
     """A set with more members, fitted for a few steps; None where no rig has them all."""
     together = np.concatenate([present.values, *values])
     try:
-        return fit_briefly(context, (*present.parts, *parts), together, straightened(at), linearization)
+        return fit_briefly(context, (*present.parts, *parts), together, reset_saturated_nuisance(at), linearization)
     except RigError:
         return None
 
@@ -283,7 +283,7 @@ def _with_members(context: Search, best: Tried, members: Sequence[int]) -> Tried
         return context.nothing()
     parts, values = best.hypothesis.parts, best.hypothesis.split()
     rest = tuple(parts[k] for k in members)
-    start = straightened(best.residual)
+    start = reset_saturated_nuisance(best.residual)
     brief = fit_briefly(context, rest, np.concatenate([values[k] for k in members]), start, best.linearization)
     return refined(context, brief, best.cost)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from identify.gaps.decision.hypotheses import search_record
-from identify.gaps.decision.null_reference import of_blows
+from identify.gaps.decision.null_reference import is_impulsive
 from identify.gaps.residual.likelihood import reference_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
@@ -35,7 +35,7 @@ def test_the_effect_is_the_likeliest(name, parameter, value, tmp_path):
 )
 def test_a_hammers_force_is_known_and_its_band_ends(kind, low_hz, blows, highest_hz, tmp_path):
     force = excitation_of(kind, rms_n=14.0, low_hz=low_hz, high_hz=100.0)
-    assert of_blows(force_history(force, 20.0, 1 / 4096)) == blows
+    assert is_impulsive(force_history(force, 20.0, 1 / 4096)) == blows
     sensed = recorded(TESTS["two beams, Gaussian force"], tmp_path / "r.mcap", duration_s=12.0)
     sensed.signals["force"].values[:] = force_history(force, 12.0, 1 / 4096)
     assert record_of(sensed).highest_hz == pytest.approx(highest_hz, rel=0.1)

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 from identify.gaps.residual.fit import fit
 from identify.gaps.residual.residual import linearized, residual_of
 from identify.gaps.residual.spectra import record_of
-from identify.gaps.search.hypothesis import straightened
+from identify.gaps.search.hypothesis import reset_saturated_nuisance
 from identify.gaps.search.nominal import fitted
 from rig.effects.contact_clearance import ContactClearance
 from rig.recording import read
@@ -46,7 +46,12 @@ def test_an_effect_on_one_of_them_is_fitted(fitted_record):
         return hidden(values[0]).applied_to(linearization.rig)
 
     found = fit(
-        linearization, build, np.array([1.0]), np.array([0.01]), (np.array([0.1]), np.array([4.0])), straightened(at)
+        linearization,
+        build,
+        np.array([1.0]),
+        np.array([0.01]),
+        (np.array([0.1]), np.array([4.0])),
+        reset_saturated_nuisance(at),
     )
     assert abs(found.values[0] - FACTOR) < 3 * np.sqrt(found.covariance[0, 0])
     assert abs(found.values[0] - FACTOR) < 0.01

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.gaps.decision.untold import untold
+from identify.gaps.decision.identifiability import identifiable_change
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.wording import interval
 from rig.effects import effects
@@ -34,7 +34,9 @@ def said(of, name, strength, place=0.5, error=0.1):
     where = next(iter(kind.placements(of, [])))
     scale = Scale(of, 1.0, 60.0).at(where)
     candidate = Candidate(kind, where, kind.parameters(scale), kind.typical(scale))
-    return untold(of, candidate, np.array([strength, place]), np.diag([(error * strength) ** 2, 0.0]), 15.0)
+    return identifiable_change(
+        of, candidate, np.array([strength, place]), np.diag([(error * strength) ** 2, 0.0]), 15.0
+    )
 
 
 @pytest.mark.parametrize(

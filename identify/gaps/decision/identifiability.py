@@ -27,7 +27,7 @@ STEP = 1e-2
 """Of the standard error: the step of derivatives."""
 
 
-def untold(
+def identifiable_change(
     rig: Rig,
     part: Candidate,
     values: Float[np.ndarray, " parameters"],
