@@ -32,7 +32,7 @@ HALF = 0.5
 
 
 class Verdict(StrEnum):
-    """What the diagnosis concludes."""
+    """Verdicts of the diagnosis."""
 
     CONSISTENT = "consistent"
     CANNOT_TELL = "cannot_tell"
@@ -59,12 +59,12 @@ class Bounded(msgspec.Struct, frozen=True):
 
     @property
     def not_seen(self) -> bool:
-        """Whether the records neither bound it nor show that it matters."""
+        """True if the records neither bound it nor show that it matters."""
         return not self.holds and (self.upper is None or self.value is None or self.value < self.threshold)
 
     @property
     def holds(self) -> bool:
-        """Whether it certainly lies below what matters; what is no number bounds nothing."""
+        """True if it certainly lies below what matters; what is no number bounds nothing."""
         return self.upper is not None and isfinite(self.upper) and self.upper < self.threshold
 
 
@@ -105,7 +105,7 @@ class Evidence(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def not_seen(self) -> tuple[Bounded, ...]:
-        """What stands beside every verdict."""
+        """Quantities that stand beside every verdict as not seen."""
         return tuple(quantity for quantity in self.quantities if quantity.not_seen)
 
     @property

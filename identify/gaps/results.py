@@ -1,4 +1,4 @@
-"""What a diagnosis says: the structure of gap.json."""
+"""Structure of gap.json: the result of a diagnosis."""
 
 import math
 from collections import Counter
@@ -16,7 +16,7 @@ AGAIN = "record the same again"
 
 
 class Left(msgspec.Struct, frozen=True, kw_only=True):
-    """What a rig leaves of the validation record, beyond the sensors' noise.
+    """Shares of the validation record that a rig leaves, beyond the sensors' noise.
 
     share is the unexplained share of the acceleration's root mean square, contact_shares that of each contact force's;
     p_value how often tolerances and noise alone leave as much; largest_pull by how many of its stated standard
@@ -237,7 +237,7 @@ class Note(msgspec.Struct, frozen=True):
 
 
 class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
-    """How the nominal rig differs from the records, judged on the one that was not fitted.
+    """Diagnosis: difference of the nominal rig and the records, judged on the one that was not fitted.
 
     causes: the named effects first, then the likeliest; what their probabilities lack of one is that of the nominal rig
     and of something unmeasured. The response comparison and the rollout are of the first. not_seen is what the records

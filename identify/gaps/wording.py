@@ -1,4 +1,4 @@
-"""How the numbers of a diagnosis are written, in its sentence, on the page, in the pictures and on the screen."""
+"""Numbers of a diagnosis as they are written in its sentence, on the page, in the pictures and on the screen."""
 
 from collections.abc import Sequence
 
@@ -55,12 +55,12 @@ def capital(text: str) -> str:
 
 
 def chance(p_value: float) -> str:
-    """Such as "p = 0.43"."""
+    """Words such as "p = 0.43"."""
     return f"p < {LEAST_CHANCE:g}" if p_value < LEAST_CHANCE else f"p = {number(p_value, 2)}"
 
 
 def quantity(one: Bounded) -> str:
-    """What the records say of a quantity that is not bounded: its reason, or its value and upper bound."""
+    """Words on a quantity that is not bounded: its reason, or its value and upper bound."""
     if one.value is None or one.upper is None:
         return f"the {one.name} ({one.why})"
     if one.unit == "1":
@@ -111,7 +111,7 @@ def closes(cause: Cause) -> str:
 
 
 def closes_some(cause: Cause) -> bool:
-    """Whether its interval excludes that it closes nothing."""
+    """True if its interval excludes that it removes nothing."""
     return cause.interval_95[0] > NOTHING
 
 
@@ -130,7 +130,7 @@ def joined(words: Sequence[str], last: str = "and") -> str:
 
 
 def between_records(between: Between) -> str:
-    """What differs between the records, in a sentence."""
+    """Sentence on what differs between the records."""
     if not between.differing:
         return "Nothing differs between the records beyond what tolerances and noise explain."
     said = f"Between the records, {joined([differs(one) for one in between.differing])}."
@@ -142,7 +142,7 @@ SHIFTED = 5e-4
 
 
 def level_words(one: LevelDependence) -> str:
-    """Such as "The machine softens with the motion: the mode of the wing at 7.3 Hz changes by -1.3 % ..."."""
+    """Sentence such as "The machine softens with the motion: the mode of the wing at 7.3 Hz changes by -1.3 % ..."."""
     shift, damping = (f"{100 * x:+.2g} %" for x in (one.frequency_change, one.damping_change))
     if abs(one.frequency_change) < SHIFTED:
         kind = f"is damped {'more' if one.damping_change > 0 else 'less'}"
@@ -157,7 +157,7 @@ def level_words(one: LevelDependence) -> str:
 
 
 def differs(one: Compared) -> str:
-    """Such as "contact_clearance.factor (contact_2) grows (1.006, 1.006, 1.087)"."""
+    """Words such as "contact_clearance.factor (contact_2) grows (1.006, 1.006, 1.087)"."""
     values = ", ".join(number(v.value) for v in one.values)
     unit = "" if one.values[0].unit == "1" else f" {one.values[0].unit}"
     place = f" ({one.place})" if one.place else ""
@@ -179,5 +179,5 @@ def others(gap: Gap) -> list[tuple[str, float]]:
 
 
 def probability(value: float) -> str:
-    """In per cent; nothing is certain."""
+    """Probability in per cent; nothing is certain."""
     return percent(min(value, CERTAIN))

@@ -1,1 +1,1 @@
-"""What a record says of the hypotheses that another record suggested, and what that makes of the gap."""
+"""Hypotheses of one record judged on another, and the verdict that follows."""

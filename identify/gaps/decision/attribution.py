@@ -1,4 +1,4 @@
-"""Where the gap lies: shares of the believed rig's residual, beyond noise and tolerated shares, cut in every way."""
+"""Location of the mismatch: shares of the nominal rig's residual beyond noise and tolerances, cut in every way."""
 
 from itertools import pairwise
 
@@ -72,7 +72,7 @@ def _shared(sizes: dict[str, float]) -> dict[str, float]:
 
 
 def _modal(record: Record, model: Linear, at: Residual) -> dict[str, float]:
-    """By modal equation: the residual accelerations turned into modal ones, in units of what the sensors' errors do."""
+    """Shares by modal equation: residual modal accelerations, in units of the sensors' errors there."""
     deviations = np.sqrt(np.mean(model.deviation**2, axis=1))
     found = {}
     for response in model.responses:
@@ -102,7 +102,7 @@ def _bands(by_band: Float[np.ndarray, " bands"]) -> tuple[Share, ...]:
 
 
 def _states(linearization: Linearization, total: Float[np.ndarray, " times"]) -> dict[str, float]:
-    """By which contacts are closed."""
+    """Shares by the contacts that are closed."""
     sizes: dict[str, float] = {}
     closed = [s.closed > 0 for s in linearization.seen]
     names = [c.name for c in linearization.model.rig.contacts]

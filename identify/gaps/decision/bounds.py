@@ -39,7 +39,7 @@ LOUDER = "excite the rig more strongly, or use sensors of less noise"
 
 @dataclass(frozen=True)
 class Difference:
-    """How nominal rig and records differ: the p-value over all records, and the quantities that matter."""
+    """Difference of nominal rig and records: the p-value over all records, and the quantities that matter."""
 
     p_value: float
     motion: Bounded
@@ -54,7 +54,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class ContactDistances:
-    """Of every contact's parameters from rig.json, and the p-value of each contact that records determine."""
+    """Distances of every contact's parameters from rig.json, and the p-value of each contact that records determine."""
 
     bounds: tuple[Bounded, ...]
     p_values: tuple[float, ...]

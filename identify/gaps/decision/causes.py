@@ -1,4 +1,4 @@
-"""What is said of every hypothesis in gap.json: its parameters, what it closes and leaves, what stands in its place."""
+"""Causes in gap.json: parameters of every hypothesis, what it removes and leaves, what stands in its place."""
 
 from collections.abc import Sequence
 
@@ -75,7 +75,7 @@ def bands_of(without: Misfit, after: Misfit, null_reference: NullReference) -> t
 
 
 def confirmed_by(causes: tuple[Cause, ...], ranked: list[Judged]) -> tuple[str, ...]:
-    """What would confirm or refute each effect of the causes that are likely, or close part of the gap."""
+    """Tests that confirm or refute each effect of the causes that are likely, or remove a part of the mismatch."""
     kinds = {part.kind.name: part.kind for j in ranked for part in j.hypothesis.parts}
     likely = [c for i, c in enumerate(causes) if c.probability > ALIKE or (i == 0 and c.interval_95[0] > 0)]
     names = dict.fromkeys(effect for cause in likely for effect in cause.effects)

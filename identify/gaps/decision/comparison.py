@@ -90,7 +90,7 @@ def judged(
 
 
 def left_without(record: Record, reference: Reference, linearization: Linearization, at: Residual) -> Misfit | None:
-    """What the believed rig leaves with the nuisance parameters of a rig with effects.
+    """Misfit of the nominal rig with the nuisance parameters of a rig with effects.
 
     None where the residuals have not the same rows: a base that moves has one more.
     """
@@ -128,7 +128,7 @@ def log_priors(hypotheses: Sequence[Hypothesis], known: Sequence[Candidate]) -> 
 
 
 def log_prior(effects: Sequence[str], placed: Mapping[str, int]) -> float:
-    """Of effects at one place each, of which one may stand twice; `placed` counts the places of every effect.
+    """Log prior of effects at one place each, of which one may stand twice; `placed` counts the places of every effect.
 
     With K effects in the library k of them have C(K + k - 1, k) sets, all as likely.
     """
@@ -140,7 +140,7 @@ def log_prior(effects: Sequence[str], placed: Mapping[str, int]) -> float:
 
 
 def probabilities(log_posteriors: Float[np.ndarray, " hypotheses"]) -> Float[np.ndarray, " hypotheses"]:
-    """From log posteriors up to a constant."""
+    """Probabilities of log posteriors that are known up to a constant."""
     likely = np.exp(log_posteriors - log_posteriors.max())
     return np.asarray(likely / likely.sum())
 

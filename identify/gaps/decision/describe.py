@@ -87,7 +87,7 @@ def describe(
 
 @dataclass(frozen=True)
 class SideAnalyses:
-    """What the verdict does not rest on; what could not be computed is left out, and noted."""
+    """Analyses that the verdict does not rest on; what could not be computed is left out, and noted."""
 
     between: Between | None
     unknown: UnmeasuredForce | None
@@ -133,7 +133,7 @@ def _side_analyses(
 def _between(
     prepared: Prepared, searched: Searched, decision: Decision, progress: Callable[[float], None]
 ) -> Attempt[Between]:
-    """What differs between the records, where more than one was fitted."""
+    """Differences between the records, where more than one was fitted."""
     if not prepared.several:
         return Attempt()
     records = [one.record for one in prepared.observations]

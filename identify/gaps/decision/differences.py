@@ -1,4 +1,4 @@
-"""What differs between the records of one rig, and what does not.
+"""Differences between the records of one rig, and what they share.
 
 Tolerances are one draw that all records share; a cause's parameters, and every effect of the library at every place,
 are in turn each record's own. With their values v, covariance C and contrasts A between the records,
@@ -57,21 +57,21 @@ class Standing:
         return [p.name for p in self.parts]
 
     def columns(self, name: str) -> list[int]:
-        """Where the parameters of an effect stand."""
+        """Columns of an effect's parameters."""
         return parameters_of(self.parts).places_of(name)
 
     def strong(self, name: str) -> list[int]:
-        """Those of them that say how much there is of it."""
+        """Columns of an effect's strengths."""
         return [self.columns(name)[i] for i in self.parts[self.names.index(name)].parameters.strengths]
 
     def with_effect(self, part: Candidate, values: Float[np.ndarray, "records own"]) -> "Standing":
-        """With these values of an effect, which stands there already or comes beside."""
+        """Standing effects with these values of one, which is there already or is added."""
         if part.name in self.names:
             return self.put(slice(None), self.columns(part.name), values)
         return replace(self, parts=(*self.parts, part), values=np.concatenate([self.values, values], axis=1))
 
     def put(self, record: int | slice, columns: Sequence[int], values: Float[np.ndarray, "*records own"]) -> "Standing":
-        """With other values in some columns of one record, or of all."""
+        """Standing effects with other values in some columns of one record, or of all."""
         every = self.values.copy()
         every[record, columns] = values
         return replace(self, values=every)
@@ -107,7 +107,7 @@ class Varied:
         return pooled(said, self.steps, self.bounds, self.own[0], own=True)
 
     def moved(self, together: Pooled) -> "Varied":
-        """To what the records say, within the bounds."""
+        """Parameters at the pooled estimate, within the bounds."""
         values = np.clip(together.values.reshape(self.own.shape), *self.bounds)
         return Varied(self.standing.put(slice(None), self.columns, values), self.columns)
 
@@ -128,7 +128,7 @@ class Test:
 
 @dataclass(frozen=True)
 class _Compared:
-    """What all comparisons of the same records share."""
+    """Data that all comparisons of the same records share."""
 
     records: Sequence[Record]
     seen: Sequence[Reference]
@@ -168,7 +168,7 @@ class _Compared:
         return refit_until_settled(refit(one), lambda estimate: refit(estimate[0]), rounds=ROUNDS - 1)
 
     def pooled(self, one: Varied) -> Pooled:
-        """What all records say of these values, each linearised about its own."""
+        """Pooled information of all records on these values, each linearised about its own."""
         return one.pooled([one.said(k, self.linearised(one.standing, k)) for k in range(len(self.records))])
 
     def most_different(self, standing: Standing, found: Sequence[str]) -> tuple[Test | None, int]:
@@ -217,7 +217,7 @@ def differences(
 
 
 def _different(compared: _Compared, begun: Standing, progress: Callable[[float], None]) -> tuple[tuple[Test, ...], int]:
-    """At most two effects that differ between the records, and the number looked at.
+    """Effects, two at most, that differ between the records, and the number looked at.
 
     What is found first may be another effect beside what is found second: then it is looked for again.
     """
@@ -284,7 +284,7 @@ def _log_p(together: Pooled, shape: tuple[int, ...], parameter: int | None = Non
 def _rows(
     one: Varied, together: Pooled, among: int, order: Int[np.ndarray, " records"] | None = None
 ) -> list[Compared]:
-    """For the answer; `among`: those that differ of so many looked at, or 0; `order`: that of the levels."""
+    """Rows of the answer; `among`: the number of effects looked at, or 0; `order`: that of the levels."""
     records, size = one.own.shape
     every = [(part, p) for part in one.standing.parts for p in part.parameters]
     rows = []

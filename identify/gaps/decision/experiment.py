@@ -46,7 +46,7 @@ ORDER = 8
 
 @dataclass(frozen=True)
 class Experiment:
-    """What a laboratory could do next: in words, to the machine (and so to its description), and with which force."""
+    """Experiment for the laboratory to do next: in words, the changed machine (and description), and the force."""
 
     words: str
     changed: Callable[[Rig], Rig]
@@ -122,7 +122,7 @@ def experiments(record: Record, forces_n: Float[np.ndarray, "forces samples"]) -
 
 
 def begun_on(record: Record, rig: Rig) -> Search:
-    """Where fits to a record begin: at the scales, and with the slow motion, of a rig fitted to it.
+    """Start of fits to a record: scales and slow motion of a rig fitted to it.
 
     All that are compared begin there, so that none of them stays in a worse minimum than another.
     """
@@ -161,7 +161,7 @@ def enlarged(one: Hypothesis) -> Hypothesis:
 
 
 def disagreement(one: Hypothesis, other: Hypothesis) -> float:
-    """What -2 ln p of two records together exceeds the sum of theirs, as one value of every parameter has to do.
+    """Excess of -2 ln p of two records together over the sum of theirs: one value of a parameter has to serve both.
 
     d' (C1 + C2)^-1 d of the difference d of both fits. What every record has of its own is left out.
     """
@@ -192,7 +192,7 @@ def _with_displacements(rig: Rig) -> Rig:
 
 
 def _places(rig: Rig) -> Iterator[Station]:
-    """Where else the force could act."""
+    """Places at which the force could act instead."""
     for body in rig.bodies:
         for station in {Station(body.name, share * body.length_m): None for share in PLACES}:
             if station != rig.force_at:

@@ -34,7 +34,7 @@ def identifiable_change(
     covariance: Float[np.ndarray, "parameters parameters"],
     highest_hz: float,
 ) -> str:
-    """What the record tells in the place of an effect's strength; nothing where it tells that.
+    """Change of a mode that the record determines in place of an effect's strength; empty where it determines that.
 
     values and covariance are those of the effect's parameters; modes up to highest_hz are seen.
     """
@@ -71,7 +71,7 @@ def _places(attached: Sequence[PointSpring | PointDamper | PointMass]) -> list[S
 def _changes(
     rig: Rig, part: Candidate, values: Float[np.ndarray, " parameters"], body_name: str
 ) -> Float[np.ndarray, "2 modes"]:
-    """Of each mode of a body: by how much an effect changes its frequency, Hz, and its damping ratio."""
+    """Changes of each mode of a body by an effect: frequency, Hz, and damping ratio."""
     body, moved = rig.body(body_name), part.applied(rig, values)
     count = modes_wanted(body, body.max_modes)
     before, after = modes_of(rig, body), modes_of(moved, body)

@@ -29,7 +29,7 @@ from rig.model.description import Rig
 
 @dataclass(frozen=True)
 class Unmeasured:
-    """What acts unmeasured, or swings, beside the believed rig, or the named effects if they explain a part.
+    """Unmeasured force, or modulated clearance, beside the nominal rig, or beside named effects that explain a part.
 
     gain is by how much -2 ln p of the believed rig falls with the force that explains it best; None where none was
     looked for.
@@ -108,7 +108,7 @@ INCOMPLETE = (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED)
 
 
 def difference_of(prepared: Prepared, residual: Residual, matters: Matters, p_split: float) -> Difference:
-    """How the believed rig and all records differ; `residual` is that of the record that validates.
+    """Difference of the nominal rig and all records; `residual` is that of the record that validates.
 
     Contact parameters are looked at unless the rest is certain of a difference that is not bounded.
     """

@@ -13,7 +13,7 @@ from rig.model.modes import modes_of, modes_wanted
 
 
 def have_levels(levels_n: Sequence[float]) -> bool:
-    """Whether the forces are of more than one level, not within `LEVEL` of each other."""
+    """True if the forces are of more than one level, not within `LEVEL` of each other."""
     return min(levels_n) > 0 and max(levels_n) > LEVEL * min(levels_n)
 
 

@@ -74,7 +74,7 @@ class NullReference(msgspec.Struct, frozen=True):
 
     @property
     def statistics(self) -> Float[np.ndarray, "simulations 3"]:
-        """Of every null simulation -2 ln p without the contacts' part, that part, and that of the worst band."""
+        """Statistics of every null simulation: -2 ln p less the contacts' part, that part, the worst band's."""
         return np.array([[n.minus_two_log - n.law, n.law, n.peak] for n in self.simulations])
 
     @property
@@ -83,12 +83,12 @@ class NullReference(msgspec.Struct, frozen=True):
         return tuple(n.prediction for n in self.simulations if n.prediction is not None)
 
     def by_chance(self, figure: str) -> float:
-        """How far nineteen of twenty null simulations lie from their mean at most, in the figure's unit."""
+        """95 % prediction half-width of a figure under the null, in its unit."""
         values = np.array([n.figures[figure] for n in self.simulations])
         return float(student.ppf(0.975, values.size - 1) * np.sqrt(1 + 1 / values.size) * values.std(ddof=1))
 
     def usual_shares(self) -> Float[np.ndarray, " bands"]:
-        """By band: the share that nineteen of twenty null simulations stay below."""
+        """Shares by band that 95 % of null simulations stay below."""
         common = min(len(n.shares) for n in self.simulations)  # the bands of a record end where its force does
         rows = np.array([n.shares[:common] for n in self.simulations])
         beyond = student.ppf(0.95, len(rows) - 1) * np.sqrt(1 + 1 / len(rows))
@@ -144,7 +144,7 @@ def null_reference_of(
     simulations: int = NULL_SIMULATIONS,
     predict: Predict | None = None,
 ) -> NullReference:
-    """That of a recording's rig, length and force, from the file `kept` if that holds it; else made, and kept.
+    """Null reference of a recording's rig, length and force, read from the file `kept`, or made and kept.
 
     Each null simulation is also predicted from its measured states, if a predictor is given. Of a folder it is the
     file named after the key, so that many rigs and levels have theirs in one.
@@ -185,7 +185,7 @@ def null_reference_of(
 
 
 def is_impulsive(force_n: Float[np.ndarray, " samples"]) -> bool:
-    """Whether a force is a hammer's, or none: then it is taken as it is; noise of its spectrum is another test."""
+    """True of a hammer's force, or of none: it is taken as it is, as noise of its spectrum is another test."""
     energy = np.cumsum(np.sort(force_n**2)[::-1])
     return bool(np.searchsorted(energy, MOST * energy[-1]) < BLOWS * force_n.size)
 
@@ -208,7 +208,7 @@ def _instrumented(
     force_gain: float,
     rng: np.random.Generator,
 ) -> Recording:
-    """With noise and gains of the force channels, which the simulator does not know."""
+    """Recording with noise and gains of the force channels, which the simulator does not know."""
     group = made.signals["force"]
     values = group.values + force_noise_n[:, None] * rng.standard_normal(group.values.shape)
     values = values * (1 + force_gain * rng.standard_normal((len(values), 1)))
@@ -267,7 +267,7 @@ def null_key(
 
 
 def _read(path: Path) -> tuple[NullReference, ...]:
-    """What the file holds, as far as it is as it was written; a damaged one is made anew.
+    """Null references of a file, as far as it is undamaged; damaged ones are made anew.
 
     Raises RigError if it cannot be read, or is a file of something else, which is not to be lost.
     """

@@ -17,7 +17,7 @@ UNTOLD = "unknown strength"
 
 
 def phrase(part: Candidate, values: Float[np.ndarray, " parameters"], rig: Rig, told: bool = True) -> str:
-    """What an effect is, with its values in the rig that it is in; without its strength where that is not told."""
+    """Phrase for an effect with its values in a rig; without its strength where that is not determined."""
     said = {
         p.name: _value(p, float(value)) if told or p.neutral is None else UNTOLD
         for p, value in zip(part.parameters, values, strict=True)

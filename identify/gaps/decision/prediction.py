@@ -1,4 +1,4 @@
-"""Whether the rig with the named effects moves as the machine does: it may veto an explanation, and never gives one."""
+"""Veto by prediction: the rig with the named effects has to move as the machine does."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace

@@ -21,7 +21,7 @@ from rig.recording import Recording
 
 @dataclass(frozen=True)
 class Simulator:
-    """What simulates a rig under a measured force, and its name; what predicts it from measured states, if known."""
+    """Simulator of a rig under a measured force, its name, and the predictor from measured states, if there is one."""
 
     name: str
     simulate: Simulate
@@ -54,7 +54,7 @@ class PreparedRecording:
 
     @property
     def force_rms_n(self) -> float:
-        """Of all forces together."""
+        """Rms of all forces together, N."""
         return float(np.sqrt(np.sum(np.var(self.recording.forces_n, axis=1))))
 
 
@@ -75,7 +75,7 @@ class Prepared:
 
     @property
     def null_reference(self) -> NullReference:
-        """That of the record that validates."""
+        """Null reference of the record that validates."""
         return self.null_references[self.validating]
 
     @property
@@ -88,12 +88,12 @@ class Prepared:
 
     @property
     def searched(self) -> PreparedRecording:
-        """That of the strongest force among those that are fitted."""
+        """Recording of the strongest force among those that are fitted."""
         return max(self.fitted, key=lambda one: one.force_rms_n)
 
     @property
     def several(self) -> bool:
-        """Whether more than one is fitted."""
+        """True if more than one recording is fitted."""
         return len(self.observations) > 2
 
     @property

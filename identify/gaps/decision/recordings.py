@@ -60,7 +60,7 @@ def _check_shaken(rig: Rig) -> None:
 
 
 def _same(one: Recording, other: Recording) -> bool:
-    """Whether two recordings hold the same samples."""
+    """True if two recordings hold the same samples."""
     return all(np.array_equal(s.values, other.signals[name].values) for name, s in one.signals.items())
 
 

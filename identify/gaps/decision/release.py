@@ -36,7 +36,7 @@ def released(measured: Recording, simulate: Simulate) -> Simulate:
         return _unforced(part_of(simulate(rig, actual, forces_n, seed), slice(begin, begin + samples)))
 
     def scaled(half_sine: int) -> tuple[float, Float[np.ndarray, " blow"]]:
-        """How far the parts' levels lie apart, and the blow."""
+        """Distance of the parts' levels, and the blow."""
         blow_n = measured.rig.body(measured.rig.forces[0].body).mass_kg * np.sin(
             np.pi * np.arange(half_sine) / half_sine
         )

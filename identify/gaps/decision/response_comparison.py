@@ -55,7 +55,7 @@ def compared(
 
 @dataclass(frozen=True)
 class _Observed:
-    """What is compared of one run; spectra are those of the last sensor, and of it by each force.
+    """Quantities compared of one run; spectra are those of the last sensor, and of it by each force.
 
     The relative displacements begin when the force does: the rest before it would be a peak of the histogram.
     """
@@ -83,7 +83,7 @@ def _observed(run: Recording, linearization: Linearization) -> _Observed:
 
 
 def _spectrum(measured: Recording, observed: list[_Observed]) -> Curve:
-    """Of the last sensor."""
+    """Spectrum of the last sensor."""
     last, keep, rate = measured.rig.sensors[-1], slice(1, CURVE_POINTS), measured.rig.sample_rate_hz
     hz = np.fft.rfftfreq(int(SEGMENT_S * rate), 1 / rate)
     return Curve(
@@ -129,6 +129,6 @@ def _h1(
 def _three(
     rows: Iterable[Float[np.ndarray, " points"]],
 ) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
-    """Of the measured, the believed and the corrected."""
+    """Values of the measured, the nominal and the corrected run."""
     measured, believed, corrected = (tuple(row.tolist()) for row in rows)
     return measured, believed, corrected

@@ -138,7 +138,7 @@ def _them(cause: Cause) -> str:
 
 
 def _removes(gap: Diagnosis) -> str:
-    """What the named effects remove of the mismatch."""
+    """Clause on what the named effects remove of the mismatch."""
     cause = gap.causes[0]
     verb = "removes" if len(cause.named) == 1 else "remove"
     if _is_hidden(gap):
@@ -178,7 +178,7 @@ def _bounds(quantities: tuple[Bounded, ...]) -> str:
 
 
 def _not_seen(gap: Diagnosis) -> list[str]:
-    """What the records neither bound nor show, and what would show it."""
+    """Clause on what the records neither bound nor show, and on what would show it."""
     said = []
     for one in gap.not_seen:
         what = quantity(one)
@@ -187,7 +187,7 @@ def _not_seen(gap: Diagnosis) -> list[str]:
 
 
 def _looks(gap: Diagnosis, what: str) -> str:
-    """What an unmeasured force tells of the difference, or of its rest, and how much of it where that is not most."""
+    """Clause on an unmeasured force that describes the difference, or its rest, and its share if that is small."""
     if gap.unknown is None or gap.unknown.explained < LEAST:
         return f"{what} has no form that was recognised."
     if gap.unknown.explained >= MOST:
@@ -197,7 +197,7 @@ def _looks(gap: Diagnosis, what: str) -> str:
 
 
 def _alternatives(gap: Diagnosis) -> list[str]:
-    """What may stand in the place of an effect that is named."""
+    """Clause on what may stand in the place of a named effect."""
     return [f"These records hardly tell {words} from {joined(others, 'or')}." for words, others in alternatives(gap)]
 
 

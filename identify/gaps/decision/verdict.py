@@ -78,12 +78,12 @@ class Decision:
 
     @property
     def helps(self) -> bool:
-        """Whether effects are named that correct the rig."""
+        """True if effects are named that correct the rig."""
         return self.verdict in HELPS and bool(self.evidence.named) and not self.evidence.vetoed
 
     @property
     def likeliest_rig(self) -> Rig | None:
-        """With the named effects and what was fitted beside them, whatever the verdict."""
+        """Rig with the named effects and what was fitted beside them, whatever the verdict."""
         return self.named.corrected if self.named else None
 
     @property
@@ -92,12 +92,12 @@ class Decision:
 
     @property
     def after(self) -> Misfit:
-        """What is left with the named effects."""
+        """Misfit with the named effects."""
         return self.named.misfit if self.named else self.nothing.misfit
 
     @property
     def left_to_describe(self) -> Misfit:
-        """What the named effects leave if they explain a part, else what the nominal rig leaves."""
+        """Misfit of the named effects if they explain a part, else of the nominal rig."""
         return self.after if self.verdict == Verdict.PARTLY_EXPLAINED else self.nothing.misfit
 
 
@@ -109,7 +109,7 @@ def decided(
     rivals: Rivals | None = None,
     vetoed: bool = False,
 ) -> Decision:
-    """From hypotheses judged on the validation record, likeliest first.
+    """Decision by hypotheses judged on the validation record, likeliest first.
 
     Something unmeasured is a rival of effects; as their companion, it makes them as likely as they are alone or with
     it. Where the records differ from the nominal rig and the one that validates alone does not show it, it tells too
@@ -204,7 +204,7 @@ def acts_where_they_do(force: ForcePlace, believed: Rig, rig: Rig) -> bool:
 
 
 def _log_posterior(log_prior: float, cost: float | None) -> float:
-    """With an unmeasured force, which may be at any of `UNKNOWN_PLACES`; without any: impossible."""
+    """Log posterior of an unmeasured force, which may be at any of `UNKNOWN_PLACES`; without any: impossible."""
     if cost is None:
         return -np.inf
     return log_prior + float(np.log(PRIOR_UNKNOWN / UNKNOWN_PLACES)) - cost / (2 * TEMPERATURE)

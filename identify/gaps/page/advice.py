@@ -1,4 +1,4 @@
-"""What to do next, in concrete sentences by verdict."""
+"""Next steps, in concrete sentences by verdict."""
 
 import math
 
@@ -28,7 +28,7 @@ _BY_DEPENDENCE = {
 
 
 def next_steps(gap: Gap) -> list[str]:
-    """What a reader of the diagnosis does now, most useful first."""
+    """Next steps of a reader of the diagnosis, most useful first."""
     by_verdict = {
         Verdict.CONSISTENT: _consistent,
         Verdict.CANNOT_TELL: _cannot_tell,
@@ -83,7 +83,7 @@ def _consistent(gap: Gap) -> list[str]:
 
 
 def _cannot_tell(gap: Gap) -> list[str]:
-    """What would show each thing that was not seen."""
+    """Steps that would show what was not seen."""
     remedies = dict.fromkeys(capital(one.remedy) for one in gap.not_seen if one.remedy)
     steps = [f"{remedy}, and diagnose again." for remedy in remedies]
     return [
@@ -146,7 +146,7 @@ def _rest(gap: Gap) -> list[str]:
 
 
 def _where_to_look(unknown: UnmeasuredForce) -> list[str]:
-    """Where, and what to measure there."""
+    """Place, and what to measure there."""
     if unknown.explained < LEAST:
         return []
     if unknown.explained < MOST:
@@ -191,7 +191,7 @@ def _what(unknown: UnmeasuredForce) -> str:
 
 
 def place(unknown: UnmeasuredForce) -> str:
-    """Such as "the barrel near 0.89 m"."""
+    """Place in words, such as "the barrel near 0.89 m"."""
     at = f"the {unknown.body} near {unknown.position_m or 0.0:.2f} m"
     if unknown.against_body:
         return f"{at} and the {unknown.against_body} near {unknown.against_position_m or 0.0:.2f} m"

@@ -1,4 +1,4 @@
-"""Where the gap lies, in pictures: by channel, modal equation, station, band, time, contact state and motion."""
+"""Pictures of where the mismatch lies: by channel, modal equation, station, band, time, contact state and motion."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial

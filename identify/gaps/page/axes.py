@@ -1,4 +1,4 @@
-"""What the pictures of a diagnosis share: bars, plain numbers along axes."""
+"""Axes that the pictures of a diagnosis share: bars, plain numbers."""
 
 from collections.abc import Sequence
 from typing import Any

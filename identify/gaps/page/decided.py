@@ -1,4 +1,4 @@
-"""How the verdict was decided, as a section of gap.html: the row of the table, what matters, names, the prediction."""
+"""Section of gap.html on the decision: the row of the table, what matters, names, the prediction."""
 
 from html import escape
 

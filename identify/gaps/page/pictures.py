@@ -23,7 +23,7 @@ _WIDE_IN, _WIDTH_IN, _ROW_IN, _FRAME_IN, _HEIGHT_IN = 7.2, 4.8, 0.3, 1.0, 3.2
 
 
 def pictures(gap: Gap, rig: Rig) -> dict[str, Picture]:
-    """By name, which begins with the section: next, large, why, unknown, where or far.
+    """Pictures by name, which begins with the section: next, large, why, unknown, where or far.
 
     What the diagnosis lacks is left out; the rig gives the bodies that an unknown force is drawn on.
     """
@@ -70,7 +70,7 @@ def _bands(figure: Any, gap: Gap) -> None:
 
 
 def _probability(figure: Any, gap: Gap) -> None:
-    """Of the likeliest causes, of the others together, of no gap and of something unknown: they sum to one."""
+    """Probabilities of the likeliest causes, the others together, none, and something unknown: they sum to one."""
     shown, rest = gap.causes[:MOST_CAUSES], gap.causes[MOST_CAUSES:]
     rows = [(stacked(cause_name(c)), c.probability) for c in shown]
     if rest:
@@ -99,7 +99,7 @@ def _closes(figure: Any, gap: Gap) -> None:
 
 
 def _experiments(figure: Any, gap: Gap) -> None:
-    """By how much each further recording is expected to raise the odds of the true one of two causes."""
+    """Expected gain by each further recording in the odds of the true one of two causes."""
     shown = gap.next_experiments
     sizes = [e.log_odds for e in shown]
     names = [e.words + " (reference)" * (e.words == AGAIN) for e in shown]

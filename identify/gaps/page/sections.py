@@ -104,7 +104,7 @@ def between_records(between: Between) -> str:
 
 
 def unknown_force(unknown: UnmeasuredForce) -> str:
-    """What is found of it, as a sentence and a table."""
+    """Section on an unmeasured force: a sentence and a table."""
     said = unknown.sentence[:1].upper() + unknown.sentence[1:]
     rows: list[tuple[str, str]] = [("what", _KINDS[unknown.kind])]
     if unknown.body is not None:
@@ -205,7 +205,7 @@ def _shares(left: Left) -> list[str]:
 
 
 def _chance(rig: str, left: Left) -> str:
-    """What the p-value says."""
+    """Sentence on the p-value."""
     what = "what" if left.p_value >= USUAL else "more than"
     alone = f"alone they leave as much in {percent(left.p_value)} of all cases (p-value)"
     return f"{rig} leaves {what} tolerances and noise explain: {alone}."

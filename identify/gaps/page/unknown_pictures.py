@@ -37,7 +37,7 @@ def drawn(unknown: UnmeasuredForce, rig: Rig) -> Iterator[tuple[str, float, Call
 
 
 def left_ends_m(rig: Rig) -> dict[str, float]:
-    """Where each body begins, along the first: so that stations that touch lie one above the other."""
+    """Left end of each body along the first, m: stations that touch lie one above the other."""
     ends: dict[str, float] = {}
     for body in rig.bodies:
         touching = [

@@ -64,7 +64,7 @@ class Beginning:
 
     @property
     def left_out_s(self) -> tuple[float, float]:
-        """At the beginning and at the end."""
+        """Seconds left out at the beginning and at the end."""
         rings = not self.free and (self.contacts or not self.from_the_blow)
         at_end_s = min(LEFT_OUT_S, SHARE_LEFT_OUT * self.duration_s) if rings else FADED * self.faded_s
         if self.quiet:
@@ -149,7 +149,7 @@ def is_free(rig: Rig, body: str) -> bool:
 
 
 def decayed_s(rows: Float[np.ndarray, "sensors times"], rate_hz: float) -> float:
-    """When the last second ends in which the rig still moves, s; raises RigError if it never does."""
+    """End of the last second in which the rig still moves, s; raises RigError if it never does."""
     second = max(1, round(min(1.0, rows.shape[1] / rate_hz / 4) * rate_hz))
     whole = rows.shape[1] // second
     power = (rows[:, : whole * second] ** 2).sum(axis=0).reshape(whole, second).mean(axis=1)

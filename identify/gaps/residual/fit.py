@@ -67,7 +67,7 @@ class NormalEquations:
     """What the contacts' own unknowns alone lower the cost by."""
 
     def promised(self, step: Float[np.ndarray, " global"]) -> float:
-        """What a step lowers the cost by, were the residual linear."""
+        """Decrease of the cost by a step, were the residual linear."""
         return float(self.without + 2 * self.gradient @ step - step @ self.matrix @ step)
 
     def unknowns(self, step: Float[np.ndarray, " global"]) -> list[Float[np.ndarray, " _"]]:
@@ -76,7 +76,7 @@ class NormalEquations:
 
 
 def derivative(linearization: Linearization, moved: Rig, at: Residual) -> Column:
-    """What another rig, which differs by little, takes off the linear and the contact residuals.
+    """Decrease of the linear and the contact residuals by a rig that differs by little.
 
     Another law is evaluated. Another linear model changes the contact forces and the relative displacements, of which
     the law at hand takes its slope. The contact forces are projected out with the weights of the rig at hand (Kaufman,
@@ -119,7 +119,7 @@ def _by_motion(
     less_force_n: Float[np.ndarray, "contacts times"],
     less_eta_m: Complex[np.ndarray, "contacts lines"],
 ) -> list[Float[np.ndarray, " _"]]:
-    """What smaller contact forces and relative displacements take off the contact residuals, by the laws' slopes."""
+    """Decrease of the contact residuals by smaller contact forces and relative displacements, by the laws' slopes."""
     less_m = record.sampled(less_eta_m, beyond=False) if np.any(less_eta_m) else None
     found = []
     for j, contact in enumerate(at.contacts):
@@ -162,7 +162,7 @@ class Reduced:
     contacts: tuple[Eliminated, ...]
 
     def with_lines(self) -> "Reduced":
-        """Those in which the lines that stand out count too, for what may explain them."""
+        """Normal equations in which the lines that stand out count too, for what may explain them."""
         at = replace(self.at, quiet=self.at.linear)
         more = self.linearization.columns.products((at.quiet - self.at.quiet).ravel())
         return replace(self, at=at, gradient=self.gradient + more)
@@ -207,7 +207,7 @@ def reduced(linearization: Linearization, at: Residual) -> Reduced:
 
 
 def by_nuisance(linearization: Linearization, at: Residual, contact: int) -> Float[np.ndarray, "_ nuisances"]:
-    """By how much a contact's residual falls with each nuisance parameter."""
+    """Decrease of a contact's residual with each nuisance parameter."""
     weights, one = linearization.seen[contact].weights, at.contacts[contact]
     forces, eta = linearization.columns.contact_n[:, contact].T, linearization.columns.eta_m[:, contact].T
     rows = np.zeros((one.residual.size, len(linearization.columns.parameters)))
@@ -292,7 +292,7 @@ def _step(linearization: Linearization, build: Build, steps: Values, bounds: tup
 
 
 def _along(linearization: Linearization, build: Build, values: Values, step: Values, at: Residual) -> Column:
-    """What a step takes off the residuals; where sharp modes ring, from two rigs, 2 r(x) - r(2 x) / 2.
+    """Decrease of the residuals by a step; where sharp modes ring, from two rigs, 2 r(x) - r(2 x) / 2.
 
     A shift by a part of a resonance's width is bent, and what is bent nuisance parameters would not take up.
     """
@@ -329,7 +329,7 @@ def bounded(
 
 
 def _cholesky(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """Of products in single precision, whose rounding may hide the priors where a gap is large."""
+    """Cholesky factor of products in single precision, whose rounding may hide the priors where a mismatch is large."""
     for rounding in (0.0, SINGLE):
         with suppress(np.linalg.LinAlgError):
             return np.asarray(np.linalg.cholesky(matrix + rounding * np.diag(np.diag(matrix))))

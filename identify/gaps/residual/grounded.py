@@ -17,7 +17,7 @@ Motions = Complex[np.ndarray, "sensors lines"]
 def ground_forces(
     record: Record, rig: Rig, responses: tuple[Response, ...], places: list[Station | None], displacements: Motions
 ) -> list[tuple[Station, Spectrum]]:
-    """Where each spring and damper pushes the rig, and with which force: -k3 w^3, or -c v - F tanh(v / v0)."""
+    """Forces of springs and dampers to the ground, each with its place: -k3 w^3, or -c v - F tanh(v / v0)."""
     springs, dampers = _bending(rig), rig.dampers
     moved = displaced_at(responses, places, springs, displacements)
     moving = displaced_at(responses, places, dampers, _velocities(record, displacements))
@@ -63,12 +63,12 @@ def ground_force_changes(
 
 
 def pushed_by_motion(rig: Rig) -> bool:
-    """Whether forces to the ground are had from the measured motion."""
+    """True if forces to the ground follow from the measured motion."""
     return bool(_bending(rig) or rig.dampers)
 
 
 def needs_every_line(rig: Rig) -> bool:
-    """Whether forces to the ground mix frequencies, so that a selection of a record's lines does not tell them."""
+    """True if forces to the ground mix frequencies, so that a selection of a record's lines does not tell them."""
     return bool(_bending(rig)) or any(d.friction_n for d in rig.dampers)
 
 
@@ -88,7 +88,7 @@ def displaced_at(
 
 
 def _often(record: Record) -> int:
-    """So many times the record's own rate is fine enough for a friction force."""
+    """Multiple of the record's rate that is fine enough for a friction force."""
     return max(3, oversampling(record.rate_hz))
 
 

@@ -51,12 +51,12 @@ class ContactSignals:
     spring_n_per_m: float
 
     def low_passed(self, law: Callable[..., Results], *signals: Signal) -> Float[np.ndarray, "*rows times"]:
-        """What a law makes of signals at the recording's rate, at the rate of the force."""
+        """Law evaluated on signals at the recording's rate, low-passed to the rate of the force."""
         return evaluated(law, np.stack(signals), self.sample_rate_hz, self.factor)
 
 
 def contact_signals_of(record: Record, model: Linear) -> tuple[ContactSignals, ...]:
-    """What every contact's law is to be laid against."""
+    """Signals of every contact that its law has to explain."""
     eta, rate = record.sampled(model.eta_m), record.sampled(model.eta_m, 1)
     time_s = record.taken.start / record.rate_hz + np.arange(eta.shape[1]) / record.sample_rate_hz
     forces = record.in_time(model.contact_n) + model.holding_n[:, None]
@@ -156,7 +156,7 @@ class ContactResidual:
         return self.signals.low_passed(of, self.eta_m, *_times(self.within, self.signals))
 
     def sloped_n(self, more_m: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " times"]:
-        """What the law makes of a little more relative displacement, by its slope."""
+        """Change of the law's force by a small relative displacement, by its slope."""
 
         def of(eta: Signal, more: Signal, *time_s: Signal) -> Signal:
             return np.asarray(self._tangents(eta, *time_s).sum(axis=0) * more)
@@ -173,7 +173,7 @@ class ContactResidual:
 
     @cached_property
     def damped_n(self) -> Float[np.ndarray, "laws times"]:
-        """What one tolerance of each damping adds to the force."""
+        """Change of the force by one tolerance of each damping."""
         *_, damping_s = self.seen.trusted
 
         def of(eta: Signal, rate: Signal, *time_s: Signal) -> Results:
@@ -189,7 +189,7 @@ class ContactResidual:
 
     @property
     def pulls(self) -> Float[np.ndarray, " pulls"]:
-        """Of clearance, stiffness and damping of each contact: how many tolerances they are off."""
+        """Pulls of clearance, stiffness and damping of each contact, in tolerances."""
         return self.unknowns[self.seen.tolerances]
 
     @property
@@ -220,7 +220,7 @@ class ContactResidual:
 
     @cached_property
     def columns(self) -> csr_matrix:
-        """By how much the residual falls with each unknown."""
+        """Decrease of the residual with each unknown."""
         weights, curve = self.seen.weights, self.seen.curve
         by_clearance, by_stiffness, _ = self.seen.trusted
         rows = []
@@ -305,7 +305,7 @@ def damped_n(law: ContactLaw, more: float, eta_m: Signal, rate_m_per_s: Signal, 
 def more_n(
     law: ContactLaw, eta_m: Signal, rate_m_per_s: Signal | float, time_s: Signal | float = 0.0, **numbers: float
 ) -> Signal:
-    """What the force gains where numbers that it is proportional to grow by so much."""
+    """Increase of the force where numbers that it is proportional to grow by these shares."""
     more = changed(law, **{name: getattr(law, name) + by for name, by in numbers.items()})
     return more.force_n(eta_m, rate_m_per_s, time_s) - law.force_n(eta_m, rate_m_per_s, time_s)
 
@@ -329,7 +329,7 @@ def _beside(
 
 
 def _beyond(pulls: Float[np.ndarray, " pulls"]) -> Float[np.ndarray, " pulls"]:
-    """How far the law's tolerances are beyond their limits."""
+    """Excess of the law's tolerances beyond their limits."""
     return np.asarray(pulls - np.clip(pulls, -LIMIT, LIMIT))
 
 

@@ -46,12 +46,12 @@ class Reference:
 
     @property
     def has_signal(self) -> Bool[np.ndarray, "bands sensors"]:
-        """Where more than half of the power is no noise."""
+        """Mask of bands and sensors of which more than half the power is no noise."""
         return self.noise < NOISY * self.power
 
 
 def reference_of(linearization: Linearization) -> Reference:
-    """From a linearisation at the scales that the tolerances state."""
+    """Reference by a linearisation at the scales that the tolerances state."""
     record = linearization.record
     bands = second_levels(record, np.zeros((len(record.sensors), record.taken.stop - record.taken.start))).shape[1]
     usual, noise, power = (
@@ -63,7 +63,7 @@ def reference_of(linearization: Linearization) -> Reference:
 
 @dataclass(frozen=True)
 class Misfit:
-    """What a rig leaves of a record, second by second.
+    """Misfit of a rig to a record, second by second.
 
     left is the variance of the linear residual (as `Reference.usual`), measured what it is in the sensors' unit as a
     share of that, as variances change within a band (`scales.measured_levels`), contact_left the square of each
@@ -85,7 +85,7 @@ class Misfit:
 
     @property
     def levels(self) -> Float[np.ndarray, "bands sensors"]:
-        """Of the linear residual: 1 where noise and tolerated shares alone are left."""
+        """Levels of the linear residual: 1 where noise and tolerated shares alone are left."""
         return np.asarray(self.left.mean(axis=0) / self.reference.usual)
 
     @property
@@ -160,7 +160,7 @@ class Misfit:
         return np.asarray(np.sqrt(left / np.maximum(self.force_n2.mean(axis=0), 1e-300)))
 
     def drawn(self, seconds: Int[np.ndarray, " seconds"]) -> "Misfit":
-        """Of some seconds of the record: for a bootstrap."""
+        """Misfit of some seconds of the record: for a bootstrap."""
         return replace(
             self,
             left=self.left[seconds],
@@ -171,7 +171,7 @@ class Misfit:
 
 
 def misfit(record: Record, reference: Reference, at: Residual) -> Misfit:
-    """What a fitted residual leaves, whatever scales it was fitted at."""
+    """Misfit of a fitted residual, whatever scales it was fitted at."""
     levels = second_levels(record, at.linear)
     seconds, bands = levels.shape[:2]
     usual = by_band(record, at.model.deviation**2, bands)

@@ -71,7 +71,7 @@ class Linear:
 
     @cached_property
     def projection(self) -> Projection:
-        """Of what the sensors deliver."""
+        """Projection of what the sensors deliver."""
         return projection(self.by_input, self.deviation, len(self.rig.contacts))
 
     @property
@@ -86,7 +86,7 @@ class Linear:
 
     @cached_property
     def accelerations(self) -> Complex[np.ndarray, "sensors lines"]:
-        """What the sensors show, and of a free motion what they do not."""
+        """Accelerations that the sensors show, and of a free motion those that they do not."""
         shown = self.record.delivered / self.sensor_response
         return np.asarray(shown + sum((m.not_shown for m in self.free), np.zeros_like(shown)))
 
@@ -124,7 +124,7 @@ class Linear:
         return moved * self.record.twice_integrated
 
     def _missed(self, response: Response, places: list[Station | None]) -> Float[np.ndarray, "contacts modes"]:
-        """How the modes enter the relative displacements beyond what the sensors tell of them."""
+        """Mode shapes in the relative displacements beyond what the sensors tell of them."""
         return across(self.rig, response) - _across_weights(self.rig, response, places) @ response.shapes(places)
 
     @cached_property
@@ -205,7 +205,7 @@ def linear_model(
 
 
 def sensor_response_of(record: Record, rig: Rig) -> Complex[np.ndarray, "sensors lines"]:
-    """What each sensor makes of an acceleration: its gain, delay and high-pass."""
+    """Response of each sensor to an acceleration: gain, delay and high-pass."""
     named, omega = {s.name: s for s in rig.sensors}, record.omega
     found = np.empty((len(record.sensors), omega.size), dtype=complex)
     for row, sensor in zip(found, record.sensors, strict=True):
@@ -214,7 +214,7 @@ def sensor_response_of(record: Record, rig: Rig) -> Complex[np.ndarray, "sensors
 
 
 def places_of(record: Record, rig: Rig) -> list[Station | None]:
-    """Where the rig has the record's sensors."""
+    """Places of the record's sensors in the rig."""
     named = {s.name: s for s in rig.sensors}
     return [named[s.name].station for s in record.sensors]
 
@@ -295,7 +295,7 @@ def _holding(rig: Rig, responses: tuple[Response, ...]) -> Float[np.ndarray, " c
 def ground_spring_correction(
     record: Record, model: Linear, displaced: Complex[np.ndarray, "sensors lines"]
 ) -> Complex[np.ndarray, "sensors lines"]:
-    """What the sensors give beside, as springs and dampers to the ground are displaced less than the sensors say."""
+    """Correction of the signals, as springs and dampers to the ground are displaced less than the sensors say."""
     places: list[Station | None] = [s.station for s in record.sensors]
     less = ground_force_changes(
         record, model.rig, model.responses, places, record.displaced / model.sensor_response, displaced
@@ -306,7 +306,7 @@ def ground_spring_correction(
 def delivered_by(
     model: Linear, places: list[Station | None], forces: Sequence[tuple[Station, Complex[np.ndarray, " lines"]]]
 ) -> Complex[np.ndarray, "sensors lines"]:
-    """What sensors at some places deliver of forces at others."""
+    """Signals that sensors at some places deliver of forces at others."""
     found = np.zeros(model.sensor_response.shape, dtype=complex)
     for station, force_n in forces:
         for r in model.responses:

@@ -67,7 +67,7 @@ def sharpest(rows: Rows, count: int, around: float, repeats: float = 0.0) -> Flo
 
 
 def _of_force(lines: Float[np.ndarray, " lines"], times: int, repeats: float) -> Bool[np.ndarray, " lines"]:
-    """Which lines are at multiples of the frequency at which the force repeats, per sample."""
+    """Mask of lines at multiples of the frequency at which the force repeats, per sample."""
     if not repeats:
         return np.zeros(lines.size, dtype=bool)
     apart = repeats * times

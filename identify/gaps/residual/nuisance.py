@@ -46,15 +46,15 @@ class Columns:
 
     @property
     def flat(self) -> Float[np.ndarray, "nuisances all"]:
-        """Those of the residual, row after row."""
+        """Columns of the residual, row after row."""
         return self.residual.reshape(len(self.parameters), -1)
 
     def along(self, nuisance: Float[np.ndarray, " nuisances"]) -> Float[np.ndarray, "rows times"]:
-        """What nuisance parameters take off the linear residual."""
+        """Decrease of the linear residual by nuisance parameters."""
         return (nuisance.astype(self.residual.dtype) @ self.flat).reshape(self.residual.shape[1:])
 
     def products(self, residuals: Float[np.ndarray, "*some all"]) -> Float[np.ndarray, "nuisances *some"]:
-        """With residuals, each row after row."""
+        """Products with residuals, each row after row."""
         return (self.flat @ residuals.T.astype(self.residual.dtype, copy=False)).astype(float)
 
 
@@ -98,7 +98,7 @@ def _of_free_motion(record: Record, model: Linear, change: Change) -> Change:
 def _projected(
     record: Record, model: Linear, projection: Projection, change: Change
 ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
-    """With what the springs do whose displacement is not the measured one."""
+    """Projected change, with that of springs whose displacement is not the measured one."""
     if change.displaced is None or not pushed_by_motion(model.rig):
         return projection.of(change.delivered, change.sensors)
     displaced, delivered = np.zeros_like(model.sensor_response), np.zeros_like(model.sensor_response)

@@ -1,4 +1,4 @@
-"""What a record says of its contacts, whatever their laws: when they are closed, how exactly their forces are known."""
+"""Observation of contacts, whatever their laws: when they are closed, how exactly their forces are known."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +22,7 @@ EDGE = 8
 
 @dataclass(frozen=True)
 class ContactObservation:
-    """What a record says of one contact, whatever its law: how exactly its force is known, and its slow drift.
+    """Observation of one contact, whatever its law: how exactly its force is known, and its slow drift.
 
     trusted are the standard deviations of clearance and stiffness (relative) and of damping over stiffness (s).
     """
@@ -35,7 +35,7 @@ class ContactObservation:
 
     @property
     def tolerances(self) -> slice:
-        """Where the law's own tolerances stand among a contact's unknowns: behind the knots of the drift."""
+        """Slice of the law's tolerances among a contact's unknowns: behind the knots of the drift."""
         return slice(self.curve.knots, None)
 
     @property
@@ -47,7 +47,7 @@ class ContactObservation:
 def seen_contacts(
     record: Record, model: Linear, laws: Sequence[JoinedLaw], levels: Sequence[float]
 ) -> tuple[ContactObservation, ...]:
-    """What the record says of its contacts, by the linear model and the laws of the rig that is believed.
+    """Observations of a record's contacts, by the linear model and the laws of the nominal rig.
 
     levels are the variances of the contact residuals, in units of what noise and unmodelled share make of them.
     """
@@ -89,12 +89,12 @@ def seen_contacts(
 def is_closed(
     force_n: Float[np.ndarray, " times"], open_n: float | Float[np.ndarray, " times"]
 ) -> Bool[np.ndarray, " times"]:
-    """Whether a contact is closed: its force exceeds the error of an open one, open_n, and a share of its rms."""
+    """Mask of a closed contact: its force exceeds the error of an open one, open_n, and a share of its rms."""
     return np.abs(force_n) > np.maximum(CLOSED * open_n, STRUCK * np.sqrt(np.mean(force_n**2)))
 
 
 def _ringing(record: Record, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
-    """What an ideal low-pass makes, F / (pi n) after n samples, of a force that is cut off at either end."""
+    """Ringing F / (pi n) that an ideal low-pass makes n samples from where a force is cut off."""
     after = np.arange(force_n.size) + 1.0
     rings = np.max(np.abs(force_n[-EDGE:])) / (np.pi * after[::-1])
     if record.taken.start > 0:

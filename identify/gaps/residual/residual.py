@@ -123,7 +123,7 @@ class Residual:
 
     @property
     def pulls(self) -> Float[np.ndarray, " pulls"]:
-        """Of the nuisance parameters and the contacts' own: (estimate - prior mean) / prior standard deviation."""
+        """Pulls of nuisance parameters and the contacts' own: (estimate - prior mean) / prior standard deviation."""
         return np.concatenate([self.nuisance, *(c.pulls for c in self.contacts)])
 
     @property
@@ -181,7 +181,7 @@ def rescaled(linearization: Linearization, at: Residual) -> Linearization:
 
 
 def scales_at(linearization: Linearization, at: Residual) -> Scales:
-    """Of what no model explains, as a residual shows them."""
+    """Scales of what no model explains, as a residual shows them."""
     return estimated_scales(linearization.record, linearization.scales, at.quiet, at.contact_levels)
 
 
@@ -241,12 +241,12 @@ def residual_of(
 
 
 def same_but_sensors(one: Rig, other: Rig) -> bool:
-    """Whether two rigs differ in their sensors' gains and delays at most, and no force is had from what they show."""
+    """True if two rigs differ in their sensors' gains and delays at most, and no force follows from what they show."""
     return replace(one, sensors=other.sensors) == other and not pushed_by_motion(one)
 
 
 def same_but_laws(one: Rig, other: Rig) -> bool:
-    """Whether two rigs differ in their contact laws at most."""
+    """True if two rigs differ in their contact laws at most."""
     if one is other:
         return True
     laws = tuple(c.law for c in other.contacts)

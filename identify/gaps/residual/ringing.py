@@ -29,7 +29,7 @@ MODES = 12
 
 @dataclass(frozen=True)
 class MeasuredMode:
-    """Of a free decay: frequency and damping ratio, with the relative standard error of each."""
+    """Mode of a free decay: frequency and damping ratio, with the relative standard error of each."""
 
     frequency_hz: float
     damping_ratio: float

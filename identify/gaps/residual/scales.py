@@ -28,7 +28,7 @@ class Scales:
 
 
 def prior_scales(record: Record) -> Scales:
-    """What the tolerances state."""
+    """Scales that the tolerances state."""
     return Scales(np.full(record.noise.shape, record.tolerances.unmodelled), (1.0,) * len(record.drifts))
 
 
@@ -51,7 +51,7 @@ def second_levels(
 def measured_levels(
     record: Record, residual: Float[np.ndarray, "rows times"], deviation: Float[np.ndarray, "sensors lines"], bands: int
 ) -> Float[np.ndarray, "bands sensors"]:
-    """By band, the mean of deviation^2 over the lines in proportion to what the residual has on each.
+    """Mean by band of deviation^2 over the lines, in proportion to what the residual has on each.
 
     Times the residual's level that is its power in the sensors' unit. Where the deviation falls steeply, as below the
     first mode of a held body, its mean over the lines would make what stands on the lowest ones larger than it was.
@@ -104,7 +104,7 @@ def estimated_scales(
     linear: Float[np.ndarray, "rows times"],
     contact_levels: tuple[float, ...],
 ) -> Scales:
-    """From the residuals that a fit under the scales `used` leaves.
+    """Scales by the residuals that a fit under the scales `used` leaves.
 
     With n the noise and P the power of a band, its residual has the variance n + d^2 P; d is that for which it is what
     is seen. Not below the share that the tolerances state. In a free decay d stays: its power stands in sharp lines, so

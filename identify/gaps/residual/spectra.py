@@ -142,12 +142,12 @@ class Record:
 
     @cached_property
     def twice_integrated(self) -> Complex[np.ndarray, " lines"]:
-        """What makes a displacement of an acceleration, high-passed."""
+        """Transfer from an acceleration to a displacement, high-passed."""
         return integrated(self.omega, -2, CORNER_HZ)
 
     @property
     def sample_ratio(self) -> float:
-        """How much more the tolerances weigh than samples do, as model errors last: samples for each that counts."""
+        """Weight of the tolerances over that of a sample, as model errors last: samples for each that counts."""
         return max(1.0, len(self.sensors) * self.rate_hz / COUNTED_HZ)
 
     @property
@@ -204,7 +204,7 @@ class _Transform:
 
     @property
     def omega_beyond(self) -> Float[np.ndarray, " morelines"]:
-        """From the last of the lines to half the sample rate."""
+        """Circular frequencies from the last of the lines to half the sample rate."""
         return 2 * np.pi * self.sample_rate_hz / self.length * np.arange(self.lines - 1, self.length // 2 + 1)
 
     def spectrum(self, signal: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows all"]:

@@ -66,7 +66,7 @@ def tuned_modes(
     parameters: tuple[Nuisance, ...] | None = None,
     nuisance: Float[np.ndarray, " nuisances"] | None = None,
 ) -> TunedModes:
-    """As they were fitted, or as the measured modes of a record ask of the rig; none of a rig with contacts."""
+    """Tuned modes as they were fitted, or as a record's measured modes ask of the rig; none with contacts."""
     if rig.contacts:
         return TunedModes()
     if parameters is not None and nuisance is not None:

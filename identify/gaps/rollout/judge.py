@@ -42,7 +42,7 @@ DRAWS = 400
 def judged(
     recording: Recording, believed: Residual, corrected: Residual, nulls: Sequence[NullErrors], predict: Predict
 ) -> Rollout:
-    """What prediction says of a correction, on the recording of the record to which both rigs were fitted.
+    """Judgement of a correction by prediction, on the recording of the record to which both rigs were fitted.
 
     The believed rig is predicted as it stands, and with what was fitted within its tolerances; the latter is what the
     corrected one, likewise fitted, must not be worse than.
@@ -98,7 +98,7 @@ def _decay(
 
 @dataclass(frozen=True)
 class Paired:
-    """By blocks of 1 s: ln(error of the corrected rig / error of the believed one), and the same if it were right."""
+    """Log ratios by blocks of 1 s: ln(error of corrected rig / error of nominal one), and those if it were right."""
 
     log_ratios: Float[np.ndarray, " blocks"]
     expected: Float[np.ndarray, " blocks"]
@@ -127,14 +127,14 @@ def _means(values: Float[np.ndarray, " all"], blocks: Float[np.ndarray, " all"])
 
 
 def veto(paired: Paired) -> Code:
-    """Whether the corrected rig predicts significantly worse: Student's test over the blocks."""
+    """True if the corrected rig predicts significantly worse: Student's test over the blocks."""
     ratios = paired.log_ratios
     beyond = float(student.ppf(1 - SURE, ratios.size - 1))
     return "worse" if ratios.mean() > max(WORSE, beyond * standard_error(ratios)) else "not_vetoed"
 
 
 def falls_short(paired: Paired) -> bool:
-    """Whether the corrected rig predicts otherwise and not better, though it would if it were right.
+    """True if the corrected rig predicts otherwise and not better, though it would if it were right.
 
     Where both rigs err alike, as two within the tolerances may, that is so too: simulations decide (`confirmed`).
     """
@@ -171,7 +171,7 @@ def confirmed(told: Rollout, simulated: Sequence[float]) -> Rollout:
 
 
 def standard_error(blocks: Float[np.ndarray, " blocks"]) -> float:
-    """Of the mean of values that follow each other: neighbours that resemble each other count for fewer."""
+    """Standard error of the mean of a series: neighbours that resemble each other count for fewer."""
     off = blocks - blocks.mean()
     power = float(off @ off)
     alike = float(np.clip(off[1:] @ off[:-1] / power, 0.0, 0.9)) if power > 0 else 0.0

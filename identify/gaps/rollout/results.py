@@ -1,4 +1,4 @@
-"""What prediction says of a correction: the part `rollout` of gap.json."""
+"""Structure of the part `rollout` of gap.json: prediction by a correction."""
 
 from typing import Literal
 

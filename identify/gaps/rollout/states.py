@@ -40,7 +40,7 @@ EDGE = 16
 
 @dataclass(frozen=True)
 class MeasuredMotion:
-    """What a record shows of the motion at its sensors' stations, read by the chain of one rig.
+    """Motion that a record shows at its sensors' stations, read by the chain of one rig.
 
     displacement and velocity are those of the sensors, with the slow motion; states are displacement and velocity in
     the rig's lowest modes. Everything is right from the sample `first` up to `stop`. orders are those of the sensors'
@@ -164,7 +164,7 @@ def _modes_of(rig: Rig, at: Residual, stations: tuple[Station, ...]) -> _Modes:
 def _shapes(
     body: Body, modes: Modes, count: int, places: Sequence[Station | None]
 ) -> Float[np.ndarray, "places modes"]:
-    """Of the lowest modes; zero at places on other bodies and on the ground."""
+    """Shapes of the lowest modes; zero at places on other bodies and on the ground."""
     rows = np.zeros((len(places), count))
     for row, place in zip(rows, places, strict=True):
         if place is not None and place.body == body.name:

@@ -49,7 +49,7 @@ Windows = Float[np.ndarray, "windows stations times"]
 def predicted(
     motion: MeasuredMotion, predict: Predict, first: Int[np.ndarray, " windows"], samples: int
 ) -> tuple[Windows, Windows]:
-    """What the sensors show in each window, and what is predicted of it.
+    """Measured and predicted signals in each window.
 
     Velocities of accelerometers and velocity sensors, displacements of displacement sensors.
     """
@@ -84,7 +84,7 @@ def medians(errors: Windows) -> list[float]:
 
 
 def null_errors(recording: Recording, at: Residual, predict: Predict) -> NullErrors:
-    """Those of a null simulation's recording, to which the believed rig was fitted as `at`.
+    """Prediction errors of a null simulation's recording, to which the nominal rig was fitted as `at`.
 
     Raises RigError if the rig cannot be predicted.
     """

@@ -1,1 +1,1 @@
-"""Which effects, put into the rig, explain the residual of a record."""
+"""Search for effects that, put into the rig, explain the residual of a record."""

@@ -24,7 +24,7 @@ def added(rig: Rig, moved: Rig) -> Rig | None:
 
 
 def attached(linearization: Linearization, moved: Rig, at: Residual) -> Column | None:
-    """What a rig that has springs, dampers, masses or tones more takes off the residuals; None for any other rig.
+    """Decrease of the residuals by added springs, dampers, masses or tones; None for any other change of the rig.
 
     They push with -k w, -m a and so on of the measured w and a, which is exact to first order. Slow changes of the
     relative displacements move the laws by their mean slope around every sample.

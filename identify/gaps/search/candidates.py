@@ -1,4 +1,4 @@
-"""What might cause a gap: every effect of the library, at every place of the rig where it could act."""
+"""Candidates: every effect of the library, at every place of the rig where it could act."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -44,7 +44,7 @@ class Candidate:
 
     @property
     def neutral(self) -> float:
-        """What the strength is without the effect."""
+        """Strength without the effect."""
         return next(p.neutral for p in self.parameters if p.neutral is not None)
 
     @property
@@ -104,7 +104,7 @@ class Candidate:
 
 
 def scale_of(record: Record, rig: Rig) -> Scale:
-    """What the ranges of effects are stated in: the rig, and the record's force (root mean square) and duration.
+    """Scale of effects' ranges: the rig, and the record's force (root mean square) and duration.
 
     In a free decay the inertial force of a body stands for the force, in the mean of what its sensors show.
     """
@@ -145,7 +145,7 @@ def candidates(scale: Scale, sensors: Sequence[str], zero_known: bool, forced: b
 
 
 def joins(candidate: Candidate, rig: Rig) -> bool:
-    """Whether an effect makes sense in a rig."""
+    """True if an effect makes sense in a rig."""
     try:
         candidate.applied(rig, candidate.default)
     except RigError:

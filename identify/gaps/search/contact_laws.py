@@ -63,7 +63,7 @@ class LawOutcomes:
 
 
 def law_outcomes(recording: Recording, rig: Rig, tolerances: Tolerances) -> LawOutcomes:
-    """What a record determines of contacts if its machine has the linear model of `rig`.
+    """Estimates of contacts by a record whose machine has the linear model of `rig`.
 
     What acts unmeasured (a base motion, a tone) is left to the scatter.
     """

@@ -59,7 +59,7 @@ class Hypothesis:
 
     @property
     def cost(self) -> float:
-        """On the record that it was fitted to."""
+        """Cost on the record that it was fitted to."""
         return self.misfit.minus_two_log
 
     @property
@@ -70,7 +70,7 @@ class Hypothesis:
 
     @property
     def at_limit(self) -> bool:
-        """Whether a tolerance stands at its limit."""
+        """True if a tolerance stands at its limit."""
         return bool(np.any(np.abs(self.misfit.pulls) > AT_LIMIT * LIMIT))
 
     def split(self) -> list[Float[np.ndarray, " parameters"]]:
@@ -111,7 +111,7 @@ def _split(parts: Sequence[Candidate], values: Float[np.ndarray, " parameters"])
 
 @dataclass(frozen=True)
 class Search:
-    """What a search on one record shares: linearisation and residual of the believed rig, the variances."""
+    """Data that a search on one record shares: linearisation and residual of the nominal rig, the variances."""
 
     reference: Reference
     linearization: Linearization
@@ -222,7 +222,7 @@ def steps_of(parts: tuple[Candidate, ...]) -> Float[np.ndarray, " parameters"]:
 
 
 def parameters_of(parts: Sequence[Candidate]) -> ParameterSet:
-    """Of several effects, one after the other; each belongs to its part by name."""
+    """Parameters of several effects, one after the other; each belongs to its part by name."""
     return sum((p.parameters.belonging_to(p.name) for p in parts), ParameterSet())
 
 
@@ -257,7 +257,7 @@ def fit_spectrum(context: Search, nothing: Tried, candidate: Candidate) -> Tried
 
 
 def reset_saturated_nuisance(at: Residual) -> Residual:
-    """Where to start with an effect: nuisance parameters that were bent to do without it are straight again.
+    """Residual to start an effect at: nuisance parameters saturated for want of it are reset.
 
     They stay as they are where none is at its limit.
     """

@@ -222,7 +222,7 @@ def local_model(
 def _column(
     linearization: Linearization, at: Residual, candidate: Candidate, start: Float[np.ndarray, " parameters"], k: int
 ) -> Column:
-    """What a step of a candidate's strength takes off the residuals."""
+    """Decrease of the residuals by a step of a candidate's strength."""
     moved = start.copy()
     moved[k] = start[k] + candidate.steps[k]
     rig = candidate.applied(linearization.rig, moved)
@@ -231,7 +231,7 @@ def _column(
 
 
 def _present_columns(linearization: Linearization, at: Residual, rig: Rig, present: Hypothesis) -> Iterator[Column]:
-    """What a step of each parameter of the effects in the rig takes off the residuals."""
+    """Decrease of the residuals by a step of each parameter of the effects in the rig."""
     parts, values = present.parts, present.values
     build = partial(applied, rig, parts)
     steps = steps_of(parts)

@@ -63,5 +63,5 @@ def relinearizations(rig: Rig) -> int:
 
 
 def extra_relinearizations(rig: Rig) -> int:
-    """So many linearisations more, as the resonance of a single mass is no linear matter."""
+    """Count of further linearisations, as the resonance of a single mass is no linear matter."""
     return 3 if any(b.is_mass for b in rig.bodies) else 0

@@ -1,4 +1,4 @@
-"""What every record says of tolerances and of an effect's parameters, and what records of one rig say together.
+"""Information of each record, and of all together, on tolerances and on an effect's parameters.
 
 About where a record was fitted, its -2 ln p is
 
@@ -55,7 +55,7 @@ class Linearised:
     def with_parameters(
         self, build: Callable[[Values], Rig], values: Values, steps: Values, high: Values
     ) -> Information:
-        """What the record says of parameters too; `build` makes the rig at hand of `values`."""
+        """Information of the record with parameters; `build` makes the rig of `values`."""
         signs = np.where(values + steps > high, -FINE, FINE)
         columns = [
             derivative(self.linearization, build(values + signs[i] * move), self.at)
@@ -226,6 +226,6 @@ class _PooledFit:
 
     @property
     def settled(self) -> bool:
-        """Whether no value moves by more than `SETTLED` standard errors."""
+        """True if no value moves by more than `SETTLED` standard errors."""
         errors = np.sqrt(np.diag(self.pooled.covariance))
         return bool(np.all(np.abs(self.pooled.values - self.values) < SETTLED * errors))

@@ -1,4 +1,4 @@
-"""Which effects are worth a fit: by the slope of the cost at what is believed, and over a grid of large values."""
+"""Screening of effects: by the slope of the cost at the nominal rig, and over a grid of large values."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -54,7 +54,7 @@ def score_screening(linearization: Linearization, at: Residual, candidates: Sequ
 
 
 def followed_hz(linearization: Linearization, at: Residual, count: int) -> Float[np.ndarray, " lines"]:
-    """Where a sharp frequency may lie: the lines that stand out most of the linear and the contact residuals."""
+    """Frequencies of the lines that stand out most of the linear and the contact residuals."""
     rows = np.concatenate([at.linear, *(c.residual[None, : at.linear.shape[1]] for c in at.contacts)])
     rate_hz = linearization.record.rate_hz
     return rate_hz * sharpest(rows, count, AROUND_HZ / rate_hz, linearization.record.repeats)
@@ -63,7 +63,7 @@ def followed_hz(linearization: Linearization, at: Residual, count: int) -> Float
 def _looked(
     linearization: Linearization, equations: Reduced, candidate: Candidate, sharp_hz: Sequence[float]
 ) -> list[Screened]:
-    """What the strengths promise from every start, each within its bounds; nothing where the record sees nothing."""
+    """Gains of the strengths from every start, each within its bounds; none where the record sees nothing."""
     strong, at = candidate.parameters.strengths, equations.at
     found = [Screened(candidate, 0.0, candidate.default)]
     starts: list[Float[np.ndarray, " parameters"]] = []
@@ -99,7 +99,7 @@ def _looked(
 
 
 def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]) -> list[Screened]:
-    """By the linear residual alone, over a grid of strengths and places: what is too large for a slope to tell.
+    """Screening by the linear residual over a grid of strengths and places, of what is too large for a slope.
 
     Of effects that change the linear model, where a selection of lines tells it: not of a rig that rubs on the ground.
     """
@@ -132,7 +132,7 @@ def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]
 
 
 def of_laws(rig: Rig, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Those that change contact laws alone."""
+    """Candidates that change contact laws alone."""
     return [c for c in candidates if same_but_laws(rig, c.applied(rig, c.default))]
 
 

@@ -137,7 +137,7 @@ def _by_score(
 
 
 def _rivals(found: Iterable[Tried], before: Tried) -> list[Tried]:
-    """Those that gained about as much as the best one did."""
+    """Fits that gained about as much as the best one."""
     gains = [(before.cost - one.cost, one) for one in found]
     least = max(WORTH / 2, RIVAL * max((gain for gain, _ in gains), default=0.0))
     return [one for gain, one in gains if gain > least]

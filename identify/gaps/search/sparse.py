@@ -228,7 +228,7 @@ def _promising(
 
 
 def _pruned(model: LocalModel, chosen: list[CandidateTerm], solution: Solution) -> tuple[list[CandidateTerm], Solution]:
-    """Without the members that the others have made superfluous."""
+    """Set without the members that the others have made superfluous."""
     for term in chosen[:-1]:
         rest = [other for other in chosen if other is not term]
         without = model.solved(rest, solution.theta)

@@ -33,7 +33,7 @@ class ClearanceModulation:
     share: float
 
     def described(self, contact: Contact) -> UnmeasuredForce:
-        """In the words of gap.json."""
+        """Description in the words of gap.json."""
         size = f"{1e3 * self.amplitude_m:.2g} mm at {self.frequency_hz:.1f} Hz"
         return UnmeasuredForce(
             sentence=f"the clearance of {self.contact} swings by {size}",
@@ -60,7 +60,7 @@ def clearance_modulation(record: Record, at: Residual) -> ClearanceModulation | 
 
 
 def _of(record: Record, name: str, contact: ContactResidual) -> ClearanceModulation | None:
-    """By the periodogram of the samples at which the contact presses, refined about its peak."""
+    """Modulation by the periodogram of the samples at which the contact presses, refined about its peak."""
     weights = contact.seen.weights
     tangent, side, _ = contact.slopes.sum(axis=1)
     pressed = (weights > 0) & (tangent > STEEP * max(float(tangent.max()), 1e-300))

@@ -36,7 +36,7 @@ def described(fit: UnmeasuredForceFit) -> UnmeasuredForce:
 
 
 def _force(fit: UnmeasuredForceFit) -> UnmeasuredForce:
-    """At a place, or between two."""
+    """Description of a force at a place, or between two."""
     located, candidate = fit.on_fit, fit.on_fit.candidate
     history, size = history_of(located), _size(located)
     law = shortest(laws(history), NAMED) if explained_share(located) > DESCRIBED else None
@@ -201,7 +201,7 @@ def _amplitude_n(tone: ForceLaw) -> float:
 
 
 def _sentence(law: ForceLaw | None, size: _Size, timing: _Timing, where: str) -> str:
-    """Such as "a force at 50.0 Hz, 1.4 N, on the cradle near 0.80 m"."""
+    """Sentence such as "a force at 50.0 Hz, 1.4 N, on the cradle near 0.80 m"."""
     if law is None:
         low, high = size.band_hz
         when = {"always": "", "in contact": ", while contacts are closed", "growing with time": ", growing with time"}

@@ -1,4 +1,4 @@
-"""How much better a record is explained with an unmeasured force than without: the criterion J.
+"""Evidence J for an unmeasured force: how much better it explains a record.
 
 With the direction u = g / |g| of a candidate's residual g and its share t = u^H (r - D theta) of the residual,
 
@@ -52,7 +52,7 @@ def left(own: WhitenedRecord, theta: Float[np.ndarray, " columns"]) -> Float[np.
 def normal(
     own: WhitenedRecord, noise: Float[np.ndarray, " bands"]
 ) -> tuple[Float[np.ndarray, "columns columns"], Float[np.ndarray, " columns"]]:
-    """Of theta, at some s, without a candidate."""
+    """Normal equations of theta at some s, without a candidate."""
     matrix = own.count * np.tensordot(1 / noise, own.gram, 1) + np.eye(len(own.parameters))
     return matrix, own.count * (own.crossed.T @ (1 / noise) - own.trace / 2)
 

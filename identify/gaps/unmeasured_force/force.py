@@ -33,11 +33,11 @@ class UnmeasuredForceFit:
 
     @property
     def directions(self) -> int:
-        """How many directions of the residual, of `held.observed.rows`, are free to follow it."""
+        """Count of directions of the residual, of `held.observed.rows`, that are free to follow the force."""
         return 0 if self.on_fit.candidate.kind == "distributed" else 1
 
     def delivered(self) -> Complex[np.ndarray, "sensors alllines"]:
-        """What the sensors of the validation record deliver of it, at its likeliest time history."""
+        """Signals that the sensors of the validation record deliver of the force, at its likeliest time history."""
         own, candidate = self.held.observed, self.held.candidate
         accelerations = np.zeros(own.model.sensor_response.shape, dtype=complex)
         if candidate.kind == "distributed":
@@ -77,7 +77,7 @@ def _held(on_fit: Located, own: WhitenedRecord, on_validation: Located) -> Locat
 
 
 def same_place(one: Located, other: Located) -> bool:
-    """Whether two records show the same."""
+    """True if two records show the same place."""
     a, b = one.candidate, other.candidate
     if (a.kind, a.sensor, a.bodies) != (b.kind, b.sensor, b.bodies):
         return False

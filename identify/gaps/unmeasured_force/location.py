@@ -1,4 +1,4 @@
-"""Where an unmeasured force acts: every place of every body, pairs between two bodies, sensors, a drifting modulus."""
+"""Location of an unmeasured force: places of every body, pairs between bodies, sensors, a drifting modulus."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -53,7 +53,7 @@ class Located:
 
 
 def response_of(own: WhitenedRecord, candidate: ForcePlace) -> Complex[np.ndarray, "lines rows"]:
-    """What a candidate does to the residual per newton; a sensor's per m/s^2."""
+    """Response of the residual to a candidate per newton; to a sensor's per m/s^2."""
     if candidate.kind == "sensor":
         row = [s.name for s in own.record.sensors].index(candidate.sensor)
         only = np.zeros((len(own.record.sensors), own.record.omega.size), dtype=complex)
@@ -116,7 +116,7 @@ def moved(candidate: ForcePlace, by_m: float) -> ForcePlace:
 
 
 def reach_m(rig: Rig, candidate: ForcePlace) -> tuple[float, float]:
-    """How far a candidate may move to either side."""
+    """Reach of a candidate to either side, m."""
     lengths = [rig.body(s.body).length_m for s in candidate.stations]
     return (
         max(-s.position_m for s in candidate.stations),

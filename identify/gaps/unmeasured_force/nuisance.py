@@ -1,4 +1,4 @@
-"""What a laboratory never knows exactly, and a modulus that drifts, as columns of the whitened residual."""
+"""Nuisance parameters, and a modulus that drifts, as columns of the whitened residual."""
 
 import numpy as np
 from jaxtyping import Complex, Float

@@ -73,7 +73,7 @@ class WhitenedRecord:
 
     @property
     def count(self) -> float:
-        """Of the independent real values that a line's complex one stands for."""
+        """Count of the independent real values that a line's complex one stands for."""
         return 2.0 * float(np.sum(self.gate**2)) * self.record.factor / self.record.length
 
     @cached_property
@@ -94,7 +94,7 @@ class WhitenedRecord:
         return np.repeat(by_band, self.sizes)
 
     def seen(self, accelerations: Complex[np.ndarray, "sensors alllines"]) -> Complex[np.ndarray, "lines rows"]:
-        """What accelerations at the sensors are in the whitened residual, were it not gated."""
+        """Whitened residual of accelerations at the sensors, without the gate."""
         return self.whitened(
             self.rowed((self.model.sensor_response * accelerations / self.model.deviation)[:, self.lines])
         )
@@ -185,7 +185,7 @@ def with_columns(
     columns: Complex[np.ndarray, "columns lines rows"],
     trace: Float[np.ndarray, " columns"],
 ) -> WhitenedRecord:
-    """With these columns and the sums over bands. The columns are kept in single precision."""
+    """Observation with these columns and the sums over bands. The columns are kept in single precision."""
     own = np.ascontiguousarray(bare.residual).view(float)
     ends = np.append(bare.starts, own.shape[0])
     squares, crossed, gram = [], [], []
@@ -229,7 +229,7 @@ def force_noise(record: Record) -> Float[np.ndarray, " forces"]:
 
 
 def inverse_of(record: Record, response: Response) -> Float[np.ndarray, "low sensors"]:
-    """From accelerations at the sensors to those of the lowest modes, as many as there are sensors on the body."""
+    """Inverse from accelerations at the sensors to those of the lowest modes, one a sensor of the body."""
     rows = [i for i, s in enumerate(record.sensors) if s.station.body == response.body.name]
     low = min(len(rows), response.count)
     found = np.zeros((low, len(record.sensors)))

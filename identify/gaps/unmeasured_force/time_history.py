@@ -59,7 +59,7 @@ class ForceHistory:
 
     @cached_property
     def free_gain(self) -> float:
-        """What the free force gains beyond what it gains from noise alone."""
+        """Gain of the free force beyond that from noise alone."""
         halves = _halves(self.nuisances * np.sqrt(self.weights))
         bare = _halves(self.bare * np.sqrt(self.weights))
         beside = self.matrix - halves @ halves.T
@@ -71,7 +71,7 @@ class ForceHistory:
         return float(bare @ bare) - without + freely - noise
 
     def spectra(self, fine_n: Float[np.ndarray, "*rows fine"]) -> Complex[np.ndarray, "*rows lines"]:
-        """Of forces given finely, in the direction of the located force's residual, gated."""
+        """Spectra of forces given finely, in the direction of the located force's residual, gated."""
         record = self.located.observed.record
         lines = record.omega.size
         coarse = np.fft.irfft(np.fft.rfft(fine_n)[..., :lines] / FINER, record.length // record.factor)
@@ -92,7 +92,7 @@ class ForceHistory:
         return weighted @ _halves(columns).T - coupled @ cho_solve(self.factor, coupled.T), rest
 
     def gain(self, force: Complex[np.ndarray, " lines"]) -> float:
-        """By how much -2 ln L falls with a given force."""
+        """Decrease of -2 ln L with a given force."""
         matrix, rest = self.reduced(force[None])
         return float(2 * rest[0] - matrix[0, 0])
 
@@ -123,7 +123,7 @@ def force_of(located: Located) -> Complex[np.ndarray, " alllines"]:
 
 
 def history_of(located: Located) -> ForceHistory:
-    """Of a force or a pair."""
+    """Time history of a force or a pair."""
     own, after = located.observed, located.after
     record, force = own.record, force_of(located)
     noise, spectrum = own.on_lines(after.noise), own.on_lines(after.spectrum)
@@ -152,14 +152,14 @@ def history_of(located: Located) -> ForceHistory:
 
 
 def softened(history: ForceHistory, law_error: float) -> ForceHistory:
-    """With a law trusted to this share of the force only."""
+    """History with a law trusted to this share of the force only."""
     own, after = history.located.observed, history.located.after
     noise, spectrum = own.on_lines(after.noise), own.on_lines(after.spectrum)
     return weighing(history, own.count / (noise + law_error**2 * spectrum * after.size**2))
 
 
 def weighing(history: ForceHistory, weights: Float[np.ndarray, " lines"]) -> ForceHistory:
-    """With other weights of the lines in the direction of the force."""
+    """History with other weights of the lines in the direction of the force."""
     less = history.weights - weights
     halves = _halves(history.nuisances)
     return replace(
@@ -171,7 +171,7 @@ def weighing(history: ForceHistory, weights: Float[np.ndarray, " lines"]) -> For
 
 
 def explained_share(located: Located) -> float:
-    """Of the mean square of the linear residual that nuisances leave."""
+    """Share of the mean square of the linear residual that nuisances leave."""
     own, after = located.observed, located.after
     power = np.abs(after.along) ** 2
     noise, spectrum = own.on_lines(after.noise), own.on_lines(after.spectrum)
