@@ -23,7 +23,7 @@ class RigError(ValueError):
 
 
 class TooLargeError(RigError):
-    """What would take more memory than its file may."""
+    """Error: this would take more memory than its file may."""
 
 
 class CutOffError(RigError):
@@ -40,7 +40,7 @@ def meant(word: str, known: Iterable[str]) -> str:
 
 
 def is_plain(text: str) -> bool:
-    """Whether it has none of the signs that a terminal or a page would obey: control characters, line ends and such."""
+    """True if it has no character that a terminal or a page would obey: control characters, line ends and such."""
     return (text.isascii() and text.isprintable()) or not any(unicodedata.category(c) in _OBEYED for c in text)
 
 

@@ -72,7 +72,7 @@ def check_target(path: Path, *sources: Path, new_folder: bool = False) -> None:
 
 
 def part_of(path: Path) -> Path:
-    """Where a file is written before it is renamed; raises RigError if neither place may hold one."""
+    """Path at which a file is written before it is renamed; raises RigError if neither place may hold one."""
     _check_name(path)
     if not path.name or path.name == "..":
         raise RigError(f"{path}: is a folder; name a file in it")
@@ -90,7 +90,7 @@ def part_of(path: Path) -> Path:
 
 
 def make_folder(path: Path) -> None:
-    """With those above it; raises RigError if it cannot be made."""
+    """Make a folder with those above it; raises RigError if it cannot be made."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -156,7 +156,7 @@ def write_bytes(data: bytes, path: Path) -> None:
 
 
 def write_json(value: object, path: Path) -> None:
-    """What msgspec encodes, indented by two."""
+    """Write what msgspec encodes, indented by two."""
     write_bytes(msgspec.json.format(msgspec.json.encode(value), indent=2) + b"\n", path)
 
 

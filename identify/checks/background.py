@@ -1,4 +1,4 @@
-"""What is beside the motion in a channel: noise, mains hum, an offset, drift; and motion before the record begins."""
+"""Background of a channel beside the motion: noise, mains hum, an offset, drift; motion before the record begins."""
 
 from collections.abc import Sequence
 
@@ -19,7 +19,7 @@ NOISY = 0.05
 
 
 def noise(name: str, rate_hz: float, row: Row, force: Rows, forces: Sequence[str] = ("force",)) -> Finding | None:
-    """In the quiet start."""
+    """Noise of the quiet start."""
     quiet = quiet_samples(force, rate_hz)
     share = float(row[:quiet].std() / row.std()) if quiet else 0.0
     if share < NOISY:
@@ -75,7 +75,7 @@ def hum(name: str, rate_hz: float, row: Row, force: Rows) -> Finding | None:
 
 
 def offset(name: str, row: Row, usual: float | None = None) -> Finding | None:
-    """Of samples whose mean is zero: those of an acceleration, or of any motion before the force begins."""
+    """Offset of samples whose mean should be zero: of an acceleration, or of any motion before the force begins."""
     mean, rms = (float(row.mean()), float(row.std())) if usual is None else (float(row.mean()), usual)
     if abs(mean) <= OFFSET * rms or not rms:
         return None
@@ -104,7 +104,7 @@ def drift(name: str, rate_hz: float, row: Row) -> Finding | None:
 
 
 def not_at_rest(name: str, rate_hz: float, row: Row, first_s: float) -> Finding | None:
-    """It moves by a part of its usual within the record's first moments."""
+    """Finding: the channel moves by a part of its usual motion within the record's first moments."""
     first = row[: max(8, round(first_s * rate_hz))]
     if first.std() < MOVING * row.std():
         return None

@@ -6,7 +6,7 @@ from identify.linear.nuisance import THE_FORCE
 
 
 def broken_finding(found: Broken) -> Finding:
-    """In words."""
+    """Finding in words."""
     what, size = found.what, found.size * found.what.unit
     asked = f"({abs(found.size):.0f} tolerances)"
     if what.kind == "clock":

@@ -1,4 +1,4 @@
-"""What may be off at once: every nuisance parameter, and common errors that several parameters share."""
+"""Candidates of what may be off: every nuisance parameter, and common errors that several parameters share."""
 
 from dataclasses import dataclass
 

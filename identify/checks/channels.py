@@ -1,4 +1,4 @@
-"""Which channel does not fit the others, and in which way."""
+"""Findings on channels that do not fit the others."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -116,7 +116,7 @@ def _elsewhere(
     weight: Float[np.ndarray, " lines"],
     left_by: Callable[[Complex[np.ndarray, " lines"]], float],
 ) -> Iterator[Explanation]:
-    """It stands at another place of its body, or shows what another sensor should."""
+    """Finding: the sensor stands at another place of its body, or shows what another sensor should."""
     sensor = spectra.sensors[channel]
     for k, other in enumerate(spectra.sensors):
         if k != channel and other.station != sensor.station:

@@ -39,7 +39,7 @@ MOST_REST = 0.5
 def check_recording(
     recording: Recording, use: Use = "auto", tolerances: Tolerances | None = None
 ) -> tuple[Finding, ...]:
-    """What of the channels, the clock or rig.json cannot be right; empty of a sound recording.
+    """Findings on the channels, the clock and rig.json; empty of a sound recording.
 
     First each channel's samples by themselves, then all channels against the linear model of rig.json, but of a segment
     of a longer record, which does not begin at rest.
@@ -53,7 +53,7 @@ def check_recording(
 
 
 def _without_explained(findings: list[Finding], forces: Sequence[str]) -> list[Finding]:
-    """Without what a channel's waveform shows of a cause for which another finding gives a better reason."""
+    """Findings without those of a channel's waveform for which another gives a better reason."""
     if any(f.cause == "force" for f in findings):
         findings = [f for f in findings if f.cause != "noise"]
     explained = {*forces, *_concerned(f for f in findings if f.cause not in HIDE and len(f.channels) == 1)}
@@ -81,7 +81,7 @@ def naming(findings: tuple[Finding, ...]) -> Iterator[None]:
 
 
 def _left_out(found: Finding, forces: Sequence[str]) -> tuple[str, ...]:
-    """Of two channels that are the same one may be right, but for a force."""
+    """Channels left out: of two that are the same one may be right, but for a force."""
     return found.channels[1:] if found.cause == "copy" and not set(found.channels) & {*forces} else found.channels
 
 
@@ -145,7 +145,7 @@ class _Channel:
 
 
 def _waveforms(recording: Recording, use: Use) -> list[Finding]:
-    """Of every channel the first fault that its samples show; then what several channels show together."""
+    """Findings by waveform: the first fault of every channel's samples; then what several channels show together."""
     channels = list(_channels(recording, use))
     first = [fault for fault in map(_first_fault, channels) if fault is not None]
     live = [c for c in channels if c.name not in _concerned(f for f in first if f.cause == "dead")]
@@ -173,7 +173,7 @@ def _channels(recording: Recording, use: Use) -> Iterator[_Channel]:
 
 
 def _first_fault(channel: _Channel) -> Finding | None:
-    """What a channel's samples show by themselves; one fault hides those behind it."""
+    """First fault that a channel's samples show by themselves; it hides those behind it."""
     name, samples, rate_hz = channel.name, channel.samples, channel.rate_hz
     force, forces = channel.forces_n, channel.force_names
     checks: list[Callable[[], Finding | None]] = [
@@ -195,7 +195,7 @@ def _first_fault(channel: _Channel) -> Finding | None:
 
 
 def _spikes(channels: Sequence[_Channel], faulty: set[str]) -> Iterator[Finding]:
-    """Of the channels that show no fault of another kind."""
+    """Spikes in the channels that show no fault of another kind."""
     off = {c.name: waveforms.off_neighbours(c.samples) for c in channels}
     for channel in channels:
         if channel.name not in faulty:
@@ -206,7 +206,7 @@ def _spikes(channels: Sequence[_Channel], faulty: set[str]) -> Iterator[Finding]
 
 
 def _runs_backwards(channels: Sequence[_Channel], force: Rows, rate_hz: float) -> bool:
-    """Whether all motion ends with the force, as it begins with it where time runs forwards: nothing rings on."""
+    """True if all motion ends with the force, as it begins with it where time runs forwards: nothing rings on."""
     quiet = 0 if quiet_samples(force, rate_hz) else quiet_samples(force[..., ::-1], rate_hz)
     after = slice(max(0, quiet - round(RINGS_S * rate_hz)), quiet)
     rows = [c.samples for c in channels if c.group in FIRST_S]

@@ -1,4 +1,4 @@
-"""Whether the linear model fits all the time: samples that were lost break it off for as long as the beams ring."""
+"""Continuity of the linear model's fit: lost samples break it off for as long as the beams ring."""
 
 import numpy as np
 from jaxtyping import Float

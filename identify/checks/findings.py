@@ -1,4 +1,4 @@
-"""What a check says: one sentence with the channel, the evidence and the likeliest mend."""
+"""Findings of a check: one sentence with the channel, the evidence and the likeliest mend."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -64,7 +64,7 @@ class Finding(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def spoken(force: str) -> str:
-    """How a sentence names the channel of a force."""
+    """Name of a force's channel in a sentence."""
     return "the force" if force == "force" else force
 
 

@@ -1,4 +1,4 @@
-"""What is wrong with the measured force, by the force that all sensors imply."""
+"""Findings on the measured force, by the force that all sensors imply."""
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -12,7 +12,7 @@ from identify.checks.spectra import Spectra
 def force_finding(
     spectra: Spectra, number: int, implied: Complex[np.ndarray, " lines"], weight: Float[np.ndarray, " lines"]
 ) -> Finding:
-    """What is wrong with the measured force of that number, by the one that all sensors, and other forces, imply."""
+    """Finding on the measured force of that number, by the one that all sensors, and other forces, imply."""
     name, several = spectra.force_names[number], len(spectra.forces) > 1
     force = spoken(name)
     driven = driven_by(spectra.forces)[number]

@@ -33,7 +33,7 @@ PARTS = 4
 
 @dataclass(frozen=True)
 class Gross:
-    """What was found; the channels that may be believed, and whether the rest fits the model."""
+    """Gross findings; the channels that may be believed, and whether the rest fits the model."""
 
     findings: tuple[Finding, ...]
     kept: list[int]

@@ -55,7 +55,7 @@ class MassFit:
 
 
 def mass_findings(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> list[Finding]:
-    """Of the mass on which the force acts, or all forces together."""
+    """Findings on the mass on which the force acts, or all forces together."""
     body, row = _driven(rig, motion)
     if not body.is_mass or row is None:
         return []
@@ -142,7 +142,7 @@ def _fit_below(share: float, rig: Rig, motion: Kinematics, row: int) -> MassFit 
 
 
 def _open(rig: Rig, motion: Kinematics, factor: int, share: float) -> Bool[np.ndarray, " fewer"]:
-    """Where every contact of the force's body is in the middle of its gap."""
+    """Mask of the samples at which every contact of the force's body is in the middle of its clearance."""
     found = np.ones(-(-motion.samples // factor), dtype=bool)
     for one in joined_contacts(rig):
         contact = one.contact
@@ -260,7 +260,7 @@ def _told_hz(body: Body) -> float:
 def _off(
     body: Body, order: int, fit: MassFit, tolerances: Tolerances
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """How far mass and frequency are off, as logarithms; their standard deviations; what a clock does to them.
+    """Errors of mass and frequency as logarithms; their standard deviations; what a clock does to them.
 
     Of a mass without a spring, or where a sign is turned, nothing of the frequency, or of both.
     """

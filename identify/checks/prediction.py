@@ -1,4 +1,4 @@
-"""What the linear model says of each channel by all others: contact forces are unknown at every line.
+"""Prediction of each channel by all others and the linear model: contact forces are unknown at every line.
 
     A = sum_k G_k F_k - sum_j G_j f_j + error
 
@@ -28,7 +28,7 @@ DRIVEN = 0.05
 
 @dataclass(frozen=True)
 class Predicted:
-    """What some kept channels, and the model, say of all.
+    """Prediction of all channels by those that are kept and the model.
 
     misfit is the median over the lines of the mean square of the error of the kept ones, or that over the lines which
     a force drives where it is larger, without those that noise rules; nan where they tell nothing.
@@ -58,7 +58,7 @@ class LinearCheck:
         return self.accelerance[len(self.spectra.forces) :]
 
     def unknown(self, doubted: int | None = None) -> Complex[np.ndarray, "inputs sensors lines"]:
-        """Of the force of that number, if one is doubted, and of the contacts."""
+        """Unknown inputs: the force of that number, if one is doubted, and the contacts."""
         if doubted is None:
             return self.of_contacts
         return np.concatenate([self.accelerance[doubted : doubted + 1], self.of_contacts])
@@ -77,12 +77,12 @@ class LinearCheck:
         return LinearCheck(spectra, self.accelerance, _scale(spectra, kept), driven_by(spectra.forces))
 
     def projection(self, kept: list[int], doubted: int | None = None) -> Projection:
-        """Of the contact forces, and a force that is doubted, from the channels kept."""
+        """Projection of the contact forces, and a force that is doubted, from the channels kept."""
         unknown, scale = self.unknown(doubted)[:, kept], self.scale[kept]
         return projection(unknown / scale, scale, len(unknown))
 
     def predicted(self, kept: list[int], doubted: int | None = None) -> Predicted:
-        """From the channels kept and the measured forces, but for the one of that number if one is doubted."""
+        """Prediction by the channels kept and the measured forces, but for the one of that number if one is doubted."""
         spectra, unknown = self.spectra, self.unknown(doubted)
         known = self.by_force if doubted is None else np.delete(self.by_each_force, doubted, axis=0).sum(axis=0)
         residual, inputs = self.projection(kept, doubted).of((spectra.acceleration - known)[kept])
@@ -114,7 +114,7 @@ def linear_check(
 
 
 def _scale(spectra: Spectra, kept: list[int]) -> Float[np.ndarray, "sensors lines"]:
-    """That of the median channel of each body (of those kept), so that no single one rules it."""
+    """Scale of the median channel of each body (of those kept), so that no single one rules it."""
     bodies = [s.station.body for s in spectra.sensors]
     scale = np.empty(spectra.noise.shape)
     for body in dict.fromkeys(bodies):
@@ -144,6 +144,6 @@ def driven_by(forces: Complex[np.ndarray, "forces lines"]) -> Bool[np.ndarray, "
 
 
 def _accelerances(rig: Rig, spectra: Spectra, cache: ResponseCache) -> Complex[np.ndarray, "inputs sensors lines"]:
-    """Of each force, then of each contact (which drives by minus its force)."""
+    """Accelerances of each force, then of each contact (which drives by minus its force)."""
     responses = [response_of(rig, body, cache) for body in rig.bodies]
     return accelerances(rig, responses, rig.forces, [s.station for s in spectra.sensors])

@@ -1,4 +1,4 @@
-"""Which tolerance of rig.json is broken: the nuisance parameters of the linear residual, and the one that pulls most.
+"""Broken tolerances of rig.json: the nuisance parameter of the linear residual that pulls most.
 
 With the residual r of the linear model (contact forces projected out), columns X of one standard deviation of each
 nuisance parameter and a prior of one,
@@ -39,7 +39,7 @@ FLOOR = 0.003
 
 @dataclass(frozen=True)
 class Broken:
-    """What a candidate is, by how many tolerances (or in its own unit) it is off, and how strongly it is asked for."""
+    """Broken candidate: its kind, its error in tolerances (or its own unit), how strongly the record asks for it."""
 
     what: Suspect
     size: float
@@ -119,7 +119,7 @@ def _freed(
 
 @dataclass(frozen=True)
 class _Column:
-    """In half precision, in units of its largest value: there are hundreds, and scores need no more."""
+    """Column in half precision, in units of its largest value: there are hundreds, and scores need no more."""
 
     halves: np.ndarray
     largest: np.float32
@@ -169,7 +169,7 @@ def _broken(candidate: Suspect) -> float:
 
 
 def _matters(candidate: Suspect, size: float, tolerances: Tolerances) -> bool:
-    """Whether so much is beyond the tolerance."""
+    """True if this value is beyond the tolerance."""
     return abs(size) > (1.5 * tolerances.frequency if candidate.kind == "clock" else FAR)
 
 

@@ -1,4 +1,4 @@
-"""How a measured signal relates to a predicted one: gain, delay, coherence, and the gain over frequency."""
+"""Relation of a measured signal to a predicted one: gain, delay, coherence, and the gain over frequency."""
 
 from dataclasses import dataclass
 
@@ -40,7 +40,7 @@ def relation(
     weight: Float[np.ndarray, " lines"],
     latest_s: float = LATEST_S,
 ) -> Relation:
-    """By the delay of highest coherence; the gain has the sign that makes it positive at that delay."""
+    """Relation at the delay of highest coherence; the gain has the sign that makes it positive there."""
     cross = predicted.conj() * measured * weight**2
     power = float(np.sum((np.abs(predicted) * weight) ** 2))
     own = float(np.sum((np.abs(measured) * weight) ** 2))
@@ -61,7 +61,7 @@ def relation(
 
 
 def usual_factor(gain: float) -> str | None:
-    """Which mistake of units makes a channel deliver so many times too much."""
+    """Mistake of units that makes a channel deliver this multiple."""
     for name, factor in FACTORS.items():
         if any(abs(abs(gain) * f - 1) < NEAR for f in (factor, 1 / factor)):
             return name

@@ -1,4 +1,4 @@
-"""What the sensors delivered and what the force did, on some lines of the record's spectrum."""
+"""Spectra of sensors and forces on some lines of the record."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -73,7 +73,7 @@ class Spectra:
 
 
 def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], most: int | None = LINES) -> Spectra:
-    """On at most so many lines (None: all) from 2 Hz to twice the force's highest frequency.
+    """Spectra on at most this many lines (None: all) from 2 Hz to twice the force's highest frequency.
 
     Raises RigError if the force is zero or its band lies below.
     """
@@ -104,11 +104,11 @@ def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], most: int | No
 
 
 def chain(sensor: Sensor, omega: Float[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:
-    """From what a sensor delivers to the acceleration: (i omega)^(2 - order) over its response."""
+    """Chain from what a sensor delivers to the acceleration: (i omega)^(2 - order) over its response."""
     return np.asarray((1j * omega) ** (2 - sensor.measures.order) / sensor.response(omega))
 
 
 def quiet_samples(force: Float[np.ndarray, "*forces samples"], rate_hz: float) -> int:
-    """How many samples at the start are before the force, at least a quarter second; else zero."""
+    """Count of samples before the force, at least a quarter second; else zero."""
     before = force_begins(force, rate_hz) - round(0.05 * rate_hz)
     return before if before > QUIET_S * rate_hz else 0

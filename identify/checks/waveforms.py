@@ -1,4 +1,4 @@
-"""What a channel's samples show by themselves, without any model of the rig; see also `background`."""
+"""Faults that a channel's samples show by themselves, without any model of the rig; see also `background`."""
 
 from collections.abc import Iterator, Sequence
 
@@ -56,7 +56,7 @@ def beyond_machines(name: str, group: str, row: Row) -> Finding | None:
 
 
 def clipped(name: str, row: Row) -> Finding | None:
-    """It stands at its largest or smallest value, not only where it is coarse."""
+    """Finding: the signal stands at its largest or smallest value, not only where it is coarse."""
     for side, value in (("largest", row.max()), ("smallest", row.min())):
         share = float(np.mean(row == value))
         if share > STUCK and share * row.size >= 4 and abs(value - row.mean()) > 1.0 * row.std():
@@ -111,7 +111,7 @@ def held(name: str, row: Row, force: Rows, forces: Sequence[str] = ("force",)) -
 
 
 def off_neighbours(row: Row) -> Row:
-    """How far each sample is off what its two neighbours on both sides say, over what is usual around it."""
+    """Deviation of each sample from what its two neighbours on both sides say, over what is usual around it."""
     off = np.abs(row[2:-2] - (4 * (row[1:-3] + row[3:-1]) - row[:-4] - row[4:]) / 6)
     return np.asarray(np.r_[0, 0, off / np.maximum(_moving_mean(off, 201), 0.02 * off.mean() + 1e-300), 0, 0])
 
@@ -142,13 +142,13 @@ def spikes(name: str, off: Row, others: list[Row]) -> Finding | None:
 
 
 def _alone(off: Row, k: int) -> bool:
-    """As one sample does: two thirds of its own deviation show at the samples beside it, a sixth at the next."""
+    """Mask of single samples: two thirds of their deviation show at the samples beside them, a sixth at the next."""
     beside, next_ones = off[[k - 1, k + 1]], off[[k - 2, k + 2]]
     return bool(off[k] > 1.3 * beside.max() and beside.min() > 0.45 * off[k] and next_ones.max() < 0.35 * off[k])
 
 
 def _moving_mean(values: Row, width: int) -> Row:
-    """Of both sides, without the middle."""
+    """Moving mean of both sides, without the middle."""
     sums = np.cumsum(np.r_[0.0, values])
     low = np.clip(np.arange(values.size) - width // 2, 0, values.size)
     high = np.clip(np.arange(values.size) + width // 2 + 1, 0, values.size)

@@ -1,4 +1,4 @@
-"""What every command shares: one way to fail, one way to show progress, one way to keep what is there."""
+"""Conventions of every command: one way to fail, one to show progress, one to keep what is there."""
 
 import os
 import signal
@@ -92,7 +92,7 @@ def _prepare(name: str) -> None:
 
 
 def _interrupt(*_: object) -> None:
-    """As Ctrl-C does, also where that is ignored, as of a command that a shell runs in the background."""
+    """Interrupt as Ctrl-C does, also where that is ignored, as in a command that a shell runs in the background."""
     if signal.getsignal(signal.SIGINT) in (signal.SIG_IGN, signal.SIG_DFL):
         raise KeyboardInterrupt
     signal.raise_signal(signal.SIGINT)
@@ -104,7 +104,7 @@ def say(text: str) -> None:
 
 
 def literal_console() -> Console:
-    """What prints tables on standard output, with the names in them as they are: no markup, no emoji, no colours."""
+    """Console for tables on standard output, with names as they are: no markup, no emoji, no colours."""
     return Console(markup=False, emoji=False, highlight=False)
 
 

@@ -1,4 +1,4 @@
-"""What is installed, and whether another package or program has taken a name: `rig doctor`.
+"""Report of what is installed, and of names that another package or program has taken: `rig doctor`.
 
 It imports nothing of the project or of its libraries, as they may be what is broken.
 """

@@ -1,4 +1,4 @@
-"""What every unmodelled effect is: a frozen class with a name, a few parameters, and a function from rig to rig."""
+"""Base of every unmodelled effect: a frozen class with a name, a few parameters, and a function from rig to rig."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -30,7 +30,7 @@ Place = Mapping[str, str | None]
 
 @dataclass(frozen=True)
 class Scale:
-    """What a range may be stated in: the rig, the root mean square of the exciting force, the record's duration.
+    """Scale of a range: the rig, the root mean square of the exciting force, the record's duration.
 
     place is where the effect acts; its body is the one that the force drives if none is named.
     """
@@ -51,7 +51,7 @@ class Scale:
         return dataclasses.replace(self, place=place)
 
     def contact_stiffness_n_per_m(self) -> float:
-        """Of the stiffest contact at the place."""
+        """Stiffness of the stiffest contact at the place."""
         return max((law.stiffness_n_per_m for law in self._laws()), default=0.0)
 
     def clearance_m(self) -> float:
@@ -60,16 +60,16 @@ class Scale:
         return min((min(law.lower_clearance_m, law.upper_clearance_m) for law in laws), default=0.0)
 
     def contact_mass_kg(self) -> float:
-        """Of the lightest body at the contacts of the place."""
+        """Mass of the lightest body at the contacts of the place."""
         chosen = [c for c in self.rig.contacts if self.place.get("contact") in (None, c.name)]
         return min((self.at({"body": s.body}).mass_kg() for c in chosen for s in contact_stations(c)), default=np.inf)
 
     def mass_kg(self) -> float:
-        """Of the body."""
+        """Mass of the body."""
         return self._body().mass_kg
 
     def stiffness_n_per_m(self, of: Compliance = np.max) -> float:
-        """Of the body at its softest point: one over the sum of phi^2 / omega^2 of its elastic modes.
+        """Stiffness of the body at its softest point: one over the sum of phi^2 / omega^2 of its elastic modes.
 
         `of` np.median: at its middling point. Of a free mass, which has none, that of the stiffest contact.
         """
@@ -80,15 +80,15 @@ class Scale:
         return float(1 / of((shapes[:, elastic] ** 2) @ (1 / omega[elastic] ** 2)))
 
     def length_m(self) -> float:
-        """Of the body; a single mass has none."""
+        """Length of the body; a single mass has none."""
         return self._body().length_m
 
     def held(self) -> bool:
-        """Whether the body cannot move as a rigid one, were it not for its contacts."""
+        """True if the body cannot move as a rigid one, were it not for its contacts."""
         return bool(np.all(self._shapes()[1] > 0))
 
     def displacement_m(self, of: Compliance = np.max) -> float:
-        """About how far the body moves: as the force bends it, or as far as the clearance of its contacts.
+        """Displacement scale of the body: as the force bends it, or as far as the clearance of its contacts.
 
         At its softest point; `of` as in `stiffness_n_per_m`.
         """
@@ -147,7 +147,7 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     @classmethod
     def placements(cls, rig: Rig, sensors: Sequence[str]) -> list[dict[str, str | None]]:
-        """Where it is tried: at every contact, body, beam or sensor; at several contacts also at all of them, tied."""
+        """Places where it is tried: every contact, body, beam or sensor; of several contacts also all of them, tied."""
         contacts: list[str | None] = [c.name for c in rig.contacts]
         targets: dict[str, list[str | None]] = {
             "contact": [*contacts, None] if len(contacts) > 1 else contacts,
@@ -165,7 +165,7 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     @classmethod
     def along(cls, scale: Scale, **ranges: tuple[float, float]) -> ParameterSet:
-        """As `ranged`, without the place along the body where the body of the scale is a single mass."""
+        """Parameters as `ranged`, without the place along the body where that is a single mass."""
         ranged = cls.ranged(**ranges)
         return ranged if scale.length_m() else ranged.without("relative_position")
 

@@ -21,7 +21,7 @@ class StructuralDamping(Effect, frozen=True):
 
     @classmethod
     def placements(cls, rig: Rig, sensors: Sequence[str]) -> list[dict[str, str | None]]:
-        """Also at all bodies, tied."""
+        """Places as of every effect, and all bodies, tied."""
         everywhere: list[dict[str, str | None]] = [{"body": None}] if len(rig.bodies) > 1 else []
         return super().placements(rig, sensors) + everywhere
 

@@ -25,7 +25,7 @@ PIECE, OVERLAP = 2**18, 64
 
 @dataclass(frozen=True)
 class SampleTimes:
-    """When the samples of a record were taken; stamps_s is None where they are known to be even.
+    """Times of a record's samples; stamps_s is None where they are known to be even.
 
     fault says in words what is wrong with the stamps, if anything.
     """
@@ -49,7 +49,7 @@ class SampleTimes:
         return cls(stamps_s.size, rate_hz, stamps_s, fault)
 
     def stamps(self, first: int, last: int) -> Float[np.ndarray, " some"]:
-        """From one sample up to before another, s."""
+        """Stamps from one sample up to before another, s."""
         if self.stamps_s is None:
             return np.arange(first, last) / self.rate_hz
         return self.stamps_s[first:last]
@@ -99,7 +99,7 @@ def even(
 def _on_grid(
     values: Float[np.ndarray, "channels samples"], clock: SampleTimes, rate_hz: float
 ) -> Float[np.ndarray, "channels evenly"]:
-    """By cubic splines piece by piece, whose knots overlap."""
+    """Resample by cubic splines piece by piece, whose knots overlap."""
     (start_s,), (end_s,) = clock.stamps(0, 1), clock.stamps(clock.samples - 1, clock.samples)
     grid = np.empty((len(values), int((end_s - start_s) * rate_hz * (1 + 1e-12)) + 1))
     length = max(PIECE // len(values), OVERLAP)

@@ -22,7 +22,7 @@ UNFIT_ENCODINGS = {"idna", "punycode", "undefined", "unicode_escape", "raw_unico
 
 
 class TextForm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How a CSV file is written: one line of names stands between the lines that are skipped."""
+    """Form of a CSV file: one line of names stands between the lines that are skipped."""
 
     encoding: str = "utf-8-sig"
     delimiter: str = ","
@@ -184,7 +184,7 @@ def _empty_at_end(line: str, delimiter: str) -> int:
 
 
 def _used_columns(path: Path, names: list[str], width: int, empty: int) -> int:
-    """How many columns have a name and values; only last ones may lack either."""
+    """Count of columns with a name and values; only last ones may lack either."""
     named = next((k for k in range(len(names), 0, -1) if names[k - 1]), 0)
     if width > len(names) or named > width + empty or not named:
         raise RigError(f"{path}: {named} names for {width} columns; check the line of names")

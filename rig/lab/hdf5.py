@@ -87,7 +87,7 @@ def members(group: Any, outer: str, depth: int) -> Iterator[tuple[str, Any]]:
 
 
 def is_new(item: Any, visited: set[int]) -> bool:
-    """Whether an object is met for the first time, by whatever name; raises UnreadableError if there are too many."""
+    """True if an object is met for the first time, by whatever name; raises UnreadableError if there are too many."""
     import h5py
 
     address = h5py.h5o.get_info(item.id).addr
@@ -213,7 +213,7 @@ def _unwritten(shown: str, count: int, size: int) -> RigError:
 
 
 def _is_whole(compressed: bytes, size: int) -> bool:
-    """Whether a zlib stream holds no more than so many bytes."""
+    """True if a zlib stream holds no more than this many bytes."""
     unpacking, count = zlib.decompressobj(), 0
     for first in range(0, len(compressed), PIECE_BYTES):
         piece = compressed[first : first + PIECE_BYTES]

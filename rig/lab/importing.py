@@ -1,4 +1,4 @@
-"""From measured data and a map, which says what each column is, to a recording."""
+"""Recordings of measured data, by a map that says what each column is."""
 
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -77,7 +77,7 @@ def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
 
 
 def import_columns(columns: Sequence[Column], source: str, map_path: Path, out: Path) -> tuple[str, ...]:
-    """As `import_file` of columns that are there already; source says what they are."""
+    """Import as `import_file`, of columns that are there already; source says what they are."""
     return _import(Table.of(columns), {"source": source}, source, *_read_map(map_path, out), map_path, out)
 
 
@@ -128,7 +128,7 @@ def _import(
 
 
 def taken_columns(table: Table, wanted: Mapping[str, tuple[str, Source]]) -> tuple[dict[str, Column], dict[str, float]]:
-    """By name the column of each source, and what leads its numbers to the SI unit of the quantity.
+    """Columns by the name of each source, with the factor from their numbers to the SI unit of the quantity.
 
     Raises RigError if a column is not there, does not fit the others, or is in no unit of the quantity.
     """
@@ -151,7 +151,7 @@ def rows_in_si(taken: Mapping[str, Column], factors: Mapping[str, float]) -> Flo
 
 
 def clock_of(table: Table, taken: Sequence[Column], time: Source | None, sample_rate_hz: float | None) -> SampleTimes:
-    """When the samples were taken: by a column of time, or at the even rate that is given or that the file says."""
+    """Clock of the samples: by a column of time, or at the even rate that is given or that the file says."""
     samples = taken[0].values.size
     if time is not None:
         column = table.column(time.column)
@@ -209,7 +209,7 @@ def _check_taken(taken: Mapping[str, Column]) -> None:
 
 
 def _factor(quantity: str, entry: Source, column: Column) -> float:
-    """From the column's numbers to SI; a unit that both the file and the map say must be the same."""
+    """Factor from a column's numbers to SI; a unit that both the file and the map say must be the same."""
     if entry.unit is None and column.unit is None:
         raise RigError(f"column {column.name!r} has no unit; add unit = ... in the map")
     factor = si_factor(quantity, entry.unit or column.unit or "")

@@ -67,7 +67,7 @@ def _columns(names: Sequence[str], array: Callable[[], np.ndarray], chosen: Sequ
 
 @dataclass(frozen=True)
 class _Head:
-    """Of an array: its class, flags, shape and name, and where what it holds begins."""
+    """Head of an array: its class, flags, shape and name, and where its content begins."""
 
     kind: int
     flags: int
@@ -176,7 +176,7 @@ class _Version5:
         return _Head(flags & 0xFF, flags, shape, decoded(bytes(name)), at)
 
     def _tag(self, content: memoryview, at: int) -> tuple[int, int, int, int]:
-        """Of an element: its type, the length of its data, where they begin, and where the next element begins."""
+        """Tag of an element: its type, the length of its data, where they begin, and where the next element begins."""
         kind, length = struct.unpack_from(f"{self._order}II", content, at)
         if kind >> 16:  # up to four bytes, in the tag itself
             return kind & 0xFFFF, kind >> 16, at + 4, at + 8
@@ -201,7 +201,7 @@ class _Version5:
 
 
 def _unpacked(packed: memoryview, size: int) -> bytes:
-    """So many bytes of a compressed element; raises UnreadableError if it has fewer or more."""
+    """Bytes of a compressed element, this many; raises UnreadableError if it has fewer or more."""
     unpacking = zlib.decompressobj()
     content = unpacking.decompress(packed, size)
     more = b"" if unpacking.eof else unpacking.decompress(unpacking.unconsumed_tail, 1)

@@ -102,7 +102,7 @@ def _read(path: Path, blocks: Blocks, keys: Collection[Key] | None) -> Table:
 
 
 def _may_mean(refused: Refused, columns: int, keys: Collection[Key] | None) -> bool:
-    """Whether a key is the name of what is refused, of a channel of it, or a number behind the columns before it."""
+    """True if a key is the name of what is refused, of a channel of it, or a number behind the columns before it."""
     if keys is None:
         return True
     return any(key > columns if isinstance(key, int) else refused.name in (key, key.partition("[")[0]) for key in keys)

@@ -16,7 +16,7 @@ _SPELLINGS = {"\u00b5": "u", "\u03bc": "u", "\u00b2": "^2", "**2": "^2", "/s2": 
 
 
 def si_factor(quantity: str, unit: str) -> float:
-    """What a number in this unit is multiplied by to be SI; raises RigError if the quantity has no such unit."""
+    """Factor from this unit to SI; raises RigError if the quantity has no such unit."""
     known = FACTORS[quantity]
     plain = plainly(unit)
     if plain not in known:

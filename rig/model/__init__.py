@@ -1,1 +1,1 @@
-"""What a rig is believed to be."""
+"""Description of a rig as its owner believes it."""

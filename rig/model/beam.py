@@ -59,7 +59,7 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
     @property
     def half_thickness_m(self) -> float:
-        """From the neutral fibre to the surface."""
+        """Distance from the neutral fibre to the surface, m."""
         return self.thickness_m / 2
 
     @property
@@ -68,7 +68,7 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
     @property
     def clamped(self) -> bool:
-        """At its left end."""
+        """True if it is clamped at its left end."""
         return self.ends == "clamped-free"
 
     @property
@@ -80,7 +80,7 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         return 2 if self.ends == "free-free" else 0
 
     def places(self, count: int) -> Float[np.ndarray, " places"]:
-        """So many, evenly from end to end."""
+        """Places, this many, evenly from end to end."""
         return np.linspace(0, self.length_m, count)
 
     def frequencies_hz(self, modes: int) -> Float[np.ndarray, " modes"]:
@@ -93,15 +93,15 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         return np.where(np.arange(modes) < self.rigid_modes, 0.0, self.damping_ratio)
 
     def scale_damping(self, factor: float) -> "Beam":
-        """With the damping ratio times a factor."""
+        """Beam with the damping ratio times a factor."""
         return msgspec.structs.replace(self, damping_ratio=self.damping_ratio * factor)
 
     def scale_frequencies(self, factor: float) -> "Beam":
-        """With all frequencies times a factor, by Young's modulus."""
+        """Beam with all frequencies times a factor, by Young's modulus."""
         return msgspec.structs.replace(self, youngs_modulus_pa=self.youngs_modulus_pa * factor**2)
 
     def scale_mass(self, factor: float) -> "Beam":
-        """With the mass times a factor, at the same frequencies: density and Young's modulus."""
+        """Beam with the mass times a factor, at the same frequencies: density and Young's modulus."""
         return msgspec.structs.replace(
             self,
             density_kg_per_m3=self.density_kg_per_m3 * factor,

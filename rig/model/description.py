@@ -93,7 +93,7 @@ class Sensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         return QUANTITIES[self.quantity]
 
     def response(self, omega: Float[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:
-        """What it delivers of each frequency (rad/s): g exp(-i omega tau) i omega / (i omega + 2 pi f_high_pass)."""
+        """Response at each frequency (rad/s): g exp(-i omega tau) i omega / (i omega + 2 pi f_high_pass)."""
         chain = self.gain * np.exp(-1j * omega * self.delay_s)
         corner = 2 * np.pi * self.high_pass_hz
         return np.asarray(chain * (1j * omega / (1j * omega + corner)) if corner else chain)
@@ -147,7 +147,7 @@ class PointSpring(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     @property
     def law(self) -> DeadZone:
-        """What of its force no linear model of the body has, k3 w^3, as of a contact without clearance."""
+        """Law of its force beyond the body's linear model, k3 w^3, as of a contact without clearance."""
         return _without_stops(cubic_n_per_m3=self.cubic_n_per_m3)
 
 
@@ -228,7 +228,7 @@ class BaseMotion(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class ForceSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How the measured force relates to the true one, which is the measured force of lag_s ago divided by gain.
+    """Force sensor: the true force is the measured one of lag_s ago divided by gain.
 
     A negative lag is a force channel that comes late.
     """
@@ -310,12 +310,12 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
 
     @property
     def forces(self) -> tuple[Station, ...]:
-        """Where the measured forces act."""
+        """Stations at which the measured forces act."""
         return self.force_at if isinstance(self.force_at, tuple) else (self.force_at,)
 
     @property
     def force_names(self) -> tuple[str, ...]:
-        """Of their channels: force, or force_1, force_2, ..."""
+        """Names of the forces' channels: force, or force_1, force_2, ..."""
         return force_names(len(self.forces))
 
     def body(self, name: str) -> Body:

@@ -1,4 +1,4 @@
-"""How large a number may be, in a sample or in a description."""
+"""Largest number in a sample or in a description."""
 
 import math
 from typing import Any

@@ -21,7 +21,7 @@ ELEMENTS = 80
 
 @runtime_checkable
 class Modes(Protocol):
-    """What a plant needs of a body; every `Body` is such itself."""
+    """Modes of a body as a plant needs them; every `Body` is such itself."""
 
     def frequencies_hz(self, modes: int) -> Float[np.ndarray, " modes"]: ...
     def damping_ratios(self, modes: int) -> Float[np.ndarray, " modes"]: ...
@@ -83,7 +83,7 @@ Meshed = Beam | Oscillator
 
 
 def modes_wanted(body: Body, modes: int) -> int:
-    """How many modes a body takes where `modes` are wanted: a beam all of them, others no more than they have."""
+    """Count of a body's modes where `modes` are wanted: a beam takes all of them, others no more than they have."""
     return modes if isinstance(body, Beam) else min(modes, body.max_modes)
 
 
@@ -189,7 +189,7 @@ def with_attachments(rig: Rig, body: Oscillator) -> Oscillator:
 
 
 def participation(rig: Rig, body: Body, modes: Modes, count: int) -> Float[np.ndarray, " modes"]:
-    """Of each mode in a motion of the base: the integral of its shape over the mass, in sqrt(kg)."""
+    """Participation of each mode in a motion of the base: the integral of its shape over the mass, in sqrt(kg)."""
     at_masses = [m for m in rig.masses if m.station.body == body.name]
     if isinstance(body, Oscillator):
         return with_attachments(rig, body).mass_kg * modes.shapes(np.zeros(1), count)[0]
@@ -229,7 +229,7 @@ def matrices(
 
 
 def held_coordinates(rig: Rig, body: Body) -> int:
-    """How many of the leading (displacement, slope) a body's clamp holds."""
+    """Count of the leading (displacement, slope) that a body's clamp holds."""
     if not isinstance(body, Beam) or body.ends == "free-free":
         return 0
     return 1 if any(c.body == body.name for c in rig.clamps) else 2
@@ -271,7 +271,7 @@ def _bare(
 
 
 def _floating(beam: Beam, nodes_m: Float[np.ndarray, " nodes"], stiffness: Float[np.ndarray, "n n"]) -> int:
-    """How many rigid motions of a free beam no spring resists; rounding would give them a frequency."""
+    """Count of rigid motions of a free beam that no spring resists; rounding would give them a frequency."""
     if beam.ends != "free-free":
         return 0
     turning = (nodes_m - beam.length_m / 2) / beam.length_m

@@ -34,7 +34,7 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     @property
     def half_thickness_m(self) -> None:
-        """It does not bend."""
+        """Zero: a mass does not bend."""
         return None
 
     @property
@@ -62,7 +62,7 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         return 2 * self.damping_ratio * self.mass_kg * 2 * np.pi * self.frequency_hz
 
     def places(self, _count: int) -> Float[np.ndarray, " places"]:
-        """Where its shapes are known: at its one place."""
+        """Places at which its shapes are known: its one place."""
         return np.zeros(1)
 
     def frequencies_hz(self, modes: int) -> Float[np.ndarray, " modes"]:
@@ -72,21 +72,21 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         return np.full(self._one(modes), self.damping_ratio)
 
     def scale_damping(self, factor: float) -> "Oscillator":
-        """With the damping ratio times a factor."""
+        """Mass with the damping ratio times a factor."""
         return msgspec.structs.replace(self, damping_ratio=self.damping_ratio * factor)
 
     def scale_frequencies(self, factor: float) -> "Oscillator":
-        """With the frequency times a factor, by the spring."""
+        """Mass with the frequency times a factor, by the spring."""
         return msgspec.structs.replace(self, frequency_hz=self.frequency_hz * factor)
 
     def scale_mass(self, factor: float) -> "Oscillator":
-        """With the mass times a factor, at the same frequency."""
+        """Mass times a factor, at the same frequency."""
         return msgspec.structs.replace(self, mass_kg=self.mass_kg * factor)
 
     def shapes(
         self, positions_m: Float[np.ndarray, " stations"], modes: int, order: int = 0
     ) -> Float[np.ndarray, "stations modes"]:
-        """Of the order of the derivative along the body; a mass neither turns nor bends."""
+        """Shapes, or their derivative of this order along the body; a mass neither turns nor bends."""
         return np.full((len(positions_m), self._one(modes)), (order == 0) / np.sqrt(self.mass_kg))
 
     def _one(self, modes: int) -> int:

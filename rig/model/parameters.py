@@ -59,7 +59,7 @@ class ParameterSet:
 
     @property
     def strengths(self) -> list[int]:
-        """Where those stand that say how much: they have a neutral value."""
+        """Places of the strengths, which have a neutral value."""
         return [i for i, p in enumerate(self.parameters) if p.neutral is not None]
 
     def belonging_to(self, owner: str) -> "ParameterSet":
@@ -67,7 +67,7 @@ class ParameterSet:
         return ParameterSet(tuple(dataclasses.replace(p, of=owner) for p in self.parameters))
 
     def places_of(self, owner: str) -> list[int]:
-        """Where the owner's parameters stand."""
+        """Places of the owner's parameters."""
         return [i for i, p in enumerate(self.parameters) if p.of == owner]
 
     def ranged(self, ranges: Mapping[str, tuple[float, float]]) -> "ParameterSet":

@@ -1,4 +1,4 @@
-"""Which sensors a rig has of each quantity, and the band in which a recording shows them."""
+"""Sensors of a rig by quantity, and the band in which a recording shows them."""
 
 from rig.model.description import Rig, Sensor, Station
 from rig.model.quantities import QuantityName

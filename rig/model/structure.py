@@ -99,7 +99,7 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     @property
     def mass_kg(self) -> float:
-        """About: one over the mean square of its shapes, which of a beam is its mass."""
+        """Approximate mass: one over the mean square of the shapes, which of a beam is its mass."""
         return float(1 / np.mean(self.shapes(self.positions_m, self.max_modes) ** 2))
 
     @property
@@ -111,7 +111,7 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         return self.natural_hz.count(0.0)
 
     def places(self, _count: int) -> Float[np.ndarray, " places"]:
-        """Where its shapes are given."""
+        """Places at which its shapes are given."""
         return self.positions_m
 
     def frequencies_hz(self, modes: int) -> Float[np.ndarray, " modes"]:
@@ -121,15 +121,15 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         return np.array(self.ratios[: self._checked(modes)])
 
     def scale_damping(self, factor: float) -> "Structure":
-        """With all damping ratios times a factor."""
+        """Structure with all damping ratios times a factor."""
         return msgspec.structs.replace(self, ratios=tuple(r * factor for r in self.ratios))
 
     def scale_frequencies(self, factor: float) -> "Structure":
-        """With all frequencies times a factor."""
+        """Structure with all frequencies times a factor."""
         return msgspec.structs.replace(self, natural_hz=tuple(f * factor for f in self.natural_hz))
 
     def scale_mass(self, factor: float) -> "Structure":
-        """With the mass times a factor, at the same frequencies: its shapes are those of a unit mass."""
+        """Structure with the mass times a factor, at the same frequencies: its shapes are those of a unit mass."""
         lighter = float(np.sqrt(factor))
         rows = (msgspec.structs.replace(r, values=tuple(v / lighter for v in r.values)) for r in self.rows)
         return msgspec.structs.replace(self, rows=tuple(rows))
@@ -145,7 +145,7 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         return self._interpolated(positions_m, order)[:, : self._checked(modes)]
 
     def gives(self, position_m: float) -> bool:
-        """Whether the shapes at this place are data."""
+        """True if the shapes at this place are data."""
         return bool(np.min(np.abs(self.positions_m - position_m)) <= SAME_PLACE_M)
 
     def translation(self) -> Float[np.ndarray, " modes"]:

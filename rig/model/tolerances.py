@@ -1,4 +1,4 @@
-"""How exactly a rig's description is believed: the one place where tolerances and their defaults are written."""
+"""Tolerances of a rig's description, and their defaults: the one place where they are written."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ def _check(what: str, given: msgspec.Struct) -> None:
 
 
 class SensorTolerance(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Of one sensor, where it differs from the others."""
+    """Tolerances of one sensor, where it differs from the others."""
 
     gain: float | None = None
     position_m: float | None = None
@@ -26,7 +26,7 @@ class SensorTolerance(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 
 
 class ModeTolerance(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Of one mode, where it differs from the others."""
+    """Tolerances of one mode, where it differs from the others."""
 
     frequency: float | None = None
     damping: float | None = None
@@ -79,11 +79,11 @@ class Tolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
             _check(f"tolerances of {name}", one)
 
     def of_sensor(self, name: str) -> "Tolerances":
-        """With the sensor's own values in place of the common ones."""
+        """Tolerances with the sensor's own values in place of the common ones."""
         return self._with(self.sensors.get(name))
 
     def of_mode(self, body: str, number: int) -> "Tolerances":
-        """With the mode's own values in place of the common ones; modes count from 1."""
+        """Tolerances with the mode's own values in place of the common ones; modes count from 1."""
         return self._with(self.modes.get(f"{body} {number}"))
 
     def _with(self, own: msgspec.Struct | None) -> "Tolerances":

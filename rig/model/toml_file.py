@@ -19,7 +19,7 @@ DEEP_KEY = re.compile(rf"(?:{_PART}[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}")
 
 
 def read_toml(path: Path, kind: type[T], called: str, described_in: str) -> T:
-    """What a file of this kind says; raises RigError if it is none, is too large, or has a key of too many parts."""
+    """Content of a TOML file; raises RigError if it is none, is too large, or has a key of too many parts."""
     wrong = f"{path}: is no {called}"
     try:
         content = contents(path)

@@ -1,4 +1,4 @@
-"""What acts on a rig and nobody measured, as gap.json says it: written by `identify gap`, drawn by `rig view`."""
+"""Unmeasured force on a rig, as gap.json has it: written by `identify gap`, drawn by `rig view`."""
 
 from typing import Literal
 

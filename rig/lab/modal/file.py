@@ -19,7 +19,7 @@ AXES: tuple[Axis, ...] = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class Choice:
-    """What of a UFF file is meant; None and () leave it to the file."""
+    """Choice of what is read of a UFF file; None and () leave it to the file."""
 
     along: Axis | None = None
     direction: Axis | None = None

@@ -143,7 +143,7 @@ def _told_apart(
     measured: Complex[np.ndarray, "frfs lines"],
     modes: Float[np.ndarray, "modes 2"],
 ) -> Float[np.ndarray, "fewer 2"]:
-    """Without the modes whose leaving out lowers N log(sum of squares) + parameters log(N)."""
+    """Modes without those whose leaving out lowers N log(sum of squares) + parameters log(N)."""
 
     def criterion(some: Float[np.ndarray, "some 2"]) -> float:
         basis = _basis(frequency_hz, some)
@@ -169,7 +169,7 @@ def _believed(
     errors: Float[np.ndarray, "frfs lines"],
     driving: int,
 ) -> Bool[np.ndarray, " modes"]:
-    """Whether each is a normal mode (positive at the driving point), in the band, and stands out of the errors."""
+    """Mask of normal modes (positive at the driving point) in the band that stand out of the errors."""
     natural_hz = np.exp(modes[:, 0])
     nearest = np.argsort(np.abs(frequency_hz[:, None] - natural_hz), axis=0)[:NEAREST]
     heights = np.median(np.abs(np.take_along_axis(basis[:, : len(modes)], nearest, axis=0)), axis=0)
@@ -202,7 +202,7 @@ def _refined(
 def _basis(
     frequency_hz: Float[np.ndarray, " lines"], modes: Float[np.ndarray, "modes 2"]
 ) -> Complex[np.ndarray, "lines terms"]:
-    """What a unit residue of each mode, a unit of u and a unit of l add to an accelerance."""
+    """Accelerance by a unit residue of each mode, a unit of u and a unit of l."""
     omega, natural, ratio = 2 * np.pi * frequency_hz[:, None], 2 * np.pi * np.exp(modes[:, 0]), np.exp(modes[:, 1])
     terms = -(omega**2) / (natural**2 - omega**2 + 2j * ratio * natural * omega)
     return np.concatenate([terms, -(omega**2) / natural.max() ** 2, np.ones_like(omega)], axis=1)

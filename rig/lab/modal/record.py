@@ -104,7 +104,7 @@ def free_run(measured: MeasuredResponse, modes: ModalFit) -> Float[np.ndarray, "
 def _spectrum(
     measured: MeasuredResponse, modes: ModalFit
 ) -> tuple[Complex[np.ndarray, " lines"], Float[np.ndarray, " lines"], Complex[np.ndarray, " lines"]]:
-    """Of the force with silence behind it: its transform, the frequencies, and (i omega)^(order - 2), 0 at 0 Hz.
+    """Spectrum of the force with silence behind it: transform, frequencies, and (i omega)^(order - 2), 0 at 0 Hz.
 
     The means are left out, as accelerometers do not see them.
     """
@@ -176,10 +176,10 @@ def _misfit(measured: MeasuredResponse, modes: ModalFit) -> Float[np.ndarray, " 
 
 
 def _counted(measured: MeasuredResponse, modes: ModalFit) -> int:
-    """From which sample on the start does not matter; at most a quarter of the record is left out."""
+    """First sample at which the start does not matter; at most a quarter of the record is left out."""
     return round(min(_ringing_s(modes) * measured.sample_rate_hz, measured.force_n.size / 4))
 
 
 def _ringing_s(modes: ModalFit) -> float:
-    """Until a free vibration of any mode has fallen by the factor `GONE`."""
+    """Seconds until a free vibration of any mode has fallen by the factor `GONE`."""
     return float(np.log(GONE) / np.min(2 * np.pi * modes.frequencies_hz * modes.ratios))

@@ -132,7 +132,7 @@ class _Error:
         return unknowns.reshape(-1, 2 + len(self.data))
 
     def _residues(self, modes: Float[np.ndarray, "modes columns"]) -> Float[np.ndarray, "sensors modes"]:
-        """In units of each sensor's rms."""
+        """Residues in units of each sensor's rms."""
         return (modes[:, 2:] * modes[:, [2 + self.driving]]).T / self.scale
 
     def _parts(self, modes: Float[np.ndarray, "modes columns"]) -> list[Complex[np.ndarray, "modes all"]]:

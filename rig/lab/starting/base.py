@@ -1,4 +1,4 @@
-"""What every first rig needs beside its bodies."""
+"""Options of every first rig beside its bodies."""
 
 from collections.abc import Sequence
 from itertools import product
@@ -20,7 +20,7 @@ STATIONS = 6
 
 
 class Start(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What a rig may be described by. Places are metres from a body's left end."""
+    """Options that describe a rig. Places are metres from a body's left end."""
 
     quantity: Annotated[
         tuple[QuantityName, ...],
@@ -42,7 +42,7 @@ class Start(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class StartWithStops(Start, frozen=True, kw_only=True):
-    """What a rig with contacts needs beside its bodies."""
+    """Options of a rig with contacts beside its bodies."""
 
     clearance_m: Annotated[float, msgspec.Meta(description="Clearance on each side of a contact, m.")]
     stiffness_n_per_m: Annotated[float, msgspec.Meta(description="Contact stiffness, N/m.")]
@@ -69,7 +69,7 @@ class StartWithStops(Start, frozen=True, kw_only=True):
 
 
 def contacts_of(meetings: Sequence[tuple[Station, Station | None]], law: AnyLaw) -> tuple[Contact, ...]:
-    """Of one law, numbered."""
+    """Contacts of one law, numbered."""
     return tuple(
         Contact(name=f"contact_{k}", at=at, against=against, law=law) for k, (at, against) in enumerate(meetings, 1)
     )

@@ -98,7 +98,7 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
             raise RigError(f"{path}: is no structure ({error}); see rig/model/README.md") from error
 
     def _with_rigid_modes(self, body: Structure) -> Structure:
-        """With translation, 1/sqrt(m), and rotation, (x - centre)/sqrt(J), as modes of 0 Hz before the others."""
+        """Modes with translation, 1/sqrt(m), and rotation, (x - centre)/sqrt(J), as modes of 0 Hz before the others."""
         told = (self.mass_kg, self.centre_m, self.inertia_kg_m2)
         if told == (None, None, None):
             return body
@@ -124,7 +124,7 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
 
 
 def _weight(body: Structure) -> tuple[str, ...]:
-    """What its first elastic mode weighs, by which wrong units of shapes or modal masses show."""
+    """Weight of the first elastic mode, by which wrong units of shapes or modal masses show."""
     if body.max_modes <= body.rigid_modes:
         return ()
     shape = body.shapes(body.positions_m, body.max_modes)[:, body.rigid_modes]

@@ -1,4 +1,4 @@
-"""What every contact law is: two stops with clearances, a force, its derivatives and the energy that it stores."""
+"""Base of every contact law: two stops with clearances, a force, its derivatives and the energy that it stores."""
 
 from typing import Any, ClassVar
 
@@ -44,7 +44,7 @@ class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     @property
     def acts_in_the_gap(self) -> bool:
-        """Whether there is a force between the stops too."""
+        """True if there is a force between the stops too."""
         return False
 
     @property
@@ -74,7 +74,7 @@ class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         raise NotImplementedError
 
     def energy_j(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
-        """What the force at rest stores."""
+        """Energy that the force at rest stores, J."""
         raise NotImplementedError
 
 

@@ -1,4 +1,4 @@
-"""What a contact law's formula may use beside + - * /: each works on numbers and arrays.
+"""Functions of a contact law's formula beside + - * /: each works on numbers and arrays.
 
 Who evaluates formulas otherwise registers its own kind: the compiled loop of the modal plant for numba, the ancf plant
 for Exudyn's symbolic numbers (`functools.singledispatch` goes by the first argument).
@@ -12,7 +12,7 @@ import numpy as np
 
 @singledispatch
 def given(factor: Any) -> Any:
-    """Whether a term with this factor is worth evaluating; the compiled loop says always, as a branch costs more."""
+    """True if a term with this factor is worth evaluating; always in the compiled loop, as a branch costs more."""
     return factor != 0.0
 
 

@@ -1,4 +1,4 @@
-"""What sensors measure. One file each: adding a quantity is adding a file, which is found by itself."""
+"""Quantities that sensors measure. One file each: adding a quantity is adding a file, which is found by itself."""
 
 from typing import TYPE_CHECKING, Literal
 

@@ -1,4 +1,4 @@
-"""What a sensor measures: the measurement operator from a body's transverse motion to the channel's unit."""
+"""Base of quantities: the measurement operator from a body's transverse motion to the channel's unit."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -19,7 +19,7 @@ def value(along: Along, _: float) -> Row:
 
 
 def printed_unit(unit: str) -> str:
-    """As figures, pages and views write it: m/s² for m/s^2."""
+    """Unit as figures, pages and views write it: m/s² for m/s^2."""
     return unit.replace("^2", "²").replace("^3", "³")
 
 
