@@ -32,7 +32,7 @@ Progress = Callable[[float], None]
 
 
 def check(recording: Source, *, use: Use = "auto", tolerances: Tolerances | str | None = None) -> CheckResult:
-    """Whether the channels fit each other, the force and rig.json (`identify.checks.check_recording` says how).
+    """Check whether the channels fit each other, the force and rig.json (as `identify.checks.check_recording`).
 
     Raises RigError if the recording cannot be read.
     """
@@ -108,7 +108,7 @@ def gap(
     rig: Rig | str | Path | None = None,
     progress: Callable[[str, float], None] = lambda *_: None,
 ) -> GapResult:
-    """Where the believed rig differs from reality, which effect causes it, how far the gap shrinks with it.
+    """Diagnose where the nominal rig differs from reality, which effects cause it, how far the mismatch shrinks.
 
     The validation is not fitted: one of the recordings, or another; without it the last of several, or the last part of
     a single one. `rig` is believed instead of the rig that is in the recordings: a value, or a rig.json.
@@ -166,7 +166,7 @@ def compare(
 
 
 def _identity(source: Source) -> Path | int:
-    """By which one recording is known again."""
+    """Identity by which a recording is known again."""
     return id(source) if isinstance(source, Recording) else Path(source).resolve()
 
 

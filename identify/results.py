@@ -29,7 +29,7 @@ Row = dict[str, str | float]
 
 @dataclass(frozen=True)
 class CheckResult:
-    """What of a recording or of its rig.json cannot be right: a finding each, with channel, evidence and mend."""
+    """Findings on a recording and its rig.json, each with channel, evidence and mend."""
 
     findings: tuple[Finding, ...]
     title: str
@@ -54,7 +54,7 @@ class CheckResult:
 
 @dataclass(frozen=True)
 class ContactResult:
-    """What a recording tells of the contacts. `report` has it all, with standard errors, as contact.json has.
+    """Contacts by a recording. `report` has it all, with standard errors, as contact.json has.
 
     Beside the identified values stand those of `laws`, which are what `laws_name` says.
     """
@@ -75,7 +75,7 @@ class ContactResult:
         return identified_rig(self.found.rig, self.report)
 
     def to_dict(self) -> dict[str, Any]:
-        """As in contact.json."""
+        """Dictionary as in contact.json."""
         return dict(msgspec.to_builtins(self.report))
 
     def table(self) -> list[Row]:
@@ -124,7 +124,7 @@ class LawResult:
         return self.found.report
 
     def to_dict(self) -> dict[str, Any]:
-        """As in law.json."""
+        """Dictionary as in law.json."""
         return dict(msgspec.to_builtins(self.report))
 
     def table(self) -> list[Row]:
@@ -158,7 +158,7 @@ class LawResult:
 
 @dataclass(frozen=True)
 class GapResult:
-    """How the machine differs from its description. `report` has what gap.json has, `corrected` is the mended rig.
+    """Difference of the machine from its description. `report` has what gap.json has, `corrected` is the mended rig.
 
     findings are those of the check of every recording, of which some may be the effect that is diagnosed.
     """
@@ -170,7 +170,7 @@ class GapResult:
     sources: tuple[Path, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """As in gap.json."""
+        """Dictionary as in gap.json."""
         return dict(msgspec.to_builtins(self.report))
 
     def table(self) -> list[Row]:
@@ -202,7 +202,7 @@ class GapResult:
 
 @dataclass(frozen=True)
 class HistoryResult:
-    """What changed of a machine from recording to recording. `report` has what history.json has."""
+    """Changes of a machine from recording to recording. `report` has what history.json has."""
 
     report: History = field(repr=False)
 
@@ -211,7 +211,7 @@ class HistoryResult:
         return any(q.changed for q in self.report.quantities)
 
     def to_dict(self) -> dict[str, Any]:
-        """As in history.json."""
+        """Dictionary as in history.json."""
         return dict(msgspec.to_builtins(self.report))
 
     def table(self) -> list[Row]:

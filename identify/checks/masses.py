@@ -45,8 +45,9 @@ LEAST_DRIVEN = 0.05
 
 @dataclass(frozen=True)
 class MassFit:
-    """What the open passages say: force per acceleration, damping and spring, with standard errors; the delay of the
-    force against the sensor at which they fit best, and the share of the force that is then explained."""
+    """Estimates by the open passages: force per acceleration, damping and spring, with standard errors; the delay of
+    the force against the sensor at which they fit best, and the share of the force that is then explained.
+    """
 
     values: Float[np.ndarray, "3"]
     errors: Float[np.ndarray, "3"]
@@ -74,8 +75,9 @@ def _driven(rig: Rig, motion: Kinematics) -> tuple[Body, int | None]:
 
 
 def mass_pull(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> float:
-    """By how many standard deviations of tolerances and errors mass and frequency of the mass on which the force acts
-    are off, or the clock with them, whichever is most; 0 where nothing tells, or other bodies' channels tell more."""
+    """Pull: by how many standard deviations of tolerances and errors mass and frequency of the mass on which the force
+    acts are off, or the clock with them, whichever is most; 0 where nothing tells, or other bodies' channels tell more.
+    """
     body, row = _driven(rig, motion)
     if row is None or len(rig.bodies) > 1 or not body.is_mass or not np.any(motion.forces_n):
         return 0.0

@@ -195,7 +195,7 @@ class Projector:
 
 
 def lasting_s(moving: Float[np.ndarray, "sensors times"], per_s: float) -> float:
-    """For how long the record tells something, s: all of it, unless most of the motion falls into less than half.
+    """Seconds for which the record tells something: all of it, unless most of the motion falls into less than half.
 
     Of its power p over time, over a second each, (sum of p)^2 / sum of p^2 is the time for which it lasts.
     """

@@ -65,7 +65,7 @@ def check(
     tolerances: Believed = None,
     as_json: Json = False,
 ) -> None:
-    """Whether a recording's channels fit each other, the force and rig.json; exits with 1 if they do not.
+    """Check whether a recording's channels fit each other, the force and rig.json; exits with 1 if they do not.
 
     Units, polarity, swapped or dead channels, delays, the clock, clipping, hum, lost samples, masses and modes: one
     sentence for each finding, with what to do. `identify contact`, `law` and `gap` check so by themselves.

@@ -58,7 +58,7 @@ def gap(
     as_json: Json = False,
     force: Force = False,
 ) -> None:
-    """Where the believed rig differs from reality, which effect causes it, and how far the gap shrinks with it.
+    """Diagnose where your rig.json differs from reality, which effects cause it, and how far the mismatch shrinks.
 
     Examples: identify gap monday.mcap --validate tuesday.mcap --out results
 

@@ -29,7 +29,7 @@ def compare(
     as_json: Json = False,
     force: Force = False,
 ) -> None:
-    """Whether clearances, stiffnesses or modes differ between recordings of one machine by more than chance.
+    """Compare recordings of one machine: which clearances, stiffnesses or modes differ by more than chance.
 
     Example: identify compare before.mcap after.mcap --out results
     """
@@ -46,7 +46,7 @@ def history(
     as_json: Json = False,
     force: Force = False,
 ) -> None:
-    """As `identify compare` of every recording in a folder, in the order of their names: what wears, and how fast.
+    """Compare every recording in a folder, in the order of their names: what wears, and how fast.
 
     Example: identify history recordings --out results
     """

@@ -5,8 +5,9 @@ from identify.pages.tables import Table
 
 
 def curves(found: Identification) -> dict[str, Table]:
-    """By family: `motion` (relative displacements and separated contact forces over time), `surface` (restoring force
-    of the main modal equation, as measured and as fitted) and `nifo` (over frequency; not of a free decay)."""
+    """Curves by family: `motion` (relative displacements and separated contact forces over time), `surface` (restoring
+    force of the main modal equation, as measured and as fitted) and `nifo` (over frequency; not of a free decay).
+    """
     names = [c.name for c in found.rig.contacts]
     tables = {"motion": _motion(found)}
     if found.methods.main_surfaces:

@@ -52,8 +52,8 @@ LEAST = 1e-3
 
 
 def regressed(record: ContactRecord, curve: Spline, sides: Sides | None = None) -> Start:
-    """Where the contact is clearly closed, eta + b = +-clearance + force / k: linear in clearance, 1/k and b; by the
-    stops on these sides, or those that are touched.
+    """Regression where the contact is clearly closed, eta + b = +-clearance + force / k: linear in clearance, 1/k and
+    b; by the stops on these sides, or those that are touched.
 
     A spring s on the drift adds s b to the measured force. Then b is left to Gauss-Newton at first; if that finds no
     law, as where a record begins in motion, (1 + s / k) b is solved for.
@@ -137,8 +137,9 @@ def starts(record: ContactRecord, curve: Spline, believed: Believed, touched: To
 def _by_least_squares(
     record: ContactRecord, curve: Spline, law: Law, knots: Float[np.ndarray, " knots"]
 ) -> tuple[float, Start]:
-    """With the stiffnesses and dampings that leave least of the force, and what they leave: infinite where one is not
-    told, or a stiffness is negative."""
+    """Law with the stiffnesses and dampings that leave least of the force, and what they leave: infinite where one is
+    not told, or a stiffness is negative.
+    """
     few, laws = slice(None, record.force_n.size * record.factor, record.factor), law.reshape(-1, len(LAW)).copy()
     eta, rate = (record.eta_m + curve.value @ knots)[few], (record.velocity_m_per_s + curve.rate @ knots)[few]
     columns = np.stack([row for one in laws for row in by_stiffness_and_damping(one, eta, rate)], axis=1)
@@ -176,7 +177,7 @@ def _by_knees(record: ContactRecord, curve: Spline, believed: Believed, touched:
 
 
 def first_pulls(record: ContactRecord) -> Float[np.ndarray, " nuisances"]:
-    """How a record that begins in motion began: what the modes' free motion from there adds to a contact's force may be
+    """Beginning of a record in motion: what the modes' free motion from there adds to a contact's force may be
     many times the force.
 
     A contact is open for much of the time. So theta of

@@ -37,7 +37,8 @@ def whole_motion(
     forces: Complex[np.ndarray, "forces lines"],
     contact_forces: Complex[np.ndarray, "contacts lines"],
 ) -> BodyMotion:
-    """With the others, whose accelerations are the model's under the exciting forces and the contact forces:
+    """Motion with the other modes, whose accelerations are the model's under the exciting forces and the contact
+    forces:
 
         A_m (sum_k phi_m(x_k) F_k - sum_j phi_mj f_j)
 

@@ -15,8 +15,8 @@ ToForce = Complex[np.ndarray, "contacts stations lines"]
 
 @dataclass(frozen=True)
 class NuisanceSignals:
-    """What one standard deviation of each nuisance parameter adds to the forces and to the relative displacements, in
-    single precision.
+    """Signals that one standard deviation of each nuisance parameter adds to the forces and to the relative
+    displacements, in single precision.
 
     They hold the sensors' noise, too: a share of that of the forces, and of the relative displacements (noise_in_n and
     noise_in_m).

@@ -37,8 +37,9 @@ Made = TypeVar("Made")
 
 @dataclass(frozen=True)
 class SignalsByLaw:
-    """Of each contact the relative displacement with its drift, and force and penetration by the law that was found:
-    zero where none was."""
+    """Signals of each contact: the relative displacement with its drift, and force and penetration by the law that was
+    found: zero where none was.
+    """
 
     eta_m: Float[np.ndarray, "contacts samples"]
     force_n: Float[np.ndarray, "contacts samples"]

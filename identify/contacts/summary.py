@@ -57,8 +57,9 @@ def unanswered(refusals: Mapping[str, Refusal]) -> tuple[results.Unanswered, ...
 
 
 def closed_share(found: JointEstimate, eta_m: Float[np.ndarray, " samples"]) -> float | None:
-    """Of the samples beyond the stops that are touched. None where moving each stop by its 95 % interval in and out
-    makes too much of it."""
+    """Share of the samples beyond the stops that are touched. None where moving each stop by its 95 % interval in and
+    out makes too much of it.
+    """
     lower, upper = found.touched
     (at_lower, at_upper, *_), (of_lower, of_upper, *_) = found.values, found.errors
 

@@ -109,8 +109,9 @@ class ResidualMap(msgspec.Struct, frozen=True):
 
 
 class Attribution(msgspec.Struct, frozen=True, kw_only=True):
-    """Where the gap lies: each list sums to one. surface is the share by cells of (relative displacement, velocity) of
-    each contact; without contacts, of displacement and velocity of each single mass."""
+    """Location of the mismatch: each list sums to one. surface is the share by cells of (relative displacement,
+    velocity) of each contact; without contacts, of displacement and velocity of each single mass.
+    """
 
     channels: dict[str, float] = {}
     modal_equations: dict[str, float] = {}
@@ -151,8 +152,9 @@ class Curve(msgspec.Struct, frozen=True):
 
 
 class Matters(msgspec.Struct, frozen=True):
-    """What is too small to matter, as the user says: shares of the acceleration's and of a contact force's root mean
-    square."""
+    """Thresholds of what is too small to matter, as the user says: shares of the acceleration's and of a contact
+    force's root mean square.
+    """
 
     motion: float = 5e-3
     contact: float = 3e-2
@@ -196,7 +198,7 @@ class LevelDependence(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Between(msgspec.Struct, frozen=True, kw_only=True):
-    """What differs between records, the validation record among them. cause: the parameters of the likeliest cause that
+    """Differences between records, the validation record among them. cause: the parameters of the likeliest cause that
     do not differ, with the p-value of one value for all; differing: those of at most two effects, at all places, that
     differ beyond chance, with p-values times the number looked at (Bonferroni)."""
 

@@ -170,7 +170,7 @@ def not_computed(gap: Gap) -> list[str]:
 
 
 def others(gap: Gap) -> list[tuple[str, float]]:
-    """What the causes leave of probability one: no effect of the library, and something unmeasured, if it was looked
+    """Rest of probability one beside the causes: no effect of the library, and something unmeasured, if it was looked
     for. Where the records differ from it, rig.json is not likely to be right, yet no effect may be likelier."""
     sought = gap.unknown is not None or gap.probability_unknown > 0
     unknown = "something unmeasured" if sought else "something unmeasured (not looked for)"

@@ -82,7 +82,7 @@ def _when(observation: Observation) -> str:
 
 
 def _along(history: History) -> tuple[Float[np.ndarray, " recordings"], str]:
-    """Where each recording stands on the axis, and its label: the time since the first if all tell theirs and it
+    """Position of each recording on the axis, and its label: the time since the first if all tell theirs and it
     ascends, else the order."""
     dates = [observation.recorded for observation in history.used if observation.recorded]
     since_s = np.array([(date - dates[0]).total_seconds() for date in dates])

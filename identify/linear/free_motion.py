@@ -42,7 +42,8 @@ KNOWN = 0.05
 
 @dataclass(frozen=True)
 class FreeMotion:
-    """Of one mode: its initial displacement (order 0) or velocity (order 1), and the coordinate over time per unit.
+    """Free motion of one mode: its initial displacement (order 0) or velocity (order 1), and the coordinate over time
+    per unit.
 
     rows are the time histories of the displacement, velocity and acceleration of the coordinate; shape is the mode's
     at the stations. held is False of a mode whose spring acts on the high-passed displacement: the drift has what its
@@ -167,7 +168,7 @@ def free_spectra(
     omega: Float[np.ndarray, " lines"],
     spectra: Callable[[Float[np.ndarray, "rows samples"]], Complex[np.ndarray, "rows lines"]],
 ) -> Complex[np.ndarray, "values stations lines"]:
-    """What a unit of every initial value adds at the stations: accelerations, (i omega)^(2 - order) times the spectrum
+    """Spectra by a unit of every initial value at the stations: accelerations, (i omega)^(2 - order) times the spectrum
     of what the station's sensor measures; where lines are in metres displacements."""
     turning = 1j * omega
     powers = {order: turning ** (2 - order) for order in range(3)}
@@ -209,9 +210,10 @@ def estimated_states(
 
 @dataclass(frozen=True, eq=False)
 class FreeMode:
-    """Of one mode (from 0) of a body: its shape at the sensors, and its accelerations by a unit of its displacement and
-    of its velocity at the beginning; shown_units are those as the sampled sensors show them, state how large these
-    were, times the sample rate, as spectra are sums."""
+    """Free motion of one mode (from 0) of a body: its shape at the sensors, and its accelerations by a unit of its
+    displacement and of its velocity at the beginning; shown_units are those as the sampled sensors show them, state how
+    large these were, times the sample rate, as spectra are sums.
+    """
 
     body: int
     mode: int
@@ -237,8 +239,9 @@ class FreeMode:
 
 @dataclass(frozen=True)
 class Sampling:
-    """Of a free motion: the derivative that is measured, the rate, the samples and how many of them fade, as in
-    `kinematics.taper`."""
+    """Sampling of a free motion: the derivative that is measured, the rate, the samples and how many of them fade, as
+    in `kinematics.taper`.
+    """
 
     order: int
     rate_hz: float

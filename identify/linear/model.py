@@ -233,8 +233,8 @@ def times(
 
 
 def responses_of(rig: Rig, cache: ResponseCache, zero_known: bool) -> tuple[Response, ...]:
-    """Of every body. Where no sensor shows the zero of displacements, the springs of some modes act on the high-passed
-    displacement alone.
+    """Responses of every body. Where no sensor shows the zero of displacements, the springs of some modes act on the
+    high-passed displacement alone.
 
     Only modes that are then free tell a constant contact force from accelerations. So these are the modes that would be
     rigid but for attached springs, the mode of a single mass, and further the lowest that move the contacts, until

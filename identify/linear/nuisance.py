@@ -72,8 +72,8 @@ class BodyMotion:
 
 @dataclass(frozen=True)
 class Observed:
-    """What sensors deliver of the true motion (explained), the accelerations by each measured force (by_force), and the
-    displacements at the sensors' stations, which the sensors `displaced_by` gave.
+    """Signals that sensors deliver of the true motion (explained), the accelerations by each measured force (by_force),
+    and the displacements at the sensors' stations, which the sensors `displaced_by` gave.
 
     sensor_response is what a sensor delivers per acceleration.
     """

@@ -14,8 +14,8 @@ def part_scores(
     residual: Float[np.ndarray, " samples"],
     begins: Int[np.ndarray, " parts"] | None = None,
 ) -> Float[np.ndarray, "parts parameters"]:
-    """What the residuals of each sixteenth of the record, or of the parts that begin there, move the parameters by:
-    influence' residual.
+    """Scores: what the residuals of each sixteenth of the record, or of the parts that begin there, move the parameters
+    by: influence' residual.
 
     With influence = J (J'J)^-1, the sum of their outer products is a covariance of the parameters that allows for
     residuals which are correlated within a part (White, Econometrica 48, 1980, by clusters).

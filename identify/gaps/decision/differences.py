@@ -192,7 +192,7 @@ def differences(
     levels_n: Sequence[float],
     progress: Callable[[float], None] = lambda _: None,
 ) -> Between:
-    """What differs between records beside a cause, or the believed rig; `known` are the effects at all places,
+    """Differences between records beside a cause, or the nominal rig; `known` are the effects at all places,
     `names` and `levels_n` those of the records, the latter by the root mean square of the force.
 
     Left out are effects that only a spectrum tells, and those that every record has its own of (a tone's phase).

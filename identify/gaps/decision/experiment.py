@@ -145,8 +145,8 @@ def refitted(begun: Search, one: Hypothesis, held: bool = False) -> Hypothesis:
 
 
 def enlarged(one: Hypothesis) -> Hypothesis:
-    """As large as the record leaves it open: every strength is `SIZED` standard errors, or times what is typical if
-    that is less, further from nothing than fitted.
+    """Hypothesis as large as the record leaves it open: every strength is `SIZED` standard errors, or times what is
+    typical if that is less, further from nothing than fitted.
 
     A cause that a record hardly shows is fitted as nothing; simulated so, no experiment would tell it from another.
     """

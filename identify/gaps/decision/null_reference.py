@@ -48,7 +48,7 @@ simulator that the diagnosis is handed."""
 
 
 class NullSimulation(msgspec.Struct, frozen=True):
-    """What one null simulation leaves: -2 ln p, the contacts' part of it and that of the worst band, and the
+    """Result of one null simulation: -2 ln p, the contacts' part of it and that of the worst band, and the
     unexplained shares by band, overall, and of each contact force; its figures in familiar terms; and the errors of
     predictions of it, where its rig can be predicted."""
 
@@ -249,8 +249,9 @@ def null_key(
     simulator: str,
     simulations: int = NULL_SIMULATIONS,
 ) -> str:
-    """Of the rig, its tolerances, the simulator, the force's (in a free decay the motion's) level and length, how long
-    the record counts (in halves of a second), and the program."""
+    """Key of the rig, its tolerances, the simulator, the force's (in a free decay the motion's) level and length, how
+    long the record counts (in halves of a second), and the program.
+    """
     driven = (
         measured.forces_n if np.any(measured.forces_n) else measured.signals[measured.rig.sensors[-1].quantity].values
     )

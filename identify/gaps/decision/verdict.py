@@ -188,7 +188,7 @@ def _named(likeliest: Judged, strengths: Sequence[Strength], ranked: Sequence[Ju
 
 
 def acts_where_they_do(force: ForcePlace, believed: Rig, rig: Rig) -> bool:
-    """Whether an unmeasured force acts where effects do: at what they attached, at a contact or in a sensor that they
+    """True if an unmeasured force acts where effects do: at what they attached, at a contact or in a sensor that they
     changed. One force of another law is no companion of theirs, but their rival."""
     if force.kind == "sensor":
         changed = [b.name for a, b in zip(believed.sensors, rig.sensors, strict=True) if a != b]

@@ -141,8 +141,9 @@ class ContactResidual:
 
     @cached_property
     def slopes(self) -> Float[np.ndarray, "3 laws times"]:
-        """Of every contact: the law's slope (N/m), the same with the sign of the relative displacement, and the force
-        at rest per stiffness (m)."""
+        """Slopes of every contact: the law's slope (N/m), the same with the sign of the relative displacement, and the
+        force at rest per stiffness (m).
+        """
         laws = [changed(law, damping_n_s_per_m=0.0) for law in self.within.laws]
 
         def of(eta: Signal, *time_s: Signal) -> Results:

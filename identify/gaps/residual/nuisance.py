@@ -80,8 +80,9 @@ def columns_of(record: Record, model: Linear) -> Columns:
 
 
 def _of_free_motion(record: Record, model: Linear, change: Change) -> Change:
-    """Of a free decay that tells its modes, what other frequencies and damping make of the free motion as it is shown,
-    to the faded end; any other change as it is."""
+    """Change in a free decay that tells its modes: what other frequencies and damping make of the free motion as it is
+    shown, to the faded end; any other change as it is.
+    """
     parameter, tolerances = change.parameter, record.tolerances
     if not record.modes or parameter.kind not in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING):
         return change

@@ -32,8 +32,9 @@ from rig.model.description import Rig
 
 
 class SearchCache:
-    """What the models of one search share on one record: responses of its bodies, and the columns used last, as they
-    are large. It lives as long as the linearisations that hold it."""
+    """Cache that the models of one search share on one record: responses of its bodies, and the columns used last, as
+    they are large. It lives as long as the linearisations that hold it.
+    """
 
     def __init__(self, record: Record) -> None:
         self.responses = ResponseCache(record.omega)

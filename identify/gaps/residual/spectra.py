@@ -85,7 +85,7 @@ class Record:
 
     @property
     def sampling(self) -> Sampling:
-        """Of a free motion that counts from the blow on."""
+        """Sampling of a free motion that counts from the blow on."""
         fading = int(np.count_nonzero(self.window[1:] < 1))
         return Sampling(self.sensors[0].measures.order, self.sample_rate_hz, self.samples, fading)
 
@@ -95,7 +95,7 @@ class Record:
 
     @property
     def forced(self) -> bool:
-        """Whether a force was measured; else the record is a free decay."""
+        """True if a force was measured; else the record is a free decay."""
         return bool(np.any(self.forces))
 
     @property
@@ -104,7 +104,7 @@ class Record:
 
     @property
     def rate_hz(self) -> float:
-        """Of the residuals over time."""
+        """Rate of the residuals over time, Hz."""
         return self.sample_rate_hz / self.factor
 
     @property
@@ -114,16 +114,16 @@ class Record:
 
     @property
     def time_s(self) -> Float[np.ndarray, " times"]:
-        """Of the residuals' samples."""
+        """Times of the residuals' samples, s."""
         return np.arange(self.taken.start, self.taken.stop) / self.rate_hz
 
     @property
     def sample_times_s(self) -> Float[np.ndarray, " samples"]:
-        """Of the recording's samples, from its beginning."""
+        """Times of the recording's samples from its beginning, s."""
         return np.arange(self.samples) / self.sample_rate_hz
 
     def spectrum(self, signal: Float[np.ndarray, " samples"]) -> Complex[np.ndarray, " lines"]:
-        """Of a signal over the recording's samples, windowed as they were."""
+        """Spectrum of a signal over the recording's samples, windowed as they were."""
         lines = np.round(self.omega * self.length / (2 * np.pi * self.sample_rate_hz)).astype(int)
         return np.asarray(rfft(signal * self.window, self.length)[lines])
 
@@ -274,7 +274,7 @@ def record_of(
 
 
 def _transform(recording: Recording, beginning: Beginning, high_hz: float) -> _Transform:
-    """With the lines up to a frequency; the record fades in, unless it begins quiet or with a blow, and out."""
+    """Transform with the lines up to a frequency. A record fades out, and in unless it begins quiet or with a blow."""
     rate, samples = recording.rig.sample_rate_hz, recording.samples
     factor = max(1, int(rate / (2 * high_hz)))
     length = factor * next_fast_len(-(-(samples + round(_ring_down_s(recording.rig) * rate)) // factor), real=True)
@@ -314,7 +314,7 @@ def _drifts(
 def _spectra(
     recording: Recording, transform: _Transform, joint: Rig, sensors: tuple[Sensor, ...]
 ) -> tuple[Complex[np.ndarray, "sensors lines"], Complex[np.ndarray, "contacts morelines"]]:
-    """What each sensor gave, on the lines; and beyond them, the relative displacements by sensors at the contacts."""
+    """Spectra of each sensor on the lines; and beyond them, the relative displacements by sensors at the contacts."""
     omega_beyond = transform.omega_beyond
     eta_beyond = np.zeros((len(joint.contacts), omega_beyond.size), dtype=complex)
     measured = np.empty((len(sensors), transform.lines), dtype=complex)
@@ -326,8 +326,10 @@ def _spectra(
 
 
 def _by_force(rig: Rig, sensor: Sensor, omega: Float[np.ndarray, " lines"]) -> Float[np.ndarray, " lines"]:
-    """About how a body's acceleration falls with the frequency under a steady force: omega^2 / (omega^2 + omega_1^2)
-    below its first mode, not at all of a free body, nor where accelerations are measured, which then show noise."""
+    """Approximate fall of a body's acceleration with the frequency under a steady force: omega^2 / (omega^2 +
+    omega_1^2) below its first mode, not at all of a free body, nor where accelerations are measured, which then show
+    noise.
+    """
     body = rig.body(sensor.station.body)
     first = 2 * np.pi * float(np.min(modes_of(rig, body).frequencies_hz(body.max_modes)))
     return omega**2 / (omega**2 + first**2) if sensor.measures.order < 2 else np.ones_like(omega)
@@ -348,7 +350,7 @@ def _faded(
     omega: Float[np.ndarray, " lines"],
     zero_known: bool,
 ) -> tuple[Complex[np.ndarray, "sensors lines"], Complex[np.ndarray, "sensors lines"]]:
-    """What the windowed velocity and acceleration are more than the derivatives of the windowed displacement x:
+    """Differences of the windowed velocity and acceleration from the derivatives of the windowed displacement x:
     w x' = (w x)' - w' x and w x'' = (w x)'' - 2 (w' x)' + w'' x. Of free masses, whose acceleration at any time is that
     of the force then; a body that is held answers a faded force by a motion that is not the faded one."""
     velocity, acceleration = np.zeros((2, len(sensors), omega.size), dtype=complex)
@@ -394,7 +396,7 @@ def _add_beyond(
     measured: Complex[np.ndarray, " lines"],
     omega: Float[np.ndarray, " lines"],
 ) -> None:
-    """What a sensor at a contact shows of its relative displacement above the band of the diagnosis."""
+    """Add what a sensor at a contact shows of its relative displacement above the band of the diagnosis."""
     for j, contact in enumerate(rig.contacts):
         for station, sign in ((contact.at, 1.0), (contact.against, -1.0)):
             if sensor.station == station:

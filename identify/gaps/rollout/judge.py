@@ -105,7 +105,7 @@ class Paired:
 
 
 def paired_blocks(before: Windows, after: Windows, first: Int[np.ndarray, " windows"], rate_hz: float) -> Paired:
-    """Of the errors of both; windows that are longer than a block are cut into such."""
+    """Paired blocks of the errors of both; windows that are longer than a block are cut into such."""
     length = min(before.shape[2], round(BLOCK_S * rate_hz))
     cuts = range(0, before.shape[2] - length // 2, length)
     squares = np.stack(
@@ -179,8 +179,9 @@ def standard_error(blocks: Float[np.ndarray, " blocks"]) -> float:
 
 
 def bounds(nulls: Sequence[NullErrors], samples: int) -> list[tuple[float, float]]:
-    """Of null simulations over a horizon: the median of the fitted rig's errors, and what those of the rig as it stands
-    stay below in 95 % (Student's prediction of their logarithm); of all sensors together, then of each."""
+    """Bounds of null simulations over a horizon: the median of the fitted rig's errors, and what those of the rig as it
+    stands stay below in 95 % (Student's prediction of their logarithm); of all sensors together, then of each.
+    """
     known = [(null, null.samples.index(samples)) for null in nulls if samples in null.samples]
     middle = np.median([null.within[k] for null, k in known], axis=0)
     logs, count = np.log(np.maximum([null.nominal[k] for null, k in known], 1e-300)), len(known)
@@ -190,7 +191,7 @@ def bounds(nulls: Sequence[NullErrors], samples: int) -> list[tuple[float, float
 
 
 def _told(nominal: Windows, corrected: Windows, nulls: list[tuple[float, float]]) -> list[PredictionErrors]:
-    """Of all sensors together, then of each, with the median and the bound of null simulations."""
+    """Errors of all sensors together, then of each, with the median and the bound of null simulations."""
     return [
         PredictionErrors(
             nominal=before,

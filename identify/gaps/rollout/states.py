@@ -106,7 +106,7 @@ def motion_of(recording: Recording, rig: Rig, at: Residual) -> MeasuredMotion:
 
 @dataclass(frozen=True)
 class _Modes:
-    """As many modes of each body as it has stations: shapes at the stations and across the contacts.
+    """Modes of each body, as many as it has stations: shapes at the stations and across the contacts.
 
     forced are those whose slow displacement forces tell, forced_m the spectra of all displacements by the forces.
     """
@@ -122,13 +122,13 @@ class _Modes:
         return np.asarray(np.linalg.pinv(self.shapes, rcond=1e-9))
 
     def followed(self) -> Float[np.ndarray, "stations contacts"]:
-        """How the stations follow slow relative displacements of the contacts: with the least of elastic energy."""
+        """Motion of the stations with slow relative displacements of the contacts: with the least of elastic energy."""
         compliant = self.across.T / (self.natural_hz**2 + SOFTEST_HZ**2)[:, None]
         return np.asarray(self.shapes @ compliant @ np.linalg.pinv(self.across @ compliant, rcond=1e-9))
 
 
 def _modes_of(rig: Rig, at: Residual, stations: tuple[Station, ...]) -> _Modes:
-    """Of a rig, with the displacements that the fitted one's forces make, in the order of its bodies' modes."""
+    """Modes of a rig, with the displacements that the fitted one's forces make, in the order of its bodies' modes."""
     record, parts = at.model.record, []
     by_body = zip(at.model.responses, at.model.modal, strict=True)
     fitted = {response.body.name: (motion, response.dynamics.high_passed) for response, motion in by_body}

@@ -104,7 +104,7 @@ def null_errors(recording: Recording, at: Residual, predict: Predict) -> NullErr
 
 
 def horizons(available: int) -> list[int]:
-    """Those that are looked at, samples, up to as many as there are."""
+    """Horizons that are looked at, samples, up to as many as there are."""
     found: list[int] = []
     while (n := round(SHORTEST * 2 ** (len(found) / 2))) <= available:
         found.append(n)

@@ -45,7 +45,7 @@ def attached(linearization: Linearization, moved: Rig, at: Residual) -> Column |
 
 
 def _forces(record: Record, model: Linear, more: Rig) -> list[tuple[Station, Complex[np.ndarray, " lines"]]]:
-    """Of what is attached: the place of each, and how it pushes."""
+    """Forces of what is attached: the place of each, and how it pushes."""
     places = places_of(record, model.rig)
     displacements, accelerations = model.displaced, model.accelerations
     found = ground_forces(record, more, model.responses, places, displacements)

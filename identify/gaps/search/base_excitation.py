@@ -78,7 +78,7 @@ def fit_base_excitation(
 def _gains(
     density: float, seen: Float[np.ndarray, " lines"], size: Float[np.ndarray, " lines"]
 ) -> Float[np.ndarray, " lines"]:
-    """By how much a density raises the log likelihood of each line."""
+    """Gains of the log likelihood of each line by a density."""
     return np.asarray(seen * (1 - 1 / (1 + density * size)) - np.log1p(density * size))
 
 

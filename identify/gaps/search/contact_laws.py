@@ -86,7 +86,7 @@ def law_outcomes(recording: Recording, rig: Rig, tolerances: Tolerances) -> LawO
 
 
 def _not_modelled(rig: Rig) -> str:
-    """What the contact fit does not know of a rig; nothing where it knows all."""
+    """Reason why the contact fit does not know a rig; empty where it does."""
     if rig.loads:
         return "a constant force"
     if rig.dampers:

@@ -64,7 +64,7 @@ class Hypothesis:
 
     @property
     def leaves_something(self) -> bool:
-        """Whether more is left above noise and tolerated shares than an effect must gain, or a tolerance is pulled
+        """True if more is left above noise and tolerated shares than an effect must gain, or a tolerance is pulled
         far off, where it hides what is left."""
         return self.misfit.excess > WORTH or float(np.max(np.abs(self.misfit.pulls), initial=0.0)) > PULLED
 

@@ -171,7 +171,7 @@ class LocalModel:
         return best
 
     def promised(self, terms: Sequence[CandidateTerm], at: Solution) -> Float[np.ndarray, " terms"]:
-        """By how much S falls at least if a candidate joins: the gain of the majorised S, within the range of theta."""
+        """Least fall of S if a candidate joins: the gain of the majorised S, within the range of theta."""
         every = np.arange(len(self.spectra))
         matrix, vector = self.normal(at.theta, every)
         slope = vector - matrix @ at.theta
@@ -330,7 +330,7 @@ def _segments(rate_hz: float, times: int) -> tuple[int, int, int, int]:
 def _cells(
     linearization: Linearization, reference: Reference, times: int
 ) -> tuple[Float[np.ndarray, "sensors bands"], Int[np.ndarray, " rows"]]:
-    """What makes spectra in standard deviations of the fit such whose squares add up to L; and the cell of each row."""
+    """Factors by which the squares of spectra in standard deviations add up to L; and the cell of each row."""
     record = linearization.record
     _, count, per_band, bands = _segments(record.rate_hz, times)
     variance = by_band(record, linearization.model.deviation**2, bands) / reference.usual

@@ -119,7 +119,7 @@ def _quadratic(
     here: Float[np.ndarray, " all"],
     cost: float,
 ) -> Information:
-    """From the derivatives at `here`, where -2 ln p is `cost` with the prior of the tolerances in it."""
+    """Quadratic by the derivatives at `here`, where -2 ln p is `cost` with the prior of the tolerances in it."""
     pulls, vector = here[: len(tolerances)], gradient + matrix @ here
     return Information(tolerances, matrix, vector, cost - float(pulls @ pulls - here @ (vector + gradient)))
 
@@ -139,7 +139,7 @@ def without_drift(
 
 @dataclass(frozen=True)
 class Pooled:
-    """What records say together. values and covariance: of the parameters; of each record's own one after the other."""
+    """Estimate of records together: values and covariance of the parameters, each record's own one after the other."""
 
     tolerances: dict[Hashable, float]
     values: Float[np.ndarray, " parameters"]
@@ -217,7 +217,7 @@ def fitted_together(records: Sequence[Record], seen: Sequence[Reference], one: H
 
 @dataclass(frozen=True)
 class _PooledFit:
-    """What records say together, linearised about values, and the sum of their -2 ln p there, each with tolerances of
+    """Fit of records together, linearised about values, and the sum of their -2 ln p there, each with tolerances of
     its own."""
 
     values: Values

@@ -137,8 +137,8 @@ def of_laws(rig: Rig, candidates: Sequence[Candidate]) -> list[Candidate]:
 
 
 def law_screening(linearization: Linearization, fresh: Residual, candidates: Sequence[Candidate]) -> list[Screened]:
-    """By the contact residuals over a grid of strengths, of effects `of_laws`, the best first; at a residual whose slow
-    motion followed no law yet.
+    """Screening by the contact residuals over a grid of strengths, of effects `of_laws`, the best first; at a residual
+    whose slow motion followed no law yet.
 
     A smaller clearance has no slope where the believed contact is open. The gain is that of a variance which is not
     known, sum of n ln(mean square) over the contacts, as the slow motion errs more at one contact than at another.

@@ -149,7 +149,7 @@ def _band(own: WhitenedRecord, power: Float[np.ndarray, " bands"]) -> tuple[floa
 
 @dataclass(frozen=True)
 class _Timing:
-    """When a force acts: by_time and before_excitation as in `UnmeasuredForce`; in_contact_share is the share of its
+    """Timing of a force: by_time and before_excitation as in `UnmeasuredForce`; in_contact_share is the share of its
     mean square while a contact is closed, zero if one nearly always is."""
 
     in_contact_share: float

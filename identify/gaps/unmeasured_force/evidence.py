@@ -79,7 +79,7 @@ def explained(
     cleared: Complex[np.ndarray, "lines rows"] | None = None,
     shape: Float[np.ndarray, " bands"] | None = None,
 ) -> Explained:
-    """With a force of the candidate's residual per unit force, from the nuisances and noise of `start`.
+    """Evidence with a force of the candidate's residual per unit force, from the nuisances and noise of `start`.
 
     With the residual `cleared` of the nuisances of `start` these stay where they are: quick, for a first choice.
     `shape` is a spectrum of which only the size is free.

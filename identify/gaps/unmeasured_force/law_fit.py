@@ -46,7 +46,7 @@ def shortest(found: tuple[ForceLaw, ...], least: float) -> ForceLaw | None:
 
 
 def _toned(history: ForceHistory) -> ForceLaw:
-    """At the line where the free force is strongest, and a little beside; a tone is a tone to the last line."""
+    """Tone at the line where the free force is strongest, and a little beside; a tone is a tone to the last line."""
     history = softened(history, 0.0)
     form = tone_of(history)
     record = history.located.observed.record
@@ -75,7 +75,7 @@ def begun_at(history: ForceHistory, form: Form) -> "tuple[Descent, DescentState]
 
 
 def ended(history: ForceHistory, at: "Descent", state: "DescentState") -> "DescentState":
-    """From the first numbers on, the law trusted more and more."""
+    """Fit from the first numbers on, the law trusted more and more."""
     for law_error in TRUSTED[2:]:
         state = replace(at, history=softened(history, law_error)).descended(state)
     return replace(at, history=history).descended(state)
@@ -163,7 +163,7 @@ class Descent:
         return _ForceState(coefficients, parameter, knots, cost)
 
     def _step(self, at: _ForceState) -> _ForceStep:
-        """Of the numbers and the slow motion; the coefficients are the best of where the others come to."""
+        """Step of the numbers and the slow motion; the coefficients are the best of where the others come to."""
         history, form, kinds = self.history, self.form, len(self.form.units)
         free = kinds + bool(form.parameter)
         shapes = self.shapes(at.parameter, at.knots)

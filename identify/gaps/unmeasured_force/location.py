@@ -23,8 +23,8 @@ FLAT_PRIOR = 1e4
 
 @dataclass(frozen=True)
 class ForcePlace:
-    """What may act unmeasured: a force at `stations[0]`, less the same at `stations[1]` of a pair; or a sensor's signal
-    of its own; or a modulus of the `bodies` that drifts.
+    """Place of what may act unmeasured: a force at `stations[0]`, less the same at `stations[1]` of a pair; or a
+    sensor's signal of its own; or a modulus of the `bodies` that drifts.
     """
 
     kind: Kind
@@ -102,7 +102,7 @@ def candidates(rig: Rig, sensors: Sequence[Sensor]) -> Iterator[ForcePlace]:
 
 
 def offset_m(rig: Rig, one: str, other: str) -> float:
-    """From a place on one body to that beside it on another, by the contacts between them; 0 without any."""
+    """Offset from a place on one body to that beside it on another, by the contacts between them; 0 without any."""
     shifts = []
     for contact in rig.contacts:
         if contact.against is not None and {contact.at.body, contact.against.body} == {one, other}:
