@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from scipy.signal import welch
-from tests.tests.test_campaigns.worlds.examples import alone, beam
+from tests.test_campaigns.worlds.examples import alone, beam
 
 from tests.campaigns.worlds.forces import Gaussian
 from tests.campaigns.worlds.instruments import measured

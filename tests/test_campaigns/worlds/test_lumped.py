@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from scipy.signal import hilbert
-from tests.tests.test_campaigns.worlds.examples import inputs, ran
+from tests.test_campaigns.worlds.examples import inputs, ran
 
 from rig.errors import RigError
 from tests.campaigns.worlds.forces import Blows, Release

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from tests.tests.test_campaigns.worlds.examples import alone, beam, inputs, ran
+from tests.test_campaigns.worlds.examples import alone, beam, inputs, ran
 
 from tests.campaigns.worlds.believed import believed_rig, nominal_machine
 from tests.campaigns.worlds.forces import Gaussian

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from scipy.linalg import expm
-from tests.tests.test_campaigns.worlds.examples import alone, beam, inputs, ran, to_ground
+from tests.test_campaigns.worlds.examples import alone, beam, inputs, ran, to_ground
 
 from rig.simulation.excitation import BandLimitedGaussian, force_history
 from rig.simulation.motion import joined
