@@ -79,7 +79,10 @@ class Linear:
         """The accelerations of each body's modes."""
         forces = np.stack([*(force_n for _, force_n in self.pushes), *self.contact_n])
         pushed = [station for station, _ in self.pushes]
-        found = tuple(r.accelerance * times(input_shapes(self.rig, r, pushed).T, forces) for r in self.responses)
+        found = tuple(
+            _modal_response(self.record, self.rig, r, times(input_shapes(self.rig, r, pushed).T, forces))
+            for r in self.responses
+        )
         for motion in self.free:
             found[motion.body][motion.mode] += motion.acceleration
         return found
@@ -252,10 +255,28 @@ def _response_to_force(
     to the force as it acted that is windowed. Weights by frequency reach back from there by seconds.
     """
     by_window = per_newton * force_n
-    if rig.contacts or not record.has_every_line:
+    rings_on = np.array([_rings_on(record, rig, s.station.body) for s in record.sensors])
+    if not rings_on.any():
         return by_window
-    held = np.array([not is_free(rig, s.station.body) for s in record.sensors])[:, None]
-    return np.where(held, record.windowed_response(per_newton * record.unwindowed_force(force_n)), by_window)
+    orders = [s.measures.order for s in record.sensors]
+    response = record.windowed_response(per_newton * record.unwindowed_force(force_n), orders)
+    return np.where(rings_on[:, None], response, by_window)
+
+
+def _modal_response(
+    record: Record, rig: Rig, response: Response, modal_force: Complex[np.ndarray, "modes lines"]
+) -> Complex[np.ndarray, "modes lines"]:
+    """Modal accelerations of a body under windowed forces, as `_response_to_force` has them at its sensors."""
+    if not _rings_on(record, rig, response.body.name):
+        return response.accelerance * modal_force
+    order = next((s.measures.order for s in record.sensors if s.station.body == response.body.name), 2)
+    accelerations = response.accelerance * record.unwindowed_force(modal_force)
+    return record.windowed_response(accelerations, [order] * len(accelerations))
+
+
+def _rings_on(record: Record, rig: Rig, body: str) -> bool:
+    """True of a held body where responses are windowed."""
+    return record.windows_responses and not is_free(rig, body)
 
 
 def _loads(record: Record, rig: Rig) -> list[tuple[Station, Complex[np.ndarray, " lines"]]]:

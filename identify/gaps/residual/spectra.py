@@ -1,5 +1,6 @@
 """A recording as the diagnosis reads it: the spectra of force and accelerations, and how far noise explains them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -54,8 +55,9 @@ class Record:
     of each force's lines by its channel's noise. eta_beyond is each relative displacement as measured on the lines
     from `high_hz` on, drifts what is known of its slow part (None where nothing is lost; the linear model has the
     springs). window is what samples were multiplied by, excited_s when the force begins, period_s after what it
-    repeats (None: it does not), tolerances how exactly the rig is believed. from_the_blow: a free motion that
-    counts from the first sample on; modes are those that it tells of a rig without contacts.
+    repeats (None: it does not), tolerances how exactly the rig is believed. windows_responses: without contacts it
+    is the response of what is held, not the force, that is windowed. from_the_blow: a free motion that counts from
+    the first sample on; modes are those that it tells of a rig without contacts.
     """
 
     rig: Rig
@@ -79,6 +81,7 @@ class Record:
     from_the_blow: bool
     modes: tuple[MeasuredMode, ...]
     taken: slice
+    windows_responses: bool
     excited_s: float
     period_s: float | None
     tolerances: Tolerances
@@ -150,10 +153,6 @@ class Record:
         """Weight of the tolerances over that of a sample, as model errors last: samples for each that counts."""
         return max(1.0, len(self.sensors) * self.rate_hz / COUNTED_HZ)
 
-    @property
-    def has_every_line(self) -> bool:
-        return self.omega.size == self.length // self.factor // 2 + 1
-
     @cached_property
     def _falling_window(self) -> Float[np.ndarray, " times"]:
         """The window's fall over the padded record, at `rate_hz`."""
@@ -169,13 +168,12 @@ class Record:
         return np.asarray(rfft(np.divide(whole, self._falling_window, out=np.zeros_like(whole), where=acted)))
 
     def windowed_response(
-        self, accelerations: Complex[np.ndarray, "sensors lines"]
-    ) -> Complex[np.ndarray, "sensors lines"]:
-        """Accelerations as windowed sensors deliver them, w(t) y(t), of a motion that does not fade."""
-        turned = np.stack([integrated(self.omega, 2 - s.measures.order, 0.0) for s in self.sensors])
-        return np.asarray(
-            rfft(irfft(accelerations / turned, self._falling_window.size) * self._falling_window) * turned
-        )
+        self, accelerations: Complex[np.ndarray, "rows lines"], orders: Sequence[int]
+    ) -> Complex[np.ndarray, "rows lines"]:
+        """Accelerations that derivatives of these orders deliver windowed, w(t) y(t), of a motion that does not fade."""
+        fall = self._falling_window
+        turned = np.stack([integrated(self.omega, 2 - order, 0.0) for order in orders])
+        return np.asarray(rfft(irfft(accelerations / turned, fall.size) * fall) * turned)
 
     def in_time(self, spectra: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows times"]:
         """Back to time, at `rate_hz`, the samples that count."""
@@ -270,6 +268,7 @@ def record_of(
         from_the_blow=beginning.from_the_blow,
         modes=modes,
         taken=_taken(samples, transform, beginning, delivered, counted_until_s),
+        windows_responses=not rig.contacts,
     )
 
 

@@ -176,6 +176,7 @@ def _thinned(record: Record) -> Record:
     return replace(
         record,
         omega=record.omega[some],
+        windows_responses=False,
         **{
             name: getattr(record, name)[..., some]
             for name in ("forces", "delivered", "displaced", "faded", "noise", "power")

@@ -140,8 +140,8 @@ def bare_residual(record: Record, rig: Rig) -> WhitenedRecord:
 
     Raises RigError if the contacts' free forces explain all that the sensors give.
     """
-    silent = np.zeros_like(record.force_noise)  # that of the forces is whitened below
-    record = replace(record, noise=plain_noise(record), force_noise=silent)
+    silent = np.zeros_like(record.force_noise)  # that of the forces is whitened below; unmeasured ones are windowed
+    record = replace(record, noise=plain_noise(record), force_noise=silent, windows_responses=False)
     model = linear_model(record, rig, record.tolerances.unmodelled)
     lines = slice(int(np.searchsorted(record.omega, 2 * np.pi * LOWEST_HZ)), record.omega.size)
     basis = complement(model.by_input[..., lines])

@@ -18,6 +18,7 @@ from rig.model.beam import Beam
 from rig.model.description import Rig, Sensor, Station
 from rig.recording import Recording, Signals, channel_groups
 
+pytestmark = pytest.mark.long
 BEAM = Beam(name="beam", ends="clamped-free", length_m=1.0, width_m=0.04, thickness_m=0.01, damping_ratio=0.01)
 PLACES_M, RATE_HZ, HIT_HZ, FINE_HZ, ELEMENTS = (0.3, 0.55, 0.8, 1.0), 512.0, 1024.0, 8192.0, 20
 NOISE = {"displacement": 5e-8, "velocity": 1e-6, "acceleration": 1e-3}

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from tests.test_campaigns.worlds.examples import beam
 
 from tests.campaigns.worlds.beams import modes_of
 from tests.campaigns.worlds.machine import MODES
+from tests.test_campaigns.worlds.examples import beam
 
 BAR = beam()
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from scipy.signal import welch
-from tests.test_campaigns.worlds.examples import alone, beam
 
 from tests.campaigns.worlds.forces import Gaussian
 from tests.campaigns.worlds.instruments import measured
 from tests.campaigns.worlds.machine import ForceCell, MachineTone, Place, Shaking, with_sensors
 from tests.campaigns.worlds.simulator import model_of
+from tests.test_campaigns.worlds.examples import alone, beam
 
 RATE_HZ = 4096.0
 BAR = alone(beam(damping_ratio=0.03), 0.8)

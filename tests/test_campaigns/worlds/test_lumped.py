@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from scipy.signal import hilbert
-from tests.test_campaigns.worlds.examples import inputs, ran
 
 from rig.errors import RigError
 from tests.campaigns.worlds.forces import Blows, Release
@@ -13,6 +12,7 @@ from tests.campaigns.worlds.laws import StopLaw, energy_j
 from tests.campaigns.worlds.lumped import lumped_modes
 from tests.campaigns.worlds.machine import Link, Lumped, Machine, MotionSensor, Place
 from tests.campaigns.worlds.simulator import at_rest, model_of
+from tests.test_campaigns.worlds.examples import inputs, ran
 
 MASS_KG, SPRING = 2.0, 2.0 * (2 * np.pi * 12.0) ** 2
 

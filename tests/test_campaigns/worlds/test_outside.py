@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from tests.test_campaigns.worlds.examples import alone, beam, inputs, ran
 
 from tests.campaigns.worlds.believed import believed_rig, nominal_machine
 from tests.campaigns.worlds.forces import Gaussian
@@ -12,6 +11,7 @@ from tests.campaigns.worlds.machine import with_sensors
 from tests.campaigns.worlds.outside import OUTSIDE
 from tests.campaigns.worlds.simulator import STEP_S
 from tests.campaigns.worlds.truth import EffectTruth
+from tests.test_campaigns.worlds.examples import alone, beam, inputs, ran
 
 MACHINE = with_sensors(
     nominal_machine(believed_rig("own", np.random.default_rng(1))), "all", lambda s: replace(s, noise_density=0.0)

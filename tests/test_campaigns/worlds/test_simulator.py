@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from scipy.linalg import expm
-from tests.test_campaigns.worlds.examples import alone, beam, inputs, ran, to_ground
 
 from rig.simulation.excitation import BandLimitedGaussian, force_history
 from rig.simulation.motion import joined
@@ -13,6 +12,7 @@ from tests.campaigns.worlds.believed import believed_rig, nominal_machine
 from tests.campaigns.worlds.laws import StopLaw, energy_j
 from tests.campaigns.worlds.machine import Place, with_hung
 from tests.campaigns.worlds.simulator import STEP_S, at_rest, model_of, propagator
+from tests.test_campaigns.worlds.examples import alone, beam, inputs, ran, to_ground
 
 STOP = StopLaw(lower_m=1e-3, upper_m=1e-3, stiffness_below_n_per_m=1e5, stiffness_above_n_per_m=1e5)
 FORCE = BandLimitedGaussian(rms_n=15.0, low_hz=0.5, high_hz=100.0, seed=3)
