@@ -170,7 +170,7 @@ class Record:
     def windowed_response(
         self, accelerations: Complex[np.ndarray, "rows lines"], orders: Sequence[int]
     ) -> Complex[np.ndarray, "rows lines"]:
-        """Accelerations that derivatives of these orders deliver windowed, w(t) y(t), of a motion that does not fade."""
+        """Accelerations as windowed derivatives of these orders, w(t) y(t), deliver a motion that does not fade."""
         fall = self._falling_window
         turned = np.stack([integrated(self.omega, 2 - order, 0.0) for order in orders])
         return np.asarray(rfft(irfft(accelerations / turned, fall.size) * fall) * turned)
