@@ -32,7 +32,9 @@ class ColumnBlock:
 
 @dataclass(frozen=True)
 class Refused:
-    """What a file lists by this name and is not read, such as a link to another file, and the sentence that says so."""
+    """Refusal of what a file lists by this name and is not read, such as a link to another file, and the sentence that
+    says so.
+    """
 
     name: str
     sentence: str

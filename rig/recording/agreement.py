@@ -1,4 +1,4 @@
-"""Whether the channels of a recording are those of its rig.json."""
+"""Agreement of a recording's channels with its rig.json."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -16,7 +16,7 @@ class Assembly:
     """Takes blocks as they come; one that comes too early waits for its place."""
 
     def __init__(self, path: Path, name: str, channels: Channels, first: int = 0, room: int = 0) -> None:
-        """Of the file and group of that name, from the first sample on; memory for `room` of them is kept ready."""
+        """Assembly of the group of that name, from the first sample on; memory for `room` samples is kept ready."""
         self._path, self._name, self._channels = path, name, channels
         self._first = self._end = first
         self._values = np.empty((len(channels.names), room))
@@ -38,7 +38,7 @@ class Assembly:
             self._early.append(block.copied())
 
     def finished(self) -> tuple[float, Float[np.ndarray, "channels samples"]]:
-        """When the samples begin, s, and their values.
+        """Start of the samples, s, and their values.
 
         Raises RigError if there are none, there is a gap, or a value is not finite or beyond LARGEST.
         """
@@ -85,7 +85,7 @@ class Assembly:
 def assembled(
     path: Path, name: str, channels: Channels, blocks: list[Block], first: int = 0
 ) -> Float[np.ndarray, "channels samples"]:
-    """As Assembly, of blocks in any order."""
+    """Assembled samples of blocks in any order."""
     assembly = Assembly(path, name, channels, first, room=sum(b.values.shape[1] for b in blocks))
     for block in blocks:
         assembly.add(block)

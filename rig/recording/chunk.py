@@ -41,7 +41,7 @@ class Chunk:
 
     @property
     def span_ns(self) -> int:
-        """From the first message to the last."""
+        """Span from the first message to the last, ns."""
         return self._times_ns[-1] - self._times_ns[0] if self._times_ns else 0
 
     def add(
@@ -122,7 +122,7 @@ class Chunk:
         self._bytes[begin : self._end] = data
 
     def _room(self, length: int) -> int:
-        """Where so many bytes begin at the end, to be filled."""
+        """Offset of this many bytes at the end, to be filled."""
         begin, self._end = self._end, self._end + length
         if self._end > len(self._bytes):
             self._bytes = self._bytes[:begin] + bytearray(2 * self._end - begin)
@@ -131,6 +131,6 @@ class Chunk:
 
 @cache
 def _alike(head: int, doubles: int) -> np.dtype[np.void]:
-    """Of a message with so many bytes before so many doubles."""
+    """Check of a message with this many bytes before this many doubles."""
     start = ("start", "u1", (_MESSAGE_START.size,))
     return np.dtype([start, ("times", "<u8", (2,)), ("head", "u1", (head,)), ("values", "<f8", (doubles,))])

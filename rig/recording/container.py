@@ -93,7 +93,7 @@ def whole(file: BufferedReader, wanted: Callable[[Channel], bool] = lambda _: Tr
 
 
 def with_path_in_error(path: Path, steps: Iterator[Step]) -> Iterator[Step]:
-    """What reading a file yields; where it is refused or damaged, one sentence that names it (RigError)."""
+    """Result of reading a file; where it is refused or damaged, one sentence that names it (RigError)."""
     try:
         yield from steps
     except RigError as error:
@@ -142,7 +142,7 @@ class Unread:
 
 
 def held_of(file: BufferedReader) -> Held:
-    """What is kept of an open file: nothing so far."""
+    """Memory held of an open file: nothing so far."""
     return Held(os.fstat(file.fileno()).st_size, "what its chunks hold")
 
 
@@ -181,7 +181,7 @@ def _in_chunk(data: memoryview, held: Held, unwanted: Container[int]) -> Iterato
 
 
 def _alike(data: memoryview, length: int) -> int:
-    """How many records of that kind, length and channel, all in their first eleven bytes, come one behind the other.
+    """Count of records of that kind, length and channel, all in their first eleven bytes, one behind the other.
 
     No more than 64 are looked at.
     """
@@ -219,7 +219,7 @@ class _Window:
         self._at = self._end = 0
 
     def shown(self, count: int) -> memoryview:
-        """So many bytes from where it stands; raises EOFError if the file ends before."""
+        """Bytes from the current position, this many; raises EOFError if the file ends before."""
         if self._end - self._at < count:
             rest = self._held[self._at : self._end]
             held = self._held if count <= len(self._held) else memoryview(bytearray(count))
@@ -233,7 +233,7 @@ class _Window:
         self._at += count
 
     def beyond(self, count: int) -> bool:
-        """Whether there is anything behind so many bytes from where it stands."""
+        """True if there is anything behind this many bytes from the current position."""
         return self._end - self._at > count or bool(self._file.read(1))
 
 

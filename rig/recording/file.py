@@ -81,7 +81,7 @@ class Recording:
         return known[name]
 
     def values_of(self, sensor: Sensor) -> Float[np.ndarray, " samples"]:
-        """What a sensor of the rig delivered."""
+        """Values that a sensor of the rig delivered."""
         signals = self.signals[sensor.quantity]
         return signals.values[signals.channels.names.index(sensor.name)]
 
@@ -189,13 +189,13 @@ def truth_path(path: Path) -> Path:
 
 
 def recordings_in(folder: Path) -> list[Path]:
-    """What a laboratory could have recorded: the .mcap files of a folder without those of a simulator's truth."""
+    """Recordings of a folder: its .mcap files without those of a simulator's truth."""
     return [path for path in folder.glob("*.mcap") if not path.name.endswith(TRUTH)]
 
 
 @dataclass(frozen=True)
 class Contents:
-    """What the records of a file hold beside the blocks of every group; of the attachments rig.json alone is kept."""
+    """Content of a file's records beside the blocks of every group; of the attachments rig.json alone is kept."""
 
     attachments: dict[str, bytes] = field(default_factory=dict)
     provenance: dict[str, str] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""What other programs put into a recording beside it: channels, attachments and metadata, kept as they are."""
+"""Foreign content of a recording: channels, attachments and metadata of other programs, kept as they are."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
@@ -38,7 +38,7 @@ class Foreign:
             yield record
 
     def numbered(self, schemas: int, channels: int) -> "Foreign":
-        """With ids behind so many others; a schema that no channel uses or none describes is left out."""
+        """Content with ids behind this many others; a schema that no channel uses or none describes is left out."""
         used = sorted({c.schema_id for c in self.channels.values()} & set(self.schemas))
         schema_ids = {old: schemas + k for k, old in enumerate(used, start=1)}
         ids = {old: channels + k for k, old in enumerate(self.channels, start=1)}

@@ -34,12 +34,12 @@ class Block:
     values: Float[np.ndarray, "channels samples"]
 
     def copied(self) -> "Block":
-        """With values of its own."""
+        """Message with values of its own."""
         return replace(self, values=self.values.copy())
 
 
 def block_head(time_ns: int, first_sample: int, sample_rate_hz: float, shape: tuple[int, int]) -> bytes:
-    """What stands before the little-endian doubles of a block of so many channels and samples, channel by channel.
+    """Head before the little-endian doubles of a block of this many channels and samples, channel by channel.
 
     A packed double field is its tag, its length in bytes and the doubles; protobuf would take them one by one.
     """
@@ -68,7 +68,7 @@ def decode_block(data: bytes | memoryview) -> Block:
 
 
 def preview_head(channels: int) -> bytes:
-    """What stands before the little-endian doubles of a Float64MultiArray in CDR: no dimensions, no offset, the count.
+    """Head before the little-endian doubles of a Float64MultiArray in CDR: no dimensions, no offset, the count.
 
     Four bytes of alignment follow.
     """
@@ -79,7 +79,7 @@ _CDR_EMPTY_LAYOUT = bytes([0, 1, 0, 0]) + struct.pack("<II", 0, 0)  # encapsulat
 
 
 def _values_in(data: bytes | memoryview) -> tuple[int, int]:
-    """Where the fields before the values end, and where the doubles begin, which must be the last and in one piece.
+    """Offsets at which the fields before the values end and the doubles begin, which must be the last and in one piece.
 
     Otherwise the end of the message, and 0.
     """

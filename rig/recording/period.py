@@ -1,4 +1,4 @@
-"""Whether a force repeats, as a multisine of several periods does."""
+"""Period of a force that repeats, as a multisine of several periods does."""
 
 import numpy as np
 import scipy

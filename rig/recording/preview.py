@@ -19,7 +19,7 @@ def preview_record(number: int, group: str, sensor: str, unit: str) -> ChannelRe
 def previews(
     values: Float[np.ndarray, "channels samples"], sample_rate_hz: float, length: int
 ) -> tuple[Int[np.ndarray, " parts"], Float[np.ndarray, "channels parts 2"]]:
-    """Where the parts of blocks of that length begin, and the least and the largest sample of each."""
+    """Previews: where the parts of blocks of that length begin, and the least and the largest sample of each."""
     begins = _begins(values.shape[1], length, max(1, round(sample_rate_hz / PREVIEW_HZ)))
     ends = [each.reduceat(values, begins, axis=1) for each in (np.minimum, np.maximum)]
     return begins, np.stack(ends, axis=2)

@@ -28,7 +28,7 @@ from rig.recording.writer import writing
 
 @dataclass(frozen=True)
 class Loss:
-    """What of a group is in the recovered recording and what is not; asked is None if the file does not say it."""
+    """Loss of a group: what the recovered recording holds and lacks; asked is None if the file does not say it."""
 
     group: str
     sample_rate_hz: float
@@ -94,7 +94,7 @@ def _placed(blocks: list[Block]) -> dict[int, Block]:
 
 
 def _unbroken(blocks: dict[int, Block]) -> int:
-    """How many samples there are from the start to the first gap."""
+    """Count of samples from the start to the first gap."""
     end = 0
     while end in blocks and blocks[end].values.size:
         end += blocks[end].values.shape[1]
@@ -102,7 +102,7 @@ def _unbroken(blocks: dict[int, Block]) -> int:
 
 
 def _asked(provenance: Mapping[str, str]) -> float | None:
-    """How long the recording was to be, if the file says so."""
+    """Duration that was asked for, if the file says so."""
     try:
         return float(provenance["asked_duration_s"])
     except (KeyError, ValueError):

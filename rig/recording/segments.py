@@ -48,7 +48,7 @@ def segments(path: Path, length_s: float, overlap_s: float) -> Iterator[Recordin
 
 
 def bytes_per_second(path: Path) -> float:
-    """How many bytes of samples a second of all channels has, from what stands before the first of them.
+    """Bytes of samples a second of all channels, by what stands before the first of them.
 
     Raises RigError as `segments` does.
     """

@@ -1,4 +1,4 @@
-"""What a plant delivers: the true motion of a rig, block by block."""
+"""Motion that a plant delivers: the true one of a rig, block by block."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -90,14 +90,14 @@ class Motion:
 
     @property
     def force_n(self) -> Float[np.ndarray, " samples"]:
-        """Of a rig with one."""
+        """Exciting force of a rig with one, N."""
         (only,) = self.forces_n
         return np.asarray(only)
 
 
 @runtime_checkable
 class Plant(Protocol):
-    """How a rig is simulated: from rest, with the measured force given at multiples of the step."""
+    """Plant: simulates a rig from rest, with the measured force given at multiples of the step."""
 
     def __call__(self, rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress) -> Iterator[Motion]: ...
 

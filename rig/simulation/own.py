@@ -34,7 +34,7 @@ class Drive(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 @dataclass(frozen=True)
 class OwnRig:
-    """What `rig.simulation.reference` has for the reference rigs: a rig, its force, duration and step."""
+    """Rig of a user, as `rig.simulation.reference` has the reference rigs: a rig, its force, duration and step."""
 
     machine: Rig
     drive: Drive

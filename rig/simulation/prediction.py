@@ -73,7 +73,7 @@ def modal_inverse(
 
 
 def held_at(model: Model, state: Float[np.ndarray, " both"], time_s: float) -> Float[np.ndarray, "4 contacts"]:
-    """What `advance` holds of the contacts at a state that moves: force, eta, eta', and no bend."""
+    """Contact values that `advance` holds at a state that moves: force, eta, eta', and no bend."""
     eta, rate = (model.across @ part for part in state.reshape(2, -1))
     force = [float(law.force_n(e, r, time_s)) for law, e, r in zip(model.laws, eta, rate, strict=True)]
     return np.stack([np.array(force, dtype=float), eta, rate, np.zeros(len(force))])

@@ -99,14 +99,14 @@ def record(
 
 
 def _versions(*packages: str) -> Iterator[tuple[str, str]]:
-    """Those of the packages that are installed, as an extra need not be."""
+    """Versions of the packages that are installed, as an extra need not be."""
     for name in packages:
         with suppress(importlib.metadata.PackageNotFoundError):
             yield f"version of {name}", importlib.metadata.version(name)
 
 
 def _seeded(excitation: Excitation, number: int) -> Excitation:
-    """That of the force of that number, from 0: its seed is independent of every other of any seed."""
+    """Excitation of the force of that number, from 0: its seed is independent of every other of any seed."""
     if not number:
         return excitation
     (seed,) = np.random.SeedSequence([excitation.seed, number]).generate_state(1)

@@ -173,7 +173,7 @@ def reference(scenario: str, settings: dict[str, str]) -> Sdof | BarrelCradle:
 
 
 def _quantities(sensors: str) -> list[QuantityName]:
-    """Those joined by +; "both" stands for displacement and acceleration."""
+    """Quantities joined by +; "both" stands for displacement and acceleration."""
     names = ["displacement", "acceleration"] if sensors == "both" else sensors.split("+")
     if unknown := sorted(set(names) - set(QUANTITIES)):
         raise RigError(f"sensors is {sensors!r}: no quantity {unknown[0]!r}; join any of {', '.join(QUANTITIES)} by +")

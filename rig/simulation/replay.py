@@ -70,7 +70,7 @@ def replayed(
 
 
 def modal(believed: Rig, actual: Rig, force_n: Float[np.ndarray, "*forces samples"], seed: int) -> Recording:
-    """By the plant `modal`, with 24 modes a beam at 32 kHz or more."""
+    """Replay by the plant `modal`, with 24 modes a beam at 32 kHz or more."""
     from rig.simulation.plants.modal import simulate
 
     plant = partial(simulate, modes=24)
@@ -78,7 +78,7 @@ def modal(believed: Rig, actual: Rig, force_n: Float[np.ndarray, "*forces sample
 
 
 def ancf(believed: Rig, actual: Rig, force_n: Float[np.ndarray, "*forces samples"], seed: int) -> Recording:
-    """By the plant `ancf`, with 12 elements a beam at 8 kHz or more."""
+    """Replay by the plant `ancf`, with 12 elements a beam at 8 kHz or more."""
     from rig.simulation.plants.ancf import simulate
 
     plant = partial(simulate, elements=12)

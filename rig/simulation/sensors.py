@@ -1,4 +1,4 @@
-"""From true motion to what a channel delivers: anti-aliasing, delay, high-pass, gain, noise, range, quantisation."""
+"""Channels from true motion: anti-aliasing, delay, high-pass, gain, noise, range, quantisation."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -28,13 +28,13 @@ class Samples:
 
     @property
     def force_n(self) -> Float[np.ndarray, " samples"]:
-        """Of a rig with one."""
+        """Force of a rig with one, N."""
         (only,) = self.forces_n
         return np.asarray(only)
 
 
 def needed_duration_s(rig: Rig, duration_s: float) -> float:
-    """How long a plant must run so that the filter can deliver `duration_s` of samples."""
+    """Seconds that a plant must run so that the filter can deliver `duration_s` of samples."""
     return duration_s + (HALF_WIDTH + _longest_delay(rig) + 1) / rig.sample_rate_hz
 
 

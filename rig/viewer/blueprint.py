@@ -1,4 +1,4 @@
-"""What the rerun viewer shows where: the moving rig and its contacts left, time series right; spectra behind a tab."""
+"""Blueprint of the rerun viewer: the moving rig and its contacts left, time series right; spectra behind a tab."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -22,7 +22,7 @@ TRAIL_S = 0.1
 
 @dataclass(frozen=True)
 class Layout:
-    """What of a recording there is to show, and how it is drawn."""
+    """Layout of what a recording has to show, and how it is drawn."""
 
     rig: Rig
     contact_force: Literal["true", "separated"] | None

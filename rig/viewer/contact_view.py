@@ -70,7 +70,7 @@ class Play:
 
     @cached_property
     def reach_mm(self) -> float:
-        """How far the views of the contact need to reach."""
+        """Reach of the views of the contact, mm."""
         law, largest = self.contact.law, float(np.abs(self.relative_m).max())
         return 1.2e3 * max(law.lower_clearance_m, law.upper_clearance_m, largest) or 1.0
 
@@ -143,7 +143,7 @@ def send_close_up(stream: rr.RecordingStream, play: Play) -> None:
 
 
 def _levels(law: ContactLaw) -> list[tuple[float, int]]:
-    """Where the upper and the lower wall are in the view, mm, whose y points downwards, and which way is beyond it."""
+    """Levels of the upper and the lower wall in the view, mm (y points downwards), and which way is beyond them."""
     return [(-1e3 * law.upper_clearance_m, -1), (1e3 * law.lower_clearance_m, 1)]
 
 

@@ -50,7 +50,8 @@ class Deflection:
 
 
 def deflection(recording: Recording, truth: Recording | None) -> Deflection:
-    """From the truth file where there is one, else from the sensors: what needs least integration at every station.
+    """Deflection by the truth file where there is one, else by the sensors: what needs least integration at every
+    station.
 
     Raises RigError if a body that should move has no sensor.
     """

@@ -1,4 +1,4 @@
-"""How things are sent to an .rrd file: colours, styles, and columns some thousand rows at a time."""
+"""Drawing into an .rrd file: colours, styles, and columns some thousand rows at a time."""
 
 from collections.abc import Sequence
 from typing import Any

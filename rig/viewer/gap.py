@@ -1,4 +1,4 @@
-"""What `identify gap` found, as gap.json says it: where the named effects and the unmeasured force act, and when."""
+"""Results of `identify gap`, by gap.json: where the named effects and the unmeasured force act, and when."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -144,14 +144,16 @@ def _of_force(report: _Gap, rig: Rig) -> Iterator[Mark]:
 
 
 def _station(rig: Rig, name: str, along: float) -> Station | None:
-    """Of a contact, a sensor, or a body at a share of its length; None of what is everywhere."""
+    """Station of a contact, a sensor, or a body at a share of its length; None of what is everywhere."""
     named = {b.name: Station(b.name, along * b.length_m) for b in rig.bodies}
     named |= {s.name: s.station for s in rig.sensors} | {c.name: c.at for c in rig.contacts}
     return named.get(name)
 
 
 def _text(report: _Gap) -> str:
-    """In Markdown: the verdict's sentence, the unmeasured force's, and the contacts' state in which the gap lies."""
+    """Text in Markdown: the verdict's sentence, the unmeasured force's, and the contact state in which the mismatch
+    lies.
+    """
     states = ", ".join(f"{100 * share:.0f} % {state}" for state, share in report.attribution.contact_state.items())
     return "\n\n".join(
         [

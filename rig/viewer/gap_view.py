@@ -57,7 +57,9 @@ def _closed(scene: Stage, plays: Sequence[Play]) -> Bool[np.ndarray, " frames"]:
 def _strengths(
     mark: Mark, gap: ShownGap, time_s: Float[np.ndarray, " frames"], closed: Bool[np.ndarray, " frames"]
 ) -> Float[np.ndarray, " frames"]:
-    """Of a mark at every frame; nothing before and after what was diagnosed, and without contact if it acts in it."""
+    """Strengths of a mark at every frame; none before and after what was diagnosed, and without contact if it acts in
+    it.
+    """
     begin, end = (gap.spans[0][0], gap.spans[-1][1]) if gap.spans else (0.0, np.inf)
     edges = np.linspace(begin, end if np.isfinite(end) else time_s[-1], len(mark.strengths) + 1)
     part = np.clip(np.searchsorted(edges, time_s, side="right") - 1, 0, len(mark.strengths) - 1)

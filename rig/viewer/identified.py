@@ -1,4 +1,4 @@
-"""What `identify contact` found: the contacts' laws (contact.json), their motion and forces (motion.csv, .parquet)."""
+"""Results of `identify contact`: the contacts' laws (contact.json), their motion and forces (motion.csv, .parquet)."""
 
 import csv
 from collections.abc import Mapping
@@ -68,7 +68,7 @@ NOTHING_IDENTIFIED = Identified()
 
 
 def read_identified(path: Path, rig: Rig, duration_s: float) -> Identified:
-    """What a contact.json, or the folder that holds it, says, with the curves that `--export` wrote beside it.
+    """Content of a contact.json, or of the folder that holds it, with the curves that `--export` wrote beside it.
 
     Raises RigError if a file cannot be read or is none of `identify contact`, or is one of another recording.
     """

@@ -41,7 +41,7 @@ def send_phase(stream: rr.RecordingStream, play: Play) -> None:
 
 
 def send_histogram(stream: rr.RecordingStream, play: Play) -> None:
-    """How often each relative displacement occurs once it moves: % of the time over mm, a bar as wide as its bin."""
+    """Send the histogram of each relative displacement once it moves: % of time over mm, a bar as wide as its bin."""
     moved_m = np.abs(play.relative_m - play.relative_m[0])
     moving_m = play.relative_m[int(np.argmax(moved_m > AT_REST * np.ptp(play.relative_m))) :]
     counts, edges = np.histogram(1e3 * moving_m, BINS, range=(-play.reach_mm, play.reach_mm))

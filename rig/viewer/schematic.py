@@ -40,7 +40,7 @@ def draw(rig: Rig, path: Path) -> None:
 
 @dataclass(frozen=True)
 class _Plan:
-    """Where everything stands, in pixels; a mass has a slot for each thing on it."""
+    """Plan of where everything stands, in pixels; a mass has a slot for each thing on it."""
 
     rig: Rig
     lefts: dict[str, float]
@@ -78,7 +78,7 @@ def _plan(rig: Rig) -> _Plan:
 
 
 def _things(rig: Rig, body: Body) -> Iterator[object]:
-    """What stands on a mass, from left to right: its own spring, then the rest."""
+    """Things on a mass, from left to right: its own spring, then the rest."""
     yield body
     yield from (c for c in rig.contacts if body.name in (c.at.body, c.against.body if c.against else ""))
     yield from (at for at in dict.fromkeys(rig.forces) if at.body == body.name)

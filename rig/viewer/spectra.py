@@ -32,7 +32,9 @@ class ShownSpectra:
 
 
 def spectra_of(recording: Recording, forces_n: Mapping[str, Float[np.ndarray, " samples"]]) -> list[ShownSpectra]:
-    """Of the exciting force, of the contact forces that are known, and of every body's channels of each quantity."""
+    """Spectra of the exciting force, of the contact forces that are known, and of every body's channels of each
+    quantity.
+    """
     exciting = dict(zip(recording.rig.force_names, recording.forces_n, strict=True))
     found = [
         ShownSpectra(entity("spectra", "force"), "Exciting force", "N", exciting),

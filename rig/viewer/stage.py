@@ -1,4 +1,4 @@
-"""Where the rig is drawn in the 3D view: positions of bodies, contacts and the force, frame by frame."""
+"""Stage of the 3D view: positions of bodies, contacts and the force, frame by frame."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -73,7 +73,7 @@ class Stage:
         return self._placed(np.broadcast_to(x, (self.frames.size, x.size)), body.name, z + self.magnification * moving)
 
     def label(self, body: Body) -> Float[np.ndarray, "frames 3"]:
-        """Where the body's name stands: above a beam, at its left or, for every other one, right quarter; in a mass."""
+        """Place of the body's name: above a beam, at its left or, for every other one, right quarter; in a mass."""
         right = [b.name for b in self.rig.bodies].index(body.name) % 2
         above = 0.07 if body.length_m else -0.04
         place = Station(body.name, (0.75 if right else 0.25) * body.length_m)

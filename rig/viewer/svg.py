@@ -13,7 +13,7 @@ Point = tuple[float, float]
 
 @dataclass
 class Drawing:
-    """What has been drawn so far, and how far it reaches."""
+    """Drawing so far, and how far it reaches."""
 
     elements: list[str] = field(default_factory=list)
     corners: list[Point] = field(default_factory=list)

@@ -95,7 +95,7 @@ def write_rrd(
 
 @contextmanager
 def _drained(stream: rr.RecordingStream) -> Iterator[rr.BinaryStream]:
-    """What the stream encodes; rerun's own writing of files waits for ever where the disk is full.
+    """Bytes that the stream encodes; rerun's own writing of files waits for ever where the disk is full.
 
     Nothing is left in it in the end: rerun would warn of that on the screen.
     """
@@ -157,7 +157,7 @@ def _belongs(truth: Recording, recording: Recording) -> bool:
 
 
 def _series_scalars(recording: Recording, truth: Recording | None) -> int:
-    """How many scalars the time series have at full rate."""
+    """Count of scalars that the time series have at full rate."""
     rig = recording.rig
     channels = len(rig.forces) + sum(len(sensors_of(rig, name)) for name in plotted(rig))
     return recording.samples * (channels + len(rig.contacts) * (1 if truth is None else 2))

@@ -106,8 +106,8 @@ def _lasting(
 def _equations(
     frequency_hz: Float[np.ndarray, " lines"], measured: Complex[np.ndarray, "frfs lines"]
 ) -> tuple[Complex[np.ndarray, "n n"], Complex[np.ndarray, "frfs n n"]]:
-    """Of sum_r b_or z^r - a_o sum_r d_r z^r = 0 with z = exp(-i pi (f - f0) / (1.02 band)), in least squares: the
-    products of the a_o z^r, summed over the FRFs, and their projections on an orthonormal basis of the z^r.
+    """Equations sum_r b_or z^r - a_o sum_r d_r z^r = 0 with z = exp(-i pi (f - f0) / (1.02 band)), in least squares:
+    the products of the a_o z^r, summed over the FRFs, and their projections on an orthonormal basis of the z^r.
 
     The leading columns of both are those of a lower order; b is eliminated by the difference of their squares.
     """

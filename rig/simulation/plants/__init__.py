@@ -1,4 +1,4 @@
-"""How a rig is simulated: one protocol (`rig.simulation.motion.Plant`), several engines, imported when asked for."""
+"""Plants that simulate a rig: one protocol (`rig.simulation.motion.Plant`), engines imported when asked for."""
 
 from importlib import import_module
 

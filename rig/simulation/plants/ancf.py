@@ -66,7 +66,7 @@ def simulate(
 
 @dataclass(frozen=True)
 class _Excitation:
-    """What acts at every step: the force of each load (the true forces, then the tones), and the base's motion.
+    """Excitation at every step: the force of each load (the true forces, then the tones), and the base's motion.
 
     `base` is displacement, velocity and acceleration, empty where the base stands still.
     """
@@ -123,7 +123,7 @@ def _excite(
 
 @dataclass(frozen=True)
 class _Instruments:
-    """What is read of a segment: all transverse coordinates by derivative in time, and the contacts' forces.
+    """Instruments of a segment: all transverse coordinates by derivative in time, and the contacts' forces.
 
     `stations` and `sensors` are the rows that make a station's displacement and a sensor's quantity of them.
     """

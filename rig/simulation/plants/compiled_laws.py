@@ -59,7 +59,7 @@ def _power(x, exponent):
 
 @no_type_check
 def _tanh(x):
-    """By its continued fraction at x / 32 and five doublings, to 1e-15: a call, though never made, slows the loop."""
+    """Hyperbolic tangent by its continued fraction at x / 32 and five doublings, to 1e-15: a call slows the loop."""
     t = 0.0
     for _ in range(x != 0.0):
         y = max(-20.0, min(20.0, x)) / 32
@@ -90,7 +90,7 @@ for _general, _own in _NUMBERS.items():
 
 
 def _chained(formulas: Sequence[Callable[..., Any]], first: int = 0) -> Any:
-    """Of the formulas from the first on, the one that a row's kind says."""
+    """Formula, of those from the first on, that a row's kind says."""
     own = inlined(unwrap(formulas[first]))
     if first + 1 == len(formulas):
         return own

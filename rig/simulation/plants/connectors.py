@@ -1,4 +1,4 @@
-"""What the ancf plant ties together by formulae that Exudyn runs compiled: contacts, grounded forces, a modulus."""
+"""Connectors of the ancf plant, by formulae that Exudyn runs compiled: contacts, grounded forces, a modulus."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ class ChangingModulus:
 
 @dataclass(frozen=True)
 class Section:
-    """From `start_m` to `end_m` a beam is so many times as stiff in bending and as heavy (and as stiff lengthwise)."""
+    """Section of a beam from `start_m` to `end_m`: factors on bending stiffness and mass (and lengthwise stiffness)."""
 
     beam: str
     start_m: float

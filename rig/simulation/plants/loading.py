@@ -1,4 +1,4 @@
-"""What acts on a rig beside its measured force: true force, base motion, cubic springs, dampers, static loads."""
+"""Loads on a rig beside its measured force: true force, base motion, cubic springs, dampers, static loads."""
 
 import numpy as np
 import scipy
@@ -67,7 +67,7 @@ def connections(rig: Rig) -> tuple[Contact, ...]:
 
 
 def softening_limits_m(rig: Rig) -> Float[np.ndarray, " connections"]:
-    """How far each of the `connections` may move: where a softening spring takes all of its body's stiffness.
+    """Limit of each connection's motion, m: where a softening spring takes all of its body's stiffness.
 
     With the static stiffness k of the body at the spring, 1 / sum phi^2 / omega^2 over its modes, that is at
     sqrt(k / -k3): beyond, nothing pulls back. Infinite for all else, and for a body that contacts hold too.
@@ -109,7 +109,7 @@ def equilibrium(
     laws: tuple[ContactLaw, ...],
     load: Float[np.ndarray, " modes"],
 ) -> Float[np.ndarray, " modes"]:
-    """Where the rig rests under a static load, in modal coordinates, `squares` being omega^2.
+    """Equilibrium of the rig under a static load, in modal coordinates, `squares` being omega^2.
 
     What floats unloaded stays at zero, and what floats under a load is pushed to where the stops hold it. A motion that
     nothing holds but friction or dampers begins at rest at zero, and the load moves it from there. Raises RigError if

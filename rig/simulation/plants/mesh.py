@@ -1,4 +1,4 @@
-"""Where the nodes of a body stand, and what weighs on them; shared by whatever uses finite elements."""
+"""Mesh of a body: where its nodes stand, and what weighs on them; shared by whatever uses finite elements."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -33,7 +33,7 @@ class Mesh:
 
     @property
     def transverse(self) -> list[int]:
-        """Of a node's coordinates (x, y, slope x, slope y), those of the transverse motion."""
+        """Indices of the transverse motion among a node's coordinates (x, y, slope x, slope y)."""
         return [0] if self.body.is_mass else [1, 3]
 
     @property
@@ -43,7 +43,7 @@ class Mesh:
 
 
 def mesh_positions(rig: Rig, beam: Beam, elements: int) -> Float[np.ndarray, " nodes"]:
-    """About `elements` elements a beam, with a node wherever something acts on it or is attached to it."""
+    """Positions of about `elements` elements a beam, with a node wherever something acts on it or is attached to it."""
     acted_on = [s for c in rig.contacts for s in contact_stations(c)]
     acted_on += [*rig.forces, *(m.station for m in rig.masses), *(s.station for s in rig.springs)]
     acted_on += [*(x.station for x in rig.loads), *(x.station for x in rig.dampers), *(x.station for x in rig.tones)]
@@ -76,7 +76,7 @@ def static_load(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
 
 
 def inertia(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
-    """Of every transverse coordinate in a motion of the base: the mass matrix times a translation, kg and kg m."""
+    """Inertia of every transverse coordinate as the base moves: the mass matrix times a translation, kg and kg m."""
     parts = []
     for mesh in meshes:
         mass, _ = matrices(rig, mesh.body, mesh.positions_m)

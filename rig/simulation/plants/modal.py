@@ -116,7 +116,7 @@ def observed(
     applied: Float[np.ndarray, "inputs samples"],
     contact_n: Float[np.ndarray, "all samples"],
 ) -> Float[np.ndarray, "sensors samples"]:
-    """What the sensors see of the modes, relative to the base."""
+    """Signals that the sensors see of the modes, relative to the base."""
     size = model.omega.size
     sensed = np.empty((len(rig.sensors), len(states)))
     first = 0
@@ -210,7 +210,7 @@ def applied_inputs(
 
 
 def constants_of(model: Model, step_s: float) -> tuple[Any, ...]:
-    """What `stepping.advance` takes of a model at a step; raises RigError if a contact is too stiff for the step."""
+    """Constants that `stepping.advance` takes of a model; raises RigError if a contact is too stiff for the step."""
     from rig.simulation.plants.compiled_laws import table_of
     from rig.simulation.plants.stepping import within_a_step
 
@@ -225,7 +225,7 @@ def constants_of(model: Model, step_s: float) -> tuple[Any, ...]:
 def _reach(
     model: Model, pushed: Float[np.ndarray, "3 contacts states"], step_s: float
 ) -> tuple[Float[np.ndarray, "2 2 contacts contacts"], Float[np.ndarray, " contacts"]]:
-    """What each end force, and each bend, adds to every eta and eta'; and how much of a change that leaves to make.
+    """Reach of each end force, and each bend, in every eta and eta'; and how much of a change that leaves to make.
 
     Raises RigError if a force would change itself by half or more.
     """

@@ -36,7 +36,7 @@ def within_a_step(step_s: float) -> Float[np.ndarray, "10 16"]:
 @_compiled
 @no_type_check  # numba compiles the plain functions only
 def _touches(law, held, j, eta1, rate1, time_s, step_s):
-    """Whether there may be a force between two moments: the cubic between them stays within this of its ends."""
+    """True if there may be a force between two moments: the cubic between them stays within this of its ends."""
     apart = 0.15 * step_s * (abs(held[RATE, j]) + abs(rate1))
     worn = law.wear_m_per_s * (time_s - step_s)
     above = max(held[ETA, j], eta1) + apart > law.upper_clearance_m + worn

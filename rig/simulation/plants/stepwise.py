@@ -48,12 +48,14 @@ class Stepwise:
 
     @property
     def sensed(self) -> Float[np.ndarray, " sensors"]:
-        """What every sensor's quantity is, before any instrument."""
+        """Quantity at every sensor, before any instrument."""
         states = self._state[None]
         return np.asarray(observed(self.rig, self._model, states, self._inputs[:, None], self._held[:1].T)[:, 0])
 
     def advance(self, force_n: float, steps: int = 1) -> None:
-        """So many steps, at whose end the force has the given value; raises RigError if the motion is not finite."""
+        """Advance by this many steps, at whose end the force has the given value; raises RigError if the motion is not
+        finite.
+        """
         from rig.simulation.plants.stepping import advance
 
         begin, contacts = self._inputs, len(self._model.across)
