@@ -131,6 +131,6 @@ class Chunk:
 
 @cache
 def _alike(head: int, doubles: int) -> np.dtype[np.void]:
-    """Check of a message with this many bytes before this many doubles."""
+    """Record type of a message with this many bytes before this many doubles."""
     start = ("start", "u1", (_MESSAGE_START.size,))
     return np.dtype([start, ("times", "<u8", (2,)), ("head", "u1", (head,)), ("values", "<f8", (doubles,))])
