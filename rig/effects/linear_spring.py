@@ -26,7 +26,7 @@ class LinearSpring(Effect, frozen=True):
 
     @classmethod
     def parameters(cls, scale: Scale) -> ParameterSet:
-        """Range: from nearly all of the stiffness at the body's middling point missing to five times its softest.
+        """Nearly all of the body's stiffness at its middling point missing, up to five times that at its softest.
 
         What takes more than there is at a place makes no rig. Of a body that floats, from nothing up to the exciting
         force over how far it moves.
