@@ -213,7 +213,7 @@ def measured(folder: Path | None) -> Float[np.ndarray, "2 samples"]:
 
 
 def recording_of(rig: Rig, signals: Float[np.ndarray, "2 samples"]) -> Recording:
-    """Of a force (N) and a displacement (m)."""
+    """Recording of a force (N) and a displacement (m)."""
     rows = zip(channel_groups(rig).items(), signals, strict=True)
     named = {name: Signals(channels, 0.0, row[None]) for (name, channels), row in rows}
     return Recording(rig, named, {"source": f"Silverbox benchmark, {FILE}"})
@@ -230,7 +230,7 @@ def mass_of(rig: Rig) -> Oscillator:
 
 
 def written(recording: Recording, path: Path) -> Recording:
-    """What is read back from the file."""
+    """Recording read back from the file."""
     with writing(path, recording.rig, channel_groups(recording.rig), recording.provenance) as file:
         for name, signals in recording.signals.items():
             file.append(name, signals.values)
@@ -245,11 +245,11 @@ def drawn(
     folder: Path,
 ) -> None:
     """Writes where.png and arrow.png; errors (mV) end with the arrow."""
-    write_bytes(picture(partial(_where, validation, corrected)).png, folder / "where.png")
-    write_bytes(picture(partial(_arrow, arrow, errors)).png, folder / "arrow.png")
+    write_bytes(picture(partial(_force_over_displacement, validation, corrected)).png, folder / "where.png")
+    write_bytes(picture(partial(_errors_over_time, arrow, errors)).png, folder / "arrow.png")
 
 
-def _where(recording: Recording, corrected: Rig, figure: Figure) -> None:
+def _force_over_displacement(recording: Recording, corrected: Rig, figure: Figure) -> None:
     """The force beyond mass, damping and linear spring, F - m a - c v - k x, over the displacement."""
     motion, body = kinematics(with_fields(recording, rig=corrected)), mass_of(corrected)
     (x,), (v,), (a,) = motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2
@@ -268,7 +268,7 @@ def _where(recording: Recording, corrected: Rig, figure: Figure) -> None:
     axes.legend(markerscale=1.5)
 
 
-def _arrow(arrow: Recording, errors: dict[str, Float[np.ndarray, " later"]], figure: Figure) -> None:
+def _errors_over_time(arrow: Recording, errors: dict[str, Float[np.ndarray, " later"]], figure: Figure) -> None:
     """The displacement, and the errors of both rigs."""
     above, below = figure.subplots(2, 1, sharex=True)
     rate = arrow.rig.sample_rate_hz

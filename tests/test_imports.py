@@ -6,6 +6,9 @@ from pathlib import Path
 
 import pytest
 
+import identify
+import rig
+
 ROOT = Path(__file__).parent.parent
 IMPORT_ALL = """
 import importlib, pkgutil, sys
@@ -27,6 +30,12 @@ def test_the_contracts_on_imports_hold():
     linter = Path(sys.executable).with_name("lint-imports")
     done = subprocess.run([linter, "--no-cache"], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("package", [rig, identify])
+def test_every_name_that_a_package_offers_is_loaded_when_it_is_asked_for(package):
+    assert all(getattr(package, name) is not None for name in package.__all__)
+    assert not hasattr(package, "no_such_name")
 
 
 @pytest.mark.parametrize(

@@ -24,8 +24,9 @@ from rich.table import Table
 from identify.gaps.decision.comparison import TEMPERATURE
 from identify.gaps.decision.experiment import Experiment, begun_on, experiments, next_experiments, refitted
 from identify.gaps.decision.verdict import ALIKE
+from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import linearized, residual_of
-from identify.gaps.residual.spectra import Record, record_of
+from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import AGAIN, NextExperiment
 from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.hypothesis import Hypothesis, Search

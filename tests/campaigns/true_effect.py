@@ -15,8 +15,9 @@ import numpy as np
 from identify.gaps.decision.comparison import left_without, size
 from identify.gaps.decision.recordings import sound
 from identify.gaps.residual.likelihood import Misfit, Reference, misfit, reference_of
+from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import linearized
-from identify.gaps.residual.spectra import Record, record_of
+from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Matters
 from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.nominal import fit_nuisance

@@ -7,8 +7,8 @@ from jaxtyping import Float
 
 from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.residual.linear import Linear
+from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual
-from identify.gaps.residual.spectra import Record
 from identify.gaps.results import Attribution, ResidualMap, Share
 
 BANDS_HZ = (0.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 100.0, 150.0, 200.0, 400.0, 1000.0, 4000.0)

@@ -10,8 +10,8 @@ from identify.gaps.decision.null_reference import NullReference, p_value
 from identify.gaps.decision.phrases import phrase
 from identify.gaps.decision.verdict import ALIKE, Weighed, strengths_of
 from identify.gaps.residual.likelihood import Misfit
+from identify.gaps.residual.record import Record
 from identify.gaps.residual.scales import BAND_HZ
-from identify.gaps.residual.spectra import Record
 from identify.gaps.results import Band, Cause, Left, Matters, labels_of
 from identify.linear.joined import joined
 from rig.model.description import Rig

@@ -10,8 +10,8 @@ from jaxtyping import Float
 
 from identify.gaps.residual.fit import fit
 from identify.gaps.residual.likelihood import Misfit, Reference, misfit
+from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual, residual_of
-from identify.gaps.residual.spectra import Record
 from identify.gaps.results import Matters
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.hypothesis import Hypothesis, applied, steps_of

@@ -23,7 +23,7 @@ from identify.gaps.decision.level_dependence import have_levels, level_dependenc
 from identify.gaps.decision_table import USUAL
 from identify.gaps.residual.fit import Values
 from identify.gaps.residual.likelihood import Reference
-from identify.gaps.residual.spectra import Record
+from identify.gaps.residual.record import Record
 from identify.gaps.results import Between, Compared, Trend
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.hypothesis import applied, parameters_of, steps_of

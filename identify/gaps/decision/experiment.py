@@ -18,8 +18,9 @@ from identify.gaps.decision.comparison import TEMPERATURE
 from identify.gaps.decision.null_reference import Simulate, phase_randomized
 from identify.gaps.residual.extent import REACH
 from identify.gaps.residual.likelihood import reference_of
+from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import linearized
-from identify.gaps.residual.spectra import Record, record_of
+from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import AGAIN, NextExperiment
 from identify.gaps.search.hypothesis import ROUNDS, Hypothesis, Search, applied, fit_from
 from identify.gaps.search.nominal import fit_nuisance

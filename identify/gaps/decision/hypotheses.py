@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from identify.gaps.decision.prepare import Prepared
 from identify.gaps.residual.likelihood import Reference
-from identify.gaps.residual.spectra import Record
+from identify.gaps.residual.record import Record
 from identify.gaps.search.candidates import Candidate, candidates, scale_of
 from identify.gaps.search.hypothesis import Hypothesis, Search
 from identify.gaps.search.nominal import fit_nuisance

@@ -29,7 +29,7 @@ STEP = 1e-2
 
 def identifiable_change(
     rig: Rig,
-    part: Candidate,
+    candidate: Candidate,
     values: Float[np.ndarray, " parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
     highest_hz: float,
@@ -38,13 +38,13 @@ def identifiable_change(
 
     values and covariance are those of the effect's parameters; modes up to highest_hz are seen.
     """
-    more = added(rig, part.applied(rig, values))
+    more = added(rig, candidate.applied(rig, values))
     places = [*_places(more.springs), *_places(more.dampers), *_places(more.masses)] if more else []
     if len(places) != 1:
         return ""
     (place,) = places
     beside = given_beside(rig.body(place.body), place.position_m)
-    mode = _dominant_mode(rig, part, values, place, highest_hz) if beside else None
+    mode = _dominant_mode(rig, candidate, values, place, highest_hz) if beside else None
     if mode is None:
         return ""
     modes = modes_of(rig, rig.body(place.body))
@@ -56,7 +56,7 @@ def identifiable_change(
     for index, (what, unit, scale) in enumerate((("frequency", "Hz", 1.0), ("damping ratio", "%", 100.0))):
 
         def shift(x: Float[np.ndarray, " parameters"], index: int = index) -> float:
-            return float(_changes(rig, part, x, place.body)[index][mode])
+            return float(_changes(rig, candidate, x, place.body)[index][mode])
 
         if found := shift(values):
             said = interval(scale * found, scale * _error(shift, values, covariance), unit)
@@ -69,10 +69,10 @@ def _places(attached: Sequence[PointSpring | PointDamper | PointMass]) -> list[S
 
 
 def _changes(
-    rig: Rig, part: Candidate, values: Float[np.ndarray, " parameters"], body_name: str
+    rig: Rig, candidate: Candidate, values: Float[np.ndarray, " parameters"], body_name: str
 ) -> Float[np.ndarray, "2 modes"]:
     """Changes of each mode of a body by an effect: frequency, Hz, and damping ratio."""
-    body, moved = rig.body(body_name), part.applied(rig, values)
+    body, moved = rig.body(body_name), candidate.applied(rig, values)
     count = modes_wanted(body, body.max_modes)
     before, after = modes_of(rig, body), modes_of(moved, body)
     hz = before.frequencies_hz(count)
@@ -92,7 +92,7 @@ def ratios_by_dampers(
 
 
 def _dominant_mode(
-    rig: Rig, part: Candidate, values: Float[np.ndarray, " parameters"], place: Station, highest_hz: float
+    rig: Rig, candidate: Candidate, values: Float[np.ndarray, " parameters"], place: Station, highest_hz: float
 ) -> int | None:
     """The mode that dominates what an effect changes; None if none does, or a rigid-body mode, whose shape is a line.
 
@@ -103,7 +103,7 @@ def _dominant_mode(
     hz, ratios = modes.frequencies_hz(count), np.maximum(modes.damping_ratios(count), LEAST_RATIO)
     if body.rigid_modes:
         return None
-    by_frequency, by_ratio = _changes(rig, part, values, place.body)
+    by_frequency, by_ratio = _changes(rig, candidate, values, place.body)
     sizes = np.hypot(by_frequency / hz, by_ratio) / ratios
     if not sizes.any():
         sizes = modes.shapes(np.array([place.position_m]), count)[0] ** 2 / (hz**2 * ratios)

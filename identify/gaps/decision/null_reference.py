@@ -18,8 +18,9 @@ from scipy.stats import t as student
 
 from identify.gaps.decision.null_machine import drawn, standard_normals, with_crosstalk
 from identify.gaps.residual.likelihood import Misfit, misfit, reference_of
+from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual, linearized
-from identify.gaps.residual.spectra import Record, record_of
+from identify.gaps.residual.spectra import record_of
 from identify.gaps.rollout.results import NullErrors
 from identify.gaps.rollout.windows import Predict, null_errors
 from identify.gaps.search.nominal import fit_nuisance

@@ -11,8 +11,9 @@ from identify.gaps.decision.null_reference import NullReference, Simulate, null_
 from identify.gaps.decision.recordings import parts_of, sound
 from identify.gaps.decision.release import released
 from identify.gaps.residual.likelihood import Reference, reference_of
+from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import linearized
-from identify.gaps.residual.spectra import Record, record_of
+from identify.gaps.residual.spectra import record_of
 from identify.gaps.rollout.windows import Predict
 from rig.errors import RigError
 from rig.model.tolerances import LABORATORY, Tolerances

@@ -13,6 +13,7 @@ from scipy.sparse.linalg import SuperLU
 
 from identify.gaps.residual.linear import sensor_response_of
 from identify.gaps.residual.nuisance import LIMIT, at_contacts, counted
+from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import (
     Linearization,
     Residual,
@@ -21,7 +22,6 @@ from identify.gaps.residual.residual import (
     same_but_laws,
     same_but_sensors,
 )
-from identify.gaps.residual.spectra import Record
 from identify.signals.descent import Step, descended
 from rig.errors import RigError
 from rig.model.description import Rig

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Complex, Float
 
-from identify.gaps.residual.spectra import LEAST, Record
+from identify.gaps.residual.record import Record
+from identify.gaps.residual.windowed import LEAST
 from identify.linear.model import Response, times, weights_of
 from identify.signals.law_evaluation import oversampling
 from rig.model.description import PointDamper, PointMass, PointSpring, Rig, Station

@@ -19,7 +19,7 @@ from identify.contacts.initial_guess import regressed
 from identify.gaps.residual.linear import Linear
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.observation import ContactObservation
-from identify.gaps.residual.spectra import Record
+from identify.gaps.residual.record import Record
 from identify.linear.joined import JoinedLaw
 from identify.signals.law_evaluation import evaluated
 from rig.errors import RigError

@@ -22,9 +22,9 @@ from jaxtyping import Bool, Float, Int
 from identify.gaps.residual.law import ContactResidual
 from identify.gaps.residual.lines import cost_of_lines
 from identify.gaps.residual.observation import ContactObservation
+from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual
 from identify.gaps.residual.scales import band_of_lines, by_band, measured_levels, posterior_level, second_levels
-from identify.gaps.residual.spectra import Record
 
 NOISY = 0.5
 """Where noise is more than this share of the power, a band tells no share of the motion."""

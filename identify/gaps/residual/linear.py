@@ -18,9 +18,9 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
-from identify.gaps.residual.extent import is_free
 from identify.gaps.residual.grounded import ground_force_changes, ground_forces, pushed_by_motion
-from identify.gaps.residual.spectra import Record
+from identify.gaps.residual.record import Record
+from identify.gaps.residual.windowed import modal_response, response_to_force
 from identify.linear.free_motion import FreeMode, fitted_modes, free_modes
 from identify.linear.joined import joined
 from identify.linear.model import (
@@ -80,7 +80,7 @@ class Linear:
         forces = np.stack([*(force_n for _, force_n in self.pushes), *self.contact_n])
         pushed = [station for station, _ in self.pushes]
         found = tuple(
-            _modal_response(self.record, self.rig, r, times(input_shapes(self.rig, r, pushed).T, forces))
+            modal_response(self.record, self.rig, r, times(input_shapes(self.rig, r, pushed).T, forces))
             for r in self.responses
         )
         for motion in self.free:
@@ -169,7 +169,7 @@ def linear_model(
     made = accelerances(rig, responses, [station for station, _ in pushes], places)
     by_contacts, per_newton = made[len(pushes) :], made[: len(rig.forces)]
     by_push = [
-        _response_to_force(record, rig, per_push, force_n) for per_push, (_, force_n) in zip(made, pushes, strict=False)
+        response_to_force(record, rig, per_push, force_n) for per_push, (_, force_n) in zip(made, pushes, strict=False)
     ]
     by_force, known = np.stack(by_push[: len(rig.forces)]), sum(by_push[1:], by_push[0])
     deviation = np.sqrt(record.noise + model_error**2 * record.power)
@@ -244,39 +244,6 @@ def _pushes(
     if pushed_by_motion(rig):
         held = ground_forces(record, rig, responses, places, record.displaced / sensor_response)
     return (*zip(rig.forces, lagged, strict=True), *tones, *_loads(record, rig), *held)
-
-
-def _response_to_force(
-    record: Record, rig: Rig, per_newton: Complex[np.ndarray, "sensors lines"], force_n: Complex[np.ndarray, " lines"]
-) -> Complex[np.ndarray, "sensors lines"]:
-    """Accelerations at the sensors under a force, which is given windowed.
-
-    What is held rings on where the window falls, and does not fade with the force: without contacts it is the answer
-    to the force as it acted that is windowed. Weights by frequency reach back from there by seconds.
-    """
-    by_window = per_newton * force_n
-    rings_on = np.array([_rings_on(record, rig, s.station.body) for s in record.sensors])
-    if not rings_on.any():
-        return by_window
-    orders = [s.measures.order for s in record.sensors]
-    response = record.windowed_response(per_newton * record.unwindowed_force(force_n), orders)
-    return np.where(rings_on[:, None], response, by_window)
-
-
-def _modal_response(
-    record: Record, rig: Rig, response: Response, modal_force: Complex[np.ndarray, "modes lines"]
-) -> Complex[np.ndarray, "modes lines"]:
-    """Modal accelerations of a body under windowed forces, as `_response_to_force` has them at its sensors."""
-    if not _rings_on(record, rig, response.body.name):
-        return response.accelerance * modal_force
-    order = next((s.measures.order for s in record.sensors if s.station.body == response.body.name), 2)
-    accelerations = response.accelerance * record.unwindowed_force(modal_force)
-    return record.windowed_response(accelerations, [order] * len(accelerations))
-
-
-def _rings_on(record: Record, rig: Rig, body: str) -> bool:
-    """True of a held body where responses are windowed."""
-    return record.windows_responses and not is_free(rig, body)
 
 
 def _loads(record: Record, rig: Rig) -> list[tuple[Station, Complex[np.ndarray, " lines"]]]:

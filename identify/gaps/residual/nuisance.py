@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from identify.gaps.residual.grounded import pushed_by_motion
 from identify.gaps.residual.linear import Linear, ground_spring_correction
-from identify.gaps.residual.spectra import Record
+from identify.gaps.residual.record import Record
 from identify.linear.free_motion import detuned, state_changes
 from identify.linear.model import Response, times
 from identify.linear.nuisance import (

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from identify.gaps.residual.linear import Linear
-from identify.gaps.residual.spectra import Record
+from identify.gaps.residual.record import Record
 from identify.linear.joined import JoinedLaw
 from identify.signals.drift import Spline, spline
 

@@ -22,8 +22,8 @@ from identify.gaps.residual.linear import Linear, linear_model
 from identify.gaps.residual.lines import standing_out, without_lines
 from identify.gaps.residual.nuisance import Columns, apply_nuisance, columns_of, counted, with_nuisance
 from identify.gaps.residual.observation import ContactObservation, seen_contacts
+from identify.gaps.residual.record import Record
 from identify.gaps.residual.scales import Scales, estimated_scales, prior_scales
-from identify.gaps.residual.spectra import Record
 from identify.gaps.residual.tuning import TunedModes, tuned_modes
 from identify.linear.joined import joined_contacts, joined_laws
 from identify.linear.model import Recent, ResponseCache

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.signal.windows import hann
 
-from identify.gaps.residual.spectra import Record
+from identify.gaps.residual.record import Record
 
 BAND_HZ = 2.0
 """A discrepancy has one scale in each band of each sensor; some hundred independent values of 30 s tell it."""

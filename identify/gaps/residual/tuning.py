@@ -12,8 +12,8 @@ from scipy.optimize import linear_sum_assignment
 
 from identify.gaps.residual.linear import Tuned
 from identify.gaps.residual.nuisance import LIMIT
+from identify.gaps.residual.record import Record
 from identify.gaps.residual.ringing import MeasuredMode
-from identify.gaps.residual.spectra import Record
 from identify.linear.nuisance import Nuisance, NuisanceKind
 from rig.model.description import Rig
 from rig.model.modes import modes_of

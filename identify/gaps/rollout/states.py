@@ -20,8 +20,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.fft import irfft, rfft
 
+from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Residual
-from identify.gaps.residual.spectra import Record
 from identify.linear.joined import joined
 from identify.signals.kinematics import CORNER_HZ, kinematics
 from rig.model.description import Body, Rig, Station

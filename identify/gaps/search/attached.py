@@ -8,8 +8,8 @@ from identify.gaps.residual.fit import Column
 from identify.gaps.residual.grounded import displaced_at, ground_forces
 from identify.gaps.residual.linear import Linear, delivered_by, places_of
 from identify.gaps.residual.nuisance import counted
+from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual
-from identify.gaps.residual.spectra import Record
 from rig.model.description import Rig, Station
 
 ATTACHED = ("springs", "dampers", "masses", "tones")

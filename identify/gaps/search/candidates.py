@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from msgspec.structs import replace
 
-from identify.gaps.residual.spectra import Record
+from identify.gaps.residual.record import Record
 from identify.linear.joined import joined_contacts
 from rig.effects import effects
 from rig.effects.base import Effect, Place, Scale

@@ -16,7 +16,7 @@ from identify.gaps.residual.scales import Scales, prior_scales
 from identify.gaps.residual.tuning import KINDS
 from identify.gaps.search.base_excitation import fit_base_excitation
 from identify.gaps.search.candidates import Candidate
-from identify.gaps.search.nominal import extra_relinearizations, fitted, relinearizations
+from identify.gaps.search.nominal import extra_relinearizations, fitted, stated_scale_refits
 from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
 from rig.model.description import Rig
@@ -193,7 +193,7 @@ def relinearised(context: Search, build: Build, first: Tried, rounds: int, least
     contacts refits at the stated scales follow: larger ones leave what a linearised resonance errs.
     """
     parts, fits, record = first.hypothesis.parts, [first], context.linearization.record
-    resonant = relinearizations(context.linearization.rig)
+    resonant = stated_scale_refits(context.linearization.rig)
 
     def refit(before: Tried) -> Tried:
         return refit_at(before, scales_at(before.linearization, before.residual))
@@ -256,27 +256,24 @@ def fit_spectrum(context: Search, nothing: Tried, candidate: Candidate) -> Tried
     return _tried(context, (candidate,), values, np.diag(deviations**2), linearization, at)
 
 
-def reset_saturated_nuisance(at: Residual) -> Residual:
-    """Residual to start an effect at: nuisance parameters saturated for want of it are reset.
-
-    They stay as they are where none is at its limit.
-    """
-    if np.max(np.abs(at.pulls), initial=0.0) < LIMIT - 1e-6:
-        return at
-    straight = tuple(replace(c, unknowns=c.believed) for c in at.contacts)
-    return replace(at, nuisance=np.zeros_like(at.nuisance), contacts=straight)
+def reset_saturated_nuisance(residual: Residual) -> Residual:
+    """Residual at which a fit of an effect starts: if a nuisance parameter stands at its limit, all are reset."""
+    if np.max(np.abs(residual.pulls), initial=0.0) < LIMIT - 1e-6:
+        return residual
+    straight = tuple(replace(c, unknowns=c.believed) for c in residual.contacts)
+    return replace(residual, nuisance=np.zeros_like(residual.nuisance), contacts=straight)
 
 
-def reset_mode_nuisance(at: Residual) -> Residual:
+def reset_mode_nuisance(residual: Residual) -> Residual:
     """The residual with frequencies and damping of all modes at their nominal values, if a tolerance went far for one.
 
-    An effect on frequencies and these tolerances together move along a valley that is as bent as the resonance is
-    sharp, in steps of a part of its width.
+    An effect on frequencies and these tolerances are nearly the same change of the rig: fitted together they advance by
+    a part of the resonance's width a step.
     """
-    of_modes = np.array([p.kind in KINDS for p in at.parameters], dtype=bool)
-    if np.max(np.abs(at.nuisance[of_modes]), initial=0.0) < PULLED:
-        return at
-    return replace(at, nuisance=np.where(of_modes, 0.0, at.nuisance))
+    of_modes = np.array([p.kind in KINDS for p in residual.parameters], dtype=bool)
+    if np.max(np.abs(residual.nuisance[of_modes]), initial=0.0) < PULLED:
+        return residual
+    return replace(residual, nuisance=np.where(of_modes, 0.0, residual.nuisance))
 
 
 def beside(first: Tried, second: Tried) -> Hypothesis:

@@ -6,8 +6,8 @@ import numpy as np
 
 from identify.gaps.residual.fit import Fit, fit
 from identify.gaps.residual.likelihood import Misfit, misfit, reference_of
+from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual, linearized, rescaled
-from identify.gaps.residual.spectra import Record
 from identify.signals.refit import refit_until_settled
 from rig.model.description import Rig
 
@@ -36,7 +36,7 @@ def fit_nuisance(record: Record, rig: Rig, rounds: int = ROUNDS) -> tuple[Linear
         return not (after.misfit.excess > SETTLED and fall > SETTLED)
 
     estimate = fit_in(linearization, None)
-    estimate = refit_until_settled(estimate, relinearize, rounds=relinearizations(rig))
+    estimate = refit_until_settled(estimate, relinearize, rounds=stated_scale_refits(rig))
     estimate = refit_until_settled(
         estimate, refit, settled, rounds=MOST, at_least=max(rounds, extra_relinearizations(rig))
     )
@@ -56,7 +56,7 @@ def fitted(linearization: Linearization, start: Residual | None = None) -> Fit:
     return fit(linearization, lambda _: linearization.rig, nothing, nothing, (nothing, nothing), start)
 
 
-def relinearizations(rig: Rig) -> int:
+def stated_scale_refits(rig: Rig) -> int:
     """Refits at the scales that the tolerances state: of elastic bodies without contacts, whose resonances bend the
     residual. Single masses have rounds of their own."""
     return 0 if rig.contacts or any(b.is_mass for b in rig.bodies) else RESONANT

@@ -18,8 +18,8 @@ from jaxtyping import Float
 from identify.gaps.residual.fit import FINE, Values, bounded, by_nuisance, derivative
 from identify.gaps.residual.likelihood import Reference, misfit, reference_of
 from identify.gaps.residual.nuisance import LIMIT
+from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual, linearized
-from identify.gaps.residual.spectra import Record
 from identify.gaps.search.hypothesis import Hypothesis, applied, parameters_of, steps_of
 from identify.gaps.search.nominal import fit_nuisance
 from identify.signals.refit import refit_until_settled

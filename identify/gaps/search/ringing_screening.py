@@ -14,7 +14,7 @@ from jaxtyping import Float
 from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
-from identify.gaps.residual.spectra import Record
+from identify.gaps.residual.record import Record
 from identify.gaps.residual.tuning import matched_modes
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.screening import STRENGTHS, Screened

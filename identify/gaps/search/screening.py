@@ -12,8 +12,8 @@ from identify.gaps.residual.grounded import needs_every_line
 from identify.gaps.residual.linear import linear_model
 from identify.gaps.residual.lines import sharpest
 from identify.gaps.residual.nuisance import LIMIT
+from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual, residual_of, same_but_laws
-from identify.gaps.residual.spectra import Record
 from identify.gaps.search.attached import attached
 from identify.gaps.search.candidates import Candidate
 from identify.linear.model import ResponseCache

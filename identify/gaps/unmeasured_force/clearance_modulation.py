@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float
 from scipy.fft import next_fast_len, rfft
 
 from identify.gaps.residual.law import ContactResidual
+from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Residual
-from identify.gaps.residual.spectra import Record
 from rig.model.description import Contact
 from rig.model.unmeasured_force import UnmeasuredForce
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Complex
 
-from identify.gaps.residual.spectra import Record
+from identify.gaps.residual.record import Record
 from identify.gaps.unmeasured_force.evidence import explained
 from identify.gaps.unmeasured_force.location import Located, located, response_of
 from identify.gaps.unmeasured_force.nuisance import drift_accelerations, observed

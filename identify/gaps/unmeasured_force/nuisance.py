@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from identify.gaps.residual.nuisance import BEYOND
-from identify.gaps.residual.spectra import Record
+from identify.gaps.residual.record import Record
 from identify.gaps.unmeasured_force.observed import WhitenedRecord, bare_residual, inverse_of, with_columns
 from identify.linear.free_motion import state_changes
 from identify.linear.nuisance import BodyMotion, Change, Nuisance, Observed, changes_of, crosstalk_of

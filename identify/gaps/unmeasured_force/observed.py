@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 
 from identify.gaps.residual.linear import Linear, linear_model
-from identify.gaps.residual.spectra import Record
+from identify.gaps.residual.record import Record
 from identify.linear.model import Response
 from identify.linear.nuisance import Nuisance
 from identify.linear.projection import complement
